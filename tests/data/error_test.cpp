@@ -1,0 +1,42 @@
+#include "rtdata/data/error.hpp"
+
+#include <doctest/doctest.h>
+
+#include <cerrno>
+
+using namespace rtdata;
+
+TEST_SUITE("data") {
+  TEST_CASE("an error reads what: where: why: advice, without its empty parts") {
+    const Error full{Errc::not_found, "cannot open", "/dev/x", "No such file", "plug it in"};
+    CHECK(full.text() == "cannot open: /dev/x: No such file: plug it in");
+    const Error brief{Errc::closed, "closed", "", "", ""};
+    CHECK(brief.text() == "closed");
+    CHECK(full.id() == "not-found");
+  }
+
+  TEST_CASE("every error code has an id of its own") {
+    std::string all;
+    for (int i = 0; i <= static_cast<int>(Errc::closed); ++i) {
+      const auto text = std::string(id(static_cast<Errc>(i)));
+      CHECK(text != "unknown");
+      CHECK(all.find("," + text + ",") == std::string::npos);
+      all += "," + text + ",";
+    }
+  }
+
+  TEST_CASE("errno becomes the code that fits it, with its text as the why") {
+    CHECK(system_error(ENOSPC, "write", "f").code == Errc::storage_full);
+    CHECK(system_error(EACCES, "open", "f").code == Errc::not_permitted);
+    CHECK(system_error(ENOENT, "open", "f").why == "No such file or directory");
+  }
+
+  TEST_CASE("a failed result throws its error only when asked to") {
+    Result<int> bad = Error{Errc::bad_data, "no", "", "", ""};
+    CHECK_FALSE(bad);
+    CHECK_THROWS_WITH_AS(bad.or_throw(), "no", SetupError);
+    Result<int> good = 3;
+    CHECK(good.or_throw() == 3);
+    CHECK_NOTHROW(Result<void>().or_throw());
+  }
+}
