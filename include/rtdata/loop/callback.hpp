@@ -1,0 +1,100 @@
+/// Callback: a move-only function object, as handlers and sampling functions are kept.
+///
+/// Small callables (up to 48 bytes that move without throwing) lie inside, larger ones on the heap; calling never
+/// allocates. Calling an empty one is undefined (asserted in debug builds).
+///
+/// Owner: whoever holds it. Thread: that of the holder.
+#pragma once
+
+#include <cassert>
+#include <cstddef>
+#include <new>
+#include <type_traits>
+#include <utility>
+
+namespace rtdata {
+
+template <class Signature>
+class Callback;
+
+template <class R, class... Args>
+class Callback<R(Args...)> {
+ public:
+  Callback() noexcept = default;
+  Callback(std::nullptr_t) noexcept {}
+  template <class F>
+    requires(!std::is_same_v<std::remove_cvref_t<F>, Callback> && std::is_invocable_r_v<R, std::decay_t<F>&, Args...>)
+  Callback(F&& function) {
+    using Target = std::decay_t<F>;
+    if constexpr (fits<Target>) {
+      ::new (static_cast<void*>(storage_)) Target(std::forward<F>(function));
+      operations_ = &inline_operations<Target>;
+      call_ = [](void* storage, Args... args) -> R {
+        return static_cast<R>((*std::launder(static_cast<Target*>(storage)))(std::forward<Args>(args)...));
+      };
+    } else {
+      *reinterpret_cast<Target**>(storage_) = new Target(std::forward<F>(function));
+      operations_ = &heap_operations<Target>;
+      call_ = [](void* storage, Args... args) -> R {
+        return static_cast<R>((**static_cast<Target**>(storage))(std::forward<Args>(args)...));
+      };
+    }
+  }
+  Callback(Callback&& other) noexcept { take(other); }
+  Callback& operator=(Callback&& other) noexcept {
+    if (this != &other) {
+      reset();
+      take(other);
+    }
+    return *this;
+  }
+  ~Callback() { reset(); }
+
+  explicit operator bool() const noexcept { return call_ != nullptr; }
+  R operator()(Args... args) {
+    assert(call_ != nullptr);
+    return call_(storage_, std::forward<Args>(args)...);
+  }
+  /// Destroys the function object.
+  void reset() noexcept {
+    if (call_ == nullptr) return;
+    call_ = nullptr;
+    operations_(storage_, nullptr);
+  }
+
+ private:
+  static constexpr std::size_t capacity = 48;
+  /// Moves the target to `to`, or destroys it when `to` is null.
+  using Operations = void (*)(void* storage, void* to);
+
+  template <class Target>
+  static constexpr bool fits = sizeof(Target) <= capacity && alignof(Target) <= alignof(void*) &&
+                               std::is_nothrow_move_constructible_v<Target>;
+  template <class Target>
+  static void inline_operations(void* storage, void* to) {
+    auto* target = std::launder(static_cast<Target*>(storage));
+    if (to != nullptr) ::new (to) Target(std::move(*target));
+    target->~Target();
+  }
+  template <class Target>
+  static void heap_operations(void* storage, void* to) {
+    auto** target = static_cast<Target**>(storage);
+    if (to != nullptr) {
+      *static_cast<Target**>(to) = *target;
+    } else {
+      delete *target;
+    }
+  }
+  void take(Callback& other) noexcept {
+    if (other.call_ == nullptr) return;
+    other.operations_(other.storage_, storage_);
+    call_ = std::exchange(other.call_, nullptr);
+    operations_ = other.operations_;
+  }
+
+  R (*call_)(void*, Args...) = nullptr;
+  Operations operations_ = nullptr;
+  alignas(void*) std::byte storage_[capacity];
+};
+
+}  // namespace rtdata

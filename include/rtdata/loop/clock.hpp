@@ -1,0 +1,61 @@
+/// Clock: where a runtime gets its time from. The machine's, or one that a test injects.
+///
+/// Thread: called from the loop's thread only.
+#pragma once
+
+#include <string>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata {
+
+class Clock {
+ public:
+  virtual ~Clock() = default;
+  /// The line on which sampling is scheduled. Never goes back. A clock injected into a loop that runs in real time must
+  /// return CLOCK_MONOTONIC here, since the kernel's timers count on it.
+  virtual MonotonicTime monotonic() noexcept = 0;
+  /// The time of day. May jump in either direction.
+  virtual Time realtime() noexcept = 0;
+  /// Names the time during which `monotonic` counts from one start: the machine's boot id.
+  virtual std::string boot_id() = 0;
+};
+
+/// The machine's clocks.
+class SystemClock : public Clock {
+ public:
+  MonotonicTime monotonic() noexcept override;
+  Time realtime() noexcept override;
+  std::string boot_id() override;
+};
+
+/// The clocks of a manual loop: they stand still unless moved.
+class ManualClock : public Clock {
+ public:
+  explicit ManualClock(Time realtime = Time{std::chrono::seconds{1'700'000'000}}) : realtime_(realtime) {}
+  MonotonicTime monotonic() noexcept override { return monotonic_; }
+  Time realtime() noexcept override { return realtime_; }
+  std::string boot_id() override { return "manual"; }
+
+  /// Lets time pass on both lines. Within a callback of a manual loop: that callback took this long.
+  void pass(Duration duration) noexcept {
+    monotonic_ += duration;
+    realtime_ += duration;
+  }
+  /// Sets the time of day, as an operator or NTP would.
+  void set_realtime(Time time) noexcept { realtime_ = time; }
+
+ private:
+  MonotonicTime monotonic_{};
+  Time realtime_;
+};
+
+/// The time of day at one instant of the monotonic line.
+struct ClockPair {
+  MonotonicTime monotonic{};
+  Time realtime{};
+  /// "start", "step" (the clock was set), "regular" or "end".
+  const char* source = "start";
+};
+
+}  // namespace rtdata

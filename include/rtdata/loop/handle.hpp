@@ -1,0 +1,110 @@
+/// Handle: the rules that every object living on a loop keeps.
+///
+///  1. A handle is a move-only value; whoever holds it owns what it stands for.
+///  2. After the destructor or `close()` returns, its callback never runs again and the callback's captures are gone;
+///     when that very callback is on the stack, its captures go as soon as it returns.
+///  3. Any handle may be closed or destroyed from any callback, its own included.
+///  4. A handle that outlives its loop becomes closed and harmless.
+///  5. A moved-from handle is closed and harmless; a default-made one too.
+///  6. Closing twice is the same as closing once.
+///  7. On an attached loop nothing of the host is closed, stopped, walked or given data, whatever a handle does.
+///
+/// Thread: the loop's, for every member.
+#pragma once
+
+#include <cstdint>
+#include <utility>
+
+namespace rtdata {
+
+class Loop;
+
+namespace detail {
+
+class LoopCore;
+
+/// What lies behind a handle: owned by the handle and, while a callback of it runs, by that call; listed in its loop.
+class Node {
+ public:
+  explicit Node(LoopCore& loop);
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+
+  void retain() noexcept { ++references_; }
+  void release() noexcept {
+    if (--references_ == 0) delete this;
+  }
+  bool is_open() const noexcept { return loop_ != nullptr; }
+  LoopCore* loop() const noexcept { return loop_; }
+  /// Ends all activity; the captures go now, or when the running callback returns.
+  void close() noexcept;
+
+ protected:
+  virtual ~Node();
+  /// Ends all activity. Called once, with `loop()` still set.
+  virtual void on_close() noexcept = 0;
+  /// Destroys the user's callbacks. Called once, when none of them is on the stack.
+  virtual void drop_callbacks() noexcept = 0;
+
+ private:
+  friend class Call;
+  friend class LoopCore;
+  LoopCore* loop_;
+  Node* previous_ = nullptr;
+  Node* next_ = nullptr;
+  std::uint32_t references_ = 1;
+  std::uint32_t running_ = 0;
+};
+
+/// Brackets a call of a node's callback, so that the callback may close or destroy its own handle.
+class Call {
+ public:
+  explicit Call(Node& node) noexcept : node_(node) {
+    node_.retain();
+    ++node_.running_;
+  }
+  Call(const Call&) = delete;
+  Call& operator=(const Call&) = delete;
+  ~Call() {
+    if (--node_.running_ == 0 && !node_.is_open()) node_.drop_callbacks();
+    node_.release();
+  }
+
+ private:
+  Node& node_;
+};
+
+}  // namespace detail
+
+class Handle {
+ public:
+  Handle() noexcept = default;
+  Handle(Handle&& other) noexcept : node_(std::exchange(other.node_, nullptr)) {}
+  Handle& operator=(Handle&& other) noexcept {
+    if (this != &other) {
+      close();
+      node_ = std::exchange(other.node_, nullptr);
+    }
+    return *this;
+  }
+  ~Handle() { close(); }
+
+  /// Rule 2. Harmless on a closed handle.
+  void close() noexcept {
+    if (detail::Node* node = std::exchange(node_, nullptr)) {
+      node->close();
+      node->release();
+    }
+  }
+  bool is_open() const noexcept { return node_ != nullptr && node_->is_open(); }
+  explicit operator bool() const noexcept { return is_open(); }
+
+ protected:
+  explicit Handle(detail::Node* node) noexcept : node_(node) {}
+  detail::Node* node() const noexcept { return node_; }
+
+ private:
+  detail::Node* node_ = nullptr;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,77 @@
+/// Lane: a worker thread of a loop for blocking work: one for each sink and each physical device.
+///
+/// Jobs run one after the other, in order. One that outlives the lane's limit is given up: its thread is left behind (at
+/// most `most_left_behind` of them), the jobs that wait go on with a fresh one, and its `done` is told. Lanes run
+/// transactions and storage, never a user's callbacks.
+///
+/// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration.
+///
+/// Owner: the loop, found by key. Thread: the loop's; `LaneJob::run` alone is called on the lane's.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+class LoopCore;
+
+/// Work for a lane. Shared by the loop and the lane's thread, since a job that is given up may still finish later: what
+/// `run` touches must belong to the job.
+class LaneJob {
+ public:
+  virtual ~LaneJob() = default;
+  /// On the lane's thread.
+  virtual void run() noexcept = 0;
+
+  enum class Outcome { finished, given_up, cancelled };
+  /// On the loop's thread, once per submission that was accepted.
+  virtual void done(Outcome outcome) = 0;
+
+ private:
+  friend class Lane;
+  enum State : int { idle, queued, running, finished };
+  std::atomic<int> state_{idle};
+  std::atomic<std::int64_t> began_{0};  // ns of the monotonic line
+};
+
+class Lane {
+ public:
+  static constexpr std::size_t capacity = 64;
+  static constexpr std::size_t most_left_behind = 4;
+  Lane(LoopCore& loop, std::string name, Duration give_up_after);
+  /// Waits for the running job for at most the limit; jobs that wait are cancelled.
+  ~Lane();
+
+  /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
+  bool submit(std::shared_ptr<LaneJob> job);
+  std::size_t left_behind() const noexcept { return left_behind_; }
+  /// Gives up the running job now, whatever its time.
+  void give_up();
+  /// Tells finished jobs' owners. Called by the loop when a worker has woken it.
+  void collect();
+
+ private:
+  struct Worker;
+  struct Watchdog;
+  struct Delayed;
+  void start_worker();
+  void check_limit();
+  void finish(std::size_t index, LaneJob::Outcome outcome);
+
+  LoopCore& loop_;
+  std::string name_;
+  Duration give_up_after_;
+  std::shared_ptr<Worker> worker_;
+  std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
+  std::unique_ptr<Watchdog> watchdog_;
+  std::unique_ptr<Delayed> delayed_;
+  std::size_t left_behind_ = 0;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,142 @@
+/// Loop: one libuv loop, its time, its callbacks.
+///
+///     rtdata::Loop loop;                                    // owns a uv_loop_t
+///     rtdata::Ticker tick(loop, 10ms, [](const rtdata::Tick& t) { ... });
+///     loop.run_for(1s);
+///
+/// A Loop owns a `uv_loop_t`, borrows the host program's, or (for tests) runs in virtual time. It knows deadlines, file
+/// descriptors, topics' deliveries and `post`; nothing of sensors. One absolute CLOCK_MONOTONIC timerfd serves all its
+/// deadlines. A Loop makes a private Runtime unless it is given one.
+///
+/// Order within one turn: what is due, then I/O, then deliveries under a time budget. A tick is late by at most the
+/// budget plus one group of callbacks (at most 16, expected to take under 50 us together from what they took before).
+///
+/// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Must not be destroyed
+/// from one of its own callbacks.
+/// Thread: the one that runs it. From other threads: `post` and `stop` only.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+#include <type_traits>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/event.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/loop/callback.hpp"
+#include "rtdata/loop/clock.hpp"
+
+struct uv_loop_s;
+typedef struct uv_loop_s uv_loop_t;
+
+namespace rtdata {
+
+class Runtime;
+class Subscription;
+template <class T>
+class Topic;
+
+namespace detail {
+class LoopCore;
+}
+
+/// Where an error came from and how it reads, as `on_error` gets it.
+struct ErrorReport {
+  std::string_view object;  ///< "sensor chamber", "sink run.db", "handler print"
+  const Error& error;
+  std::uint64_t count = 1;  ///< how often since the last report of the same kind (repeats within a second are joined)
+};
+
+/// How long the callbacks of one object took.
+struct CallbackTimes {
+  std::uint64_t count = 0;
+  Duration total{0};
+  Duration max{0};
+};
+
+class Loop {
+ public:
+  struct Config {
+    std::string name = "main";            ///< in log lines
+    Duration delivery_budget = std::chrono::milliseconds{1};  ///< handlers' time per turn before ticks are looked at again
+    Duration hold_limit = std::chrono::milliseconds{10};      ///< a callback that takes longer is reported by its name
+    Duration phase_grid = std::chrono::milliseconds{1};  ///< schedules start on multiples of it, so that they share wake-ups; 0: none
+    Duration timer_slack{1};              ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
+  };
+  struct Manual {};
+
+  Loop();
+  explicit Loop(Config config);
+  /// Borrows `host`, which must live until this object is destroyed and be run once more after that, so that libuv can
+  /// finish closing our handles. Nothing of the host's is touched.
+  explicit Loop(uv_loop_t* host);
+  Loop(uv_loop_t* host, Config config);
+  /// Virtual time, starting at 0 and moved by `advance` only.
+  explicit Loop(Manual);
+  Loop(Manual, Config config);
+  /// As above, sharing `runtime`, which must outlive the loop.
+  Loop(Runtime& runtime, Config config);
+  ~Loop();
+  Loop(const Loop&) = delete;
+  Loop& operator=(const Loop&) = delete;
+
+  /// Runs until `stop`, or until nothing is left that could happen. On an attached loop the host runs it instead
+  /// (SetupError otherwise).
+  void run();
+  /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
+  void run_for(Duration duration);
+  /// Does what can be done now without waiting, and returns.
+  void poll();
+  /// Ends `run`. Thread-safe. On an attached loop: nothing.
+  void stop() noexcept;
+  /// Manual loops: lets time pass, doing what comes due, in order of time, then of start.
+  void advance(Duration duration);
+  /// Manual loops: the clock, to let a callback "take" time or to set the time of day. SetupError on others.
+  ManualClock& manual_clock();
+  /// Manual loops: how long each lane job is to take.
+  void script_lane_duration(Duration duration);
+
+  /// Runs the function on this loop, after what is queued. Thread-safe; allocates; never blocks for long (a short lock).
+  /// After the loop is gone, the function is destroyed unrun.
+  void post(Callback<void()> function);
+
+  MonotonicTime now() noexcept;
+  /// The time that an event gets at this instant: ns since the epoch on a line that never jumps within the run.
+  Time time() noexcept;
+  Runtime& runtime() noexcept;
+  const Config& config() const noexcept;
+  uv_loop_t* uv() noexcept;
+
+  /// The topic of that name, made if there is none. SetupError (description-differs) when it exists with another
+  /// description, naming both; (bad-name) when the path is no topic name.
+  template <class T>
+  Topic<T> topic(std::string_view name);
+  /// Calls `handler` with every event of the topics that match (`+` one level, `#` all below; topics under `$` are
+  /// matched only when written out), also of topics made later.
+  [[nodiscard]] Subscription subscribe(std::string_view pattern, Callback<void(const EventView&)> handler);
+  /// The same with a typed handler: the fields of T are found by name in each matching topic, once. A topic that lacks
+  /// one, or has it with another kind or unit, is reported and left out; an exact name that exists already throws.
+  template <class T, class F>
+  [[nodiscard]] Subscription subscribe(std::string_view pattern, F&& handler);
+
+  /// Errors met at run time that no object of its own handled. Default: the runtime's log.
+  void on_error(Callback<void(const ErrorReport&)> handler);
+
+  /// Stops every sensor (reads under way may finish), hands every sink what is queued, closes and writes the ledger,
+  /// then calls `done` with the number of events that could not be stored by the deadline. For attached loops; `close`
+  /// is the same, blocking, for owned ones.
+  void drain(Duration deadline, Callback<void(std::uint64_t lost)> done);
+  /// See `drain`. Returns the number of events lost.
+  std::uint64_t close(Duration deadline = std::chrono::seconds{10});
+
+  detail::LoopCore& core() noexcept { return *core_; }
+
+ private:
+  std::unique_ptr<Runtime> own_runtime_;
+  std::unique_ptr<detail::LoopCore> core_;
+};
+
+}  // namespace rtdata
+
+#include "rtdata/loop/topic.hpp"

@@ -1,0 +1,96 @@
+/// Runtime: what spans loops: topics, the ledger, the clock, the run, the log.
+///
+/// A Loop makes a private one unless it is given one. Nothing is global to the process.
+///
+/// Owner: the user, or the loop that made it; it must outlive its loops. Thread: the loop's.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/description.hpp"
+#include "rtdata/loop/callback.hpp"
+#include "rtdata/loop/clock.hpp"
+#include "rtdata/loop/ledger.hpp"
+
+namespace rtdata {
+
+namespace detail {
+class RuntimeCore;
+}
+
+enum class LogLevel : std::uint8_t { debug, info, warning, error };
+
+/// One line for the log. Valid for the call.
+struct LogRecord {
+  LogLevel level = LogLevel::info;
+  Time time{};
+  std::string_view object;  ///< "sensor chamber"
+  std::string_view text;
+  std::string_view error_id;  ///< stable id, empty when it is no error
+};
+
+/// How a sensor, sink or subscription does.
+enum class Health : std::uint8_t { ok, degraded, faulted };
+std::string_view name_of(Health health) noexcept;
+
+struct SensorStatus {
+  std::string name;
+  std::string topic;
+  Duration period{0};
+  bool running = false;
+  Health health = Health::ok;
+  std::string reason;  ///< why it is not ok
+  SensorCounts counts;
+};
+
+struct SinkStatus {
+  std::string name;
+  Health health = Health::ok;
+  std::string reason;
+  SinkCounts counts;
+};
+
+struct TopicStatus {
+  std::string name;
+  std::shared_ptr<const Description> description;  ///< null for a payload without one
+  std::uint64_t published = 0;
+  SubscriptionCounts subscriptions;  ///< summed
+};
+
+class Runtime {
+ public:
+  struct Config {
+    std::string name;             ///< of the set-up; kept in recordings
+    std::string notes;            ///< the user's; kept in recordings
+    std::string configuration;    ///< the text of the file it was made from; kept in recordings
+    Clock* clock = nullptr;       ///< null: the machine's. Must outlive the runtime.
+    std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
+  };
+  Runtime();
+  explicit Runtime(Config config);
+  ~Runtime();
+  Runtime(const Runtime&) = delete;
+  Runtime& operator=(const Runtime&) = delete;
+
+  const Config& config() const noexcept;
+  /// Where log records go. Default: warnings and errors to standard error, a line each.
+  void on_log(Callback<void(const LogRecord&)> handler);
+
+  std::vector<SensorStatus> sensors() const;
+  std::vector<SinkStatus> sinks() const;
+  std::vector<TopicStatus> topics() const;
+  /// Every equation of the ledger holds at this instant.
+  bool balances() const;
+  /// Something was missed, failed, lost or dropped by a sink.
+  bool has_loss() const;
+
+  detail::RuntimeCore& core() noexcept { return *core_; }
+
+ private:
+  std::unique_ptr<detail::RuntimeCore> core_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,72 @@
+/// Timers: one-shot, and periodic without drift.
+///
+///     rtdata::Timer once(loop, 500ms, [] { ... });
+///     rtdata::Ticker tick(loop, 10ms, [](const rtdata::Tick& t) { ... });
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Spans are std::chrono, ns resolution; the
+/// reached precision is the machine's (`script/bench` prints it).
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "rtdata/loop/callback.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata {
+
+/// Fires once per start.
+class Timer : public Handle {
+ public:
+  Timer() noexcept = default;
+  /// Not started: see `start`.
+  Timer(Loop& loop, Callback<void()> callback);
+  /// Started: fires `delay` from now. A delay of zero or less fires in the next turn.
+  Timer(Loop& loop, Duration delay, Callback<void()> callback);
+
+  /// (Re)starts: fires `delay` from now, once.
+  void start(Duration delay);
+  /// At an instant of the monotonic line.
+  void start_at(MonotonicTime due);
+  /// Never fires again unless started again.
+  void stop();
+  bool is_running() const noexcept;
+};
+
+/// What a periodic callback is told.
+struct Tick {
+  MonotonicTime due{};       ///< when this tick was to begin
+  MonotonicTime now{};       ///< when it began
+  std::uint64_t index = 0;   ///< number of this tick in its schedule, from 0; missed ones count
+  std::uint64_t missed = 0;  ///< ticks skipped just before this one
+
+  Duration lateness() const noexcept { return now - due; }
+};
+
+/// Fires at start + n * period, computed, not accumulated. Ticks that could not begin before the next was due are
+/// skipped and counted, never caught up in a burst. The first tick is at the start.
+class Ticker : public Handle {
+ public:
+  struct Config {
+    Duration period{0};             ///< at least 1 us
+    Duration phase{0};              ///< added to the start
+    std::string name = "ticker";    ///< in reports
+  };
+  Ticker() noexcept = default;
+  /// Started at once. Errors: bad-argument for a period under 1 us.
+  Ticker(Loop& loop, Duration period, Callback<void(const Tick&)> callback);
+  Ticker(Loop& loop, Config config, Callback<void(const Tick&)> callback);
+
+  void start();
+  void stop();
+  /// A new schedule from now on.
+  void set_period(Duration period);
+  bool is_running() const noexcept;
+  /// Over all starts of this handle.
+  std::uint64_t fired() const noexcept;
+  std::uint64_t missed() const noexcept;
+  CallbackTimes times() const noexcept;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,225 @@
+/// Topics: named, typed streams of events, and subscriptions to them.
+///
+///     auto climate = loop.topic<Climate>("room/climate");
+///     auto s = climate.subscribe(loop, [](const rtdata::Event<Climate>& e) { use(e->temperature); });
+///     climate.publish(Climate{21.5, 40});
+///
+/// A topic belongs to the runtime and lives as long as it does; `Topic<T>` is a reference to it. Publishing copies the
+/// payload into a bounded ring (made at the first subscription) and returns; handlers run after the current callback.
+/// When the ring is full the new event is dropped for the subscriptions and counted. Sinks take their copy at publish,
+/// before the ring. Nothing published before a subscription reaches it.
+///
+/// Payloads with a description are trivially copyable and at most 4 KiB. Any other movable type may be published and
+/// handled too, but not recorded.
+///
+/// Thread: the loop's.
+#pragma once
+
+#include <cstddef>
+#include <exception>
+#include <string_view>
+
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata {
+
+inline constexpr std::size_t max_payload_size = 4096;
+
+namespace detail {
+
+class TopicCore;
+class OriginCore;
+class RuntimeCore;
+class SubscriptionNode;
+
+/// What the ring must know of a payload's type.
+struct PayloadType {
+  std::size_t size = 0;
+  std::size_t alignment = 1;
+  std::shared_ptr<const Description> description;  ///< null: cannot be recorded
+  const void* type_key = nullptr;                  ///< identity of a C++ type
+  const char* type_name = "";
+  /// Null for trivially copyable ones.
+  void (*move_construct)(void* to, void* from) = nullptr;
+  void (*destroy)(void* payload) = nullptr;
+};
+
+template <class T>
+inline constexpr char type_key_of = 0;
+
+template <class T>
+PayloadType payload_type() {
+  PayloadType type;
+  type.size = sizeof(T);
+  type.alignment = alignof(T);
+  type.type_key = &type_key_of<T>;
+  type.type_name = __PRETTY_FUNCTION__;
+  if constexpr (Described<T>) {
+    static_assert(sizeof(T) <= max_payload_size, "rtdata: a described payload has at most 4 KiB (max_payload_size)");
+    type.description = description_of<T>();
+  } else if constexpr (!std::is_trivially_copyable_v<T>) {
+    type.move_construct = [](void* to, void* from) { ::new (to) T(std::move(*static_cast<T*>(from))); };
+    type.destroy = [](void* payload) { static_cast<T*>(payload)->~T(); };
+  }
+  return type;
+}
+
+/// A run of events in a ring, as a subscription is given them.
+struct EventRun {
+  const TopicCore& topic;
+  std::byte* slots;
+  std::size_t stride;
+  std::size_t mask;
+  std::uint64_t first;
+  std::uint64_t count;
+  std::byte* slot(std::uint64_t i) const noexcept { return slots + ((first + i) & mask) * stride; }
+};
+
+/// A slot whose event was cancelled has an origin without data.
+inline bool is_cancelled(const EventHeader& header) noexcept { return header.origin.data() == nullptr; }
+
+class SubscriptionNode : public Node {
+ public:
+  SubscriptionNode(LoopCore& loop, std::string_view pattern);
+  /// Calls the handler with events of the run until it is closed; returns how many were looked at, and how many of
+  /// these delivered. `scratch`: room for one Event<T>, when the fields are mapped.
+  struct Delivered {
+    std::uint64_t seen = 0;
+    std::uint64_t delivered = 0;
+  };
+  virtual Delivered deliver(const EventRun& run, const void* field_map) = 0;
+  /// Whether it takes this topic; with a map of fields where the layouts differ. Errors: description-differs.
+  virtual Result<std::shared_ptr<const void>> accept(const TopicCore& topic) = 0;
+
+  const std::string& pattern() const noexcept { return pattern_; }
+  SubscriptionCounts counts() const noexcept;
+  void report_exception(const char* what) noexcept;
+
+  std::string name;
+  CallbackTimes times;
+
+ protected:
+  void on_close() noexcept override;
+
+ private:
+  std::string pattern_;
+  RuntimeCore* runtime_;
+};
+
+EventView view_of(const TopicCore& topic, const std::byte* slot);
+/// Copies the leaves named in the map from a payload of the topic to one of the handler's type.
+void apply_field_map(const void* map, const std::byte* from, std::byte* to);
+Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const PayloadType& wanted);
+void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only);
+
+/// Calls with every exception caught and reported.
+template <class Function>
+void guarded(SubscriptionNode& node, Function&& function) noexcept {
+  try {
+    function();
+  } catch (const std::exception& e) {
+    node.report_exception(e.what());
+  } catch (...) {
+    node.report_exception("an exception that is no std::exception");
+  }
+}
+
+template <class T>
+class TypedSubscription final : public SubscriptionNode {
+ public:
+  TypedSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const Event<T>&)> handler)
+      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
+  Delivered deliver(const EventRun& run, const void* field_map) override {
+    Delivered result;
+    for (; result.seen < run.count && is_open(); ++result.seen) {
+      auto* event = reinterpret_cast<Event<T>*>(run.slot(result.seen));
+      if (is_cancelled(*event)) continue;
+      ++result.delivered;
+      if constexpr (Described<T>) {
+        if (field_map != nullptr) [[unlikely]] {
+          Event<T> mapped;
+          static_cast<EventHeader&>(mapped) = *event;
+          const EventView view = view_of(run.topic, run.slot(result.seen));
+          apply_field_map(field_map, view.payload().data(), reinterpret_cast<std::byte*>(&mapped.data));
+          guarded(*this, [&] { handler_(mapped); });
+          continue;
+        }
+      }
+      guarded(*this, [&] { handler_(*event); });
+    }
+    return result;
+  }
+  Result<std::shared_ptr<const void>> accept(const TopicCore& topic) override {
+    return make_field_map(topic, payload_type<T>());
+  }
+
+ private:
+  void drop_callbacks() noexcept override { handler_.reset(); }
+  Callback<void(const Event<T>&)> handler_;
+};
+
+TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType type);
+const std::string& topic_name(const TopicCore& topic) noexcept;
+void publish_from_program(TopicCore& topic, void* payload);
+
+}  // namespace detail
+
+/// The link from topics to a handler. Destroying it unsubscribes: queued deliveries are cancelled.
+class Subscription : public Handle {
+ public:
+  Subscription() noexcept = default;
+  explicit Subscription(detail::SubscriptionNode* node) noexcept : Handle(node) {}
+  /// Zeros once it is closed.
+  SubscriptionCounts counts() const noexcept;
+  CallbackTimes times() const noexcept;
+  /// In reports and blame; by default "handler of PATTERN".
+  void set_name(std::string name);
+};
+
+template <class T>
+class Topic {
+ public:
+  /// A description's payload without a C++ type has no Topic<T>; see `Feed`.
+  explicit Topic(detail::TopicCore& core) noexcept : core_(&core) {}
+
+  const std::string& name() const noexcept { return detail::topic_name(*core_); }
+  /// The handler runs on `loop`, after the callback that published.
+  [[nodiscard]] Subscription subscribe(Loop& loop, Callback<void(const Event<T>&)> handler) const {
+    auto* node = new detail::TypedSubscription<T>(loop.core(), name(), std::move(handler));
+    Subscription subscription(node);
+    detail::attach(loop.core(), *node, core_);
+    return subscription;
+  }
+  /// Publishes with the origin "program"; a `Feed` has an origin and a ledger of its own.
+  void publish(T payload) const { detail::publish_from_program(*core_, &payload); }
+
+  detail::TopicCore& core() const noexcept { return *core_; }
+
+ private:
+  detail::TopicCore* core_;
+};
+
+template <class T>
+Topic<T> Loop::topic(std::string_view name) {
+  return Topic<T>(detail::find_or_make_topic(*this, name, detail::payload_type<T>()));
+}
+
+template <class T, class F>
+Subscription Loop::subscribe(std::string_view pattern, F&& handler) {
+  auto* node = new detail::TypedSubscription<T>(core(), pattern, std::forward<F>(handler));
+  Subscription subscription(node);
+  detail::attach(core(), *node, nullptr);
+  return subscription;
+}
+
+/// Whether `name` is a topic name: segments of [A-Za-z0-9_.-]+ joined by "/", at most 200 characters; the first may
+/// begin with "$" (our own topics: "$rtdata/...").
+bool is_topic_name(std::string_view name) noexcept;
+/// Whether `pattern` is a topic name or one with "+" and "#" as MQTT has them.
+bool is_topic_pattern(std::string_view pattern) noexcept;
+/// Whether the pattern matches. "#" and "+" do not match names that begin with "$".
+bool topic_matches(std::string_view pattern, std::string_view name) noexcept;
+
+}  // namespace rtdata

@@ -1,0 +1,71 @@
+/// Feed: a sensor without a schedule, fed by the program.
+///
+///     rtdata::Feed<Estimate> estimate(loop, {.name = "estimate", .topic = "state/estimate"});
+///     estimate.publish(Estimate{...});
+///
+/// It has an origin, an account and health like every sensor; each input ends as published, repeated, filtered or failed.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <string>
+
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+struct FeedConfig {
+  std::string name;        ///< unique in the runtime; the origin of its events
+  std::string topic = {};  ///< empty: as the name
+};
+
+namespace detail {
+
+class FeedNode;
+Node* make_feed(Loop& loop, FeedConfig config, PayloadType type);
+void feed_publish(Node& feed, void* payload, const Time* time);
+
+}  // namespace detail
+
+/// The part that does not depend on the payload's type; also feeds payloads that have a description only.
+class AnyFeed : public AnySensor {
+ public:
+  AnyFeed() noexcept = default;
+  /// A feed of payloads without a C++ type.
+  AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description);
+
+  /// `payload` has the description's size and layout. On a closed or stopped feed: nothing.
+  void publish_bytes(std::span<const std::byte> payload);
+  void publish_bytes(std::span<const std::byte> payload, Time time);
+  /// An input that was no use: counted as failed, reported, and the feed is degraded until the next good one.
+  void fail(const Error& error);
+  /// The source cannot be reached: faulted until the next good input. Not an input: counts nothing.
+  void fault(const Error& error);
+  /// An input that the source had sent before.
+  void repeated();
+  /// Inputs that the source numbered and that never came.
+  void lost(std::uint64_t count);
+  /// Says that the source numbers its data, so that `lost` is known and not just zero.
+  void set_numbered();
+
+ protected:
+  using AnySensor::AnySensor;
+  explicit AnyFeed(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+template <class T>
+class Feed : public AnyFeed {
+ public:
+  Feed() noexcept = default;
+  Feed(Loop& loop, FeedConfig config) : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
+
+  /// With the time of now, or the given one; a time not after the last event's is moved to just after it.
+  void publish(T payload) {
+    if (is_open()) detail::feed_publish(*node(), &payload, nullptr);
+  }
+  void publish(T payload, Time time) {
+    if (is_open()) detail::feed_publish(*node(), &payload, &time);
+  }
+};
+
+}  // namespace rtdata

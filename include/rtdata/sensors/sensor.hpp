@@ -1,0 +1,202 @@
+/// Sensor: reads a device at a rate and publishes what it reads.
+///
+///     rtdata::Sensor<Climate> room(loop, {.name = "room", .rate = 10_Hz}, [] { return Climate{21.5, 40}; });
+///
+/// A new kind of sensor is a lambda, or a small class with `read()` and, where there is something to acquire and to
+/// release, `open()` and `close()`; the rate, time, account, health, retries and gaps are inherited:
+///
+///     struct Barometer {
+///       rtdata::Result<void> open();            // optional; called at start and again after faults
+///       rtdata::Result<Pressure> read();        // or Pressure, or Reading<Pressure>
+///       void close();                           // optional
+///     };
+///     rtdata::Sensor<Pressure> barometer(loop, {.name = "barometer", .rate = 50_Hz}, Barometer{});
+///
+/// Reading must not block: what can (bus transfers, slow kernel files) belongs on a lane, as `AnalogSensor` does it.
+///
+/// The life of a sensor:
+///   1. made: it starts at once; `stop` and `start` any number of times.
+///   2. each tick of its schedule ends as taken, missed or failed, and is counted (ledger.hpp).
+///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and opened
+///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
+///   4. after `stop` or `close`: no event, no callback, no access to the device; queued deliveries are cancelled.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <concepts>
+#include <optional>
+#include <string>
+#include <utility>
+#include <variant>
+
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata {
+
+/// The device had nothing new: counted as repeated, nothing is published.
+struct NothingNew {};
+inline constexpr NothingNew nothing_new{};
+
+/// What reading a device gives: a value, nothing new, or an error.
+template <class T>
+class Reading {
+ public:
+  Reading(T value) : content_(std::in_place_index<0>, std::move(value)) {}
+  Reading(NothingNew) : content_(std::in_place_index<1>) {}
+  Reading(Error error) : content_(std::in_place_index<2>, std::move(error)) {}
+  Reading(Result<T> result) : content_(std::in_place_index<1>) {
+    if (result) {
+      content_.template emplace<0>(*std::move(result));
+    } else {
+      content_.template emplace<2>(std::move(result).error());
+    }
+  }
+  T* value() noexcept { return std::get_if<0>(&content_); }
+  Error* error() noexcept { return std::get_if<2>(&content_); }
+
+ private:
+  std::variant<T, NothingNew, Error> content_;
+};
+
+struct SensorConfig {
+  std::string name;                       ///< unique in the runtime; the origin of its events
+  std::string topic = {};                 ///< empty: as the name
+  Rate rate = {};                         ///< ticks a second, up to 1 MHz
+  Duration phase{0};                      ///< added to the start of its schedule
+  std::optional<Duration> late_after = {};  ///< counted as late beyond this; unset: the larger of 1 ms and 10 % of the period
+  unsigned faulted_after = 3;             ///< failures in a row that make it faulted
+  Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
+  Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
+  bool required = false;                  ///< a device that cannot be opened at the start throws instead of being retried
+  bool start = true;                      ///< start when made
+};
+
+namespace detail {
+
+class SensorNode;
+
+/// How a sampling function hands over what it read.
+class SamplePort {
+ public:
+  /// Publishes with the time of the read; the payload may be moved from.
+  virtual void publish(void* payload) = 0;
+  /// With the device's own time.
+  virtual void publish(void* payload, Time time) = 0;
+
+ protected:
+  ~SamplePort() = default;
+};
+
+enum class Sampled { value, nothing_new, failed };
+
+/// A device as the sensor's base sees it. `error` is set when the outcome is failed.
+class SensorDevice {
+ public:
+  virtual ~SensorDevice() = default;
+  virtual Result<void> open() { return {}; }
+  virtual void close() noexcept {}
+  virtual Sampled sample(SamplePort& port, Error& error) = 0;
+};
+
+template <class T, class Device>
+class DeviceOf final : public SensorDevice {
+ public:
+  explicit DeviceOf(Device device) : device_(std::move(device)) {}
+
+  Result<void> open() override {
+    if constexpr (requires { device_.open(); }) {
+      if constexpr (std::is_void_v<decltype(device_.open())>) {
+        device_.open();
+      } else {
+        return device_.open();
+      }
+    }
+    return {};
+  }
+  void close() noexcept override {
+    if constexpr (requires { device_.close(); }) device_.close();
+  }
+  Sampled sample(SamplePort& port, Error& error) override {
+    if constexpr (requires { device_.read(); }) {
+      return take(port, error, [this] { return device_.read(); });
+    } else {
+      return take(port, error, device_);
+    }
+  }
+
+ private:
+  template <class Read>
+  static Sampled take(SamplePort& port, Error& error, Read&& read) {
+    using Got = std::remove_cvref_t<decltype(read())>;
+    static_assert(std::is_constructible_v<Reading<T>, Got> || std::is_same_v<Got, std::optional<T>>,
+                  "rtdata: a sampling function returns T, Result<T>, Reading<T> or std::optional<T>");
+    if constexpr (std::is_same_v<Got, T>) {
+      T value = read();
+      port.publish(&value);
+      return Sampled::value;
+    } else if constexpr (std::is_same_v<Got, std::optional<T>>) {
+      std::optional<T> value = read();
+      if (!value) return Sampled::nothing_new;
+      port.publish(&*value);
+      return Sampled::value;
+    } else {
+      Reading<T> reading(read());
+      if (T* value = reading.value()) {
+        port.publish(value);
+        return Sampled::value;
+      }
+      if (reading.error() == nullptr) return Sampled::nothing_new;
+      error = std::move(*reading.error());
+      return Sampled::failed;
+    }
+  }
+  Device device_;
+};
+
+Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<SensorDevice> device);
+
+}  // namespace detail
+
+/// What every sensor can do, whatever it reads.
+class AnySensor : public Handle {
+ public:
+  AnySensor() noexcept = default;
+
+  /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when the
+  /// sensor is `required` and the device cannot be opened.
+  void start();
+  /// Ends its activity: see "The life of a sensor".
+  void stop();
+  bool is_running() const noexcept;
+  /// While running too: a new stretch of schedule begins now. SetupError (bad-argument) when it is not possible.
+  void set_rate(Rate rate);
+  Rate rate() const noexcept;
+
+  /// Zeros once it is closed.
+  SensorCounts counts() const noexcept;
+  Health health() const noexcept;
+  SensorStatus status() const;
+  CallbackTimes times() const noexcept;
+  /// Errors of this sensor; without a handler they go to the loop's.
+  void on_error(Callback<void(const ErrorReport&)> handler);
+
+ protected:
+  explicit AnySensor(detail::Node* node) noexcept : Handle(node) {}
+};
+
+template <class T>
+class Sensor : public AnySensor {
+ public:
+  Sensor() noexcept = default;
+  /// SetupError: a name that is taken or not allowed, no rate, a topic with another payload, a required device missing.
+  template <class Device>
+  Sensor(Loop& loop, SensorConfig config, Device device)
+      : AnySensor(detail::make_sensor(loop, std::move(config), detail::payload_type<T>(),
+                                      std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)))) {}
+};
+
+}  // namespace rtdata

@@ -1,0 +1,86 @@
+// Orderly shutdown: stop the schedules, let reads under way finish, deliver, then close the sinks.
+#include <memory>
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata {
+namespace {
+
+class Drain : public std::enable_shared_from_this<Drain> {
+ public:
+  Drain(Loop& loop, Duration deadline, Callback<void(std::uint64_t)> done)
+      : loop_(loop), runtime_(loop.core().runtime), deadline_(loop.now() + deadline), done_(std::move(done)) {}
+
+  void begin() {
+    loop_.core().run_due();
+    for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop_schedule(loop_.core().handled_until());
+    wait_for_reads();
+  }
+
+ private:
+  template <class T>
+  static std::vector<T> copy(const std::vector<T>& list) {
+    return list;
+  }
+
+  void wait_for_reads() {
+    bool reading = false;
+    for (const detail::SensorEntry* sensor : runtime_.sensors) reading = reading || sensor->is_reading();
+    if (reading && loop_.now() < deadline_) {
+      timer_ = Timer(loop_, std::chrono::milliseconds{2}, [self = shared_from_this()] { self->wait_for_reads(); });
+      return;
+    }
+    for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop();
+    loop_.core().deliver_all();
+    pending_ = runtime_.recorders.size() + 1;
+    for (detail::Recorder* recorder : copy(runtime_.recorders)) {
+      recorder->drain(deadline_, [self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
+    }
+    one_done(0);
+  }
+
+  void one_done(std::uint64_t lost) {
+    lost_ += lost;
+    if (--pending_ != 0) return;
+    timer_.close();  // its callback holds this object
+    done_(lost_);
+  }
+
+  Loop& loop_;
+  detail::RuntimeCore& runtime_;
+  MonotonicTime deadline_;
+  Callback<void(std::uint64_t)> done_;
+  Timer timer_;
+  std::size_t pending_ = 0;
+  std::uint64_t lost_ = 0;
+};
+
+}  // namespace
+
+void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
+  std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
+}
+
+std::uint64_t Loop::close(Duration deadline) {
+  if (core_->is_attached()) {
+    throw SetupError({Errc::bad_argument, "cannot close", "loop " + config().name, "it is attached: only the program can run it",
+                      "use drain(deadline, done)"});
+  }
+  bool is_done = false;
+  bool is_running = false;
+  std::uint64_t lost = 0;
+  core_->hold();
+  drain(deadline, [&](std::uint64_t count) {
+    lost = count;
+    is_done = true;
+    if (is_running) stop();
+  });
+  is_running = true;
+  if (!is_done) run();
+  core_->unhold();
+  return lost;
+}
+
+}  // namespace rtdata

@@ -1,0 +1,140 @@
+// What lies behind a Loop.
+#pragma once
+
+#include <uv.h>
+
+#include <atomic>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "loop/deadline.hpp"
+#include "loop/schedule.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::detail {
+
+class RuntimeCore;
+class TopicCore;
+class Lane;
+
+class LoopCore {
+ public:
+  enum class Time { real, manual };
+  LoopCore(Loop& face, RuntimeCore& runtime, Loop::Config config, uv_loop_t* host, Time time);
+  ~LoopCore();
+
+  Loop& face;
+  RuntimeCore& runtime;
+  const Loop::Config config;
+
+  MonotonicTime now() noexcept;
+  bool is_manual() const noexcept { return manual_ != nullptr; }
+  bool is_attached() const noexcept { return attached_; }
+  ManualClock* manual_clock() noexcept { return manual_; }
+  uv_loop_t* uv() noexcept { return uv_loop_; }
+
+  // Running
+  void run();
+  void run_for(Duration duration);
+  void poll();
+  void request_stop() noexcept;
+  void advance(Duration duration);
+  void post(Callback<void()> function);
+
+  // Deadlines
+  void insert(Deadline& deadline);
+  void remove(Deadline& deadline) noexcept;
+  void moved(Deadline& deadline) noexcept;
+  Schedule& schedule() noexcept { return schedule_; }
+  /// The instant at which what is started in this turn begins.
+  MonotonicTime turn_start() noexcept;
+  /// Up to here every due tick has been fired or counted.
+  MonotonicTime handled_until() const noexcept { return handled_until_; }
+  /// Fires all that is due now.
+  void run_due();
+
+  // Deliveries
+  void add_ready(TopicCore& topic);
+  void deliver_all();
+
+  /// Keeps `run` from returning while held.
+  void hold() noexcept;
+  void unhold() noexcept;
+
+  /// Accounts the time of a callback and reports one that held the loop too long.
+  template <class Named>
+  void account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
+    const Duration took = to - from;
+    ++times.count;
+    times.total += took;
+    if (took > times.max) times.max = took;
+    if (took > config.hold_limit) [[unlikely]] report_hold(name(), took);
+  }
+  void report_hold(const std::string& name, Duration took);
+  void report_exception(std::string_view name, const char* what) noexcept;
+  /// Calls user code: an exception is reported under the name and goes no further.
+  template <class Function>
+  void call_user(std::string_view name, Function&& function) noexcept {
+    try {
+      function();
+    } catch (const std::exception& e) {
+      report_exception(name, e.what());
+    } catch (...) {
+      report_exception(name, "an exception that is no std::exception");
+    }
+  }
+  void assert_thread() const noexcept;
+
+  /// Lanes by key: one per physical device; made when first asked for.
+  Lane& lane(const std::string& key, Duration give_up_after);
+  uv_async_t* wake_handle() noexcept;
+  Duration lane_duration{0};
+  Callback<void(const ErrorReport&)> on_error;
+
+  // Nodes list themselves.
+  void link(Node& node) noexcept;
+  void unlink(Node& node) noexcept;
+
+ private:
+  struct UvSide;  // what libuv keeps until its close callbacks have run
+  enum class Budget { limited, none };
+  void deliver(Budget budget);
+  void arm();
+  void run_posted();
+  bool has_posted() noexcept;
+  void start_idle() noexcept;
+  void turn_done() noexcept;
+  void advance_to(MonotonicTime target);
+
+  uv_loop_t* uv_loop_ = nullptr;
+  uv_loop_t own_loop_{};
+  bool attached_ = false;
+  ManualClock* manual_ = nullptr;
+  UvSide* side_ = nullptr;
+  DeadlineHeap deadlines_;
+  Schedule schedule_{*this};
+  MonotonicTime armed_for_{};
+  MonotonicTime turn_start_{};
+  MonotonicTime handled_until_{};
+  bool turn_is_open_ = false;
+  bool firing_ = false;
+  std::size_t holds_ = 0;
+
+  // topics with pending deliveries, first to last
+  TopicCore* ready_first_ = nullptr;
+  TopicCore* ready_last_ = nullptr;
+  bool delivering_ = false;
+
+  Node* nodes_ = nullptr;
+  std::vector<std::pair<std::string, std::unique_ptr<Lane>>> lanes_;
+
+  std::mutex posted_mutex_;
+  std::vector<Callback<void()>> posted_;
+  std::vector<Callback<void()>> running_posted_;
+  std::atomic<bool> stop_requested_{false};
+  mutable std::atomic<std::thread::id> thread_{};
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,62 @@
+#include "loop/origin_core.hpp"
+
+#include "loop/runtime_core.hpp"
+
+namespace rtdata::detail {
+
+OriginCore::OriginCore(RuntimeCore& runtime_, std::string name_, TopicCore& topic_, std::uint32_t index_)
+    : runtime(runtime_), name(std::move(name_)), topic(topic_), index(index_) {}
+
+void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
+  counts.has_schedule = true;
+  first_due_ = first_due;
+  period_ = period;
+  scheduled_before_ = counts.scheduled;
+}
+
+Segment OriginCore::segment(MonotonicTime end) const noexcept {
+  return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
+}
+
+void OriginCore::end_segment(MonotonicTime end) {
+  if (!has_segment()) return;
+  close_gap();
+  const Segment ended = segment(end);
+  period_ = Duration{0};
+  for (Recorder* recorder : runtime.recorders) recorder->on_segment(*this, ended);
+}
+
+void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
+  --counts.in_flight;
+  ++counts.failed;
+  extend_gap(Gap::Kind::failed, reason, due, due, 1);
+}
+
+void OriginCore::fail_tick(std::string_view reason, MonotonicTime due) {
+  ++counts.scheduled;
+  ++counts.failed;
+  extend_gap(Gap::Kind::failed, reason, due, due, 1);
+}
+
+void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTime first) {
+  counts.scheduled += count;
+  counts.missed += count;
+  extend_gap(Gap::Kind::missed, reason, first, first + period_ * static_cast<std::int64_t>(count - 1), count);
+}
+
+void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
+                            std::uint64_t count) {
+  if (gap_.count != 0 && (gap_.kind != kind || gap_.reason != reason)) close_gap();
+  if (gap_.count == 0) gap_ = {kind, reason, runtime.event_time(first), {}, 0};
+  gap_.last = runtime.event_time(last);
+  gap_.count += count;
+}
+
+void OriginCore::close_gap() noexcept {
+  if (gap_.count == 0) return;
+  const Gap closed = gap_;
+  gap_ = {};
+  for (Recorder* recorder : runtime.recorders) recorder->on_gap(*this, closed);
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,72 @@
+// An origin: who publishes on a topic, and its account. Kept by the runtime under its name for the whole run, so that a
+// sensor that is removed and added again goes on in the same sequence.
+#pragma once
+
+#include <string>
+
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata::detail {
+
+class RuntimeCore;
+class TopicCore;
+
+class OriginCore {
+ public:
+  OriginCore(RuntimeCore& runtime, std::string name, TopicCore& topic, std::uint32_t index);
+
+  // The schedule. Instants are on the monotonic line.
+  void begin_segment(MonotonicTime first_due, Duration period);
+  /// Ends at `end`, up to which every due tick has been counted.
+  void end_segment(MonotonicTime end);
+  bool has_segment() const noexcept { return period_.count() > 0; }
+  /// The segment under way as it would be if it ended at `end`.
+  Segment segment(MonotonicTime end) const noexcept;
+
+  // What became of a tick: exactly one of these for each.
+  void begin_read() noexcept {
+    ++counts.scheduled;
+    ++counts.in_flight;
+  }
+  /// The read begun `lateness` after due has ended well.
+  void end_read(Duration lateness) noexcept {
+    --counts.in_flight;
+    ++counts.taken;
+    if (lateness > late_after) ++counts.late;
+    if (gap_.count != 0) [[unlikely]] close_gap();
+  }
+  /// A read that needs no waiting: begins and ends at once.
+  void read_at_once(Duration lateness) noexcept {
+    ++counts.scheduled;
+    ++counts.taken;
+    if (lateness > late_after) ++counts.late;
+    if (gap_.count != 0) [[unlikely]] close_gap();
+  }
+  void fail_read(std::string_view reason, MonotonicTime due);
+  void fail_tick(std::string_view reason, MonotonicTime due);
+  /// `count` ticks, the first of them due at `first`, were skipped.
+  void miss(std::uint64_t count, std::string_view reason, MonotonicTime first);
+
+  void close_gap() noexcept;
+
+  RuntimeCore& runtime;
+  const std::string name;
+  TopicCore& topic;
+  const std::uint32_t index;  ///< within its topic
+  bool is_claimed = false;    ///< a sensor or feed of this name exists now
+  SensorCounts counts;
+  std::uint64_t sequence = 0;  ///< of the last event published
+  Time last_time{};            ///< of the last event published
+  Duration late_after{0};
+
+ private:
+  void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last, std::uint64_t count);
+
+  MonotonicTime first_due_{};
+  Duration period_{0};
+  std::uint64_t scheduled_before_ = 0;
+  Gap gap_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,108 @@
+// What lies behind a Runtime.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "loop/origin_core.hpp"
+#include "loop/topic_core.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata::detail {
+
+/// What wants to know of everything that a recording holds besides events: sinks. Called on the loop's thread.
+class Recorder {
+ public:
+  virtual void on_topic(TopicCore& topic) = 0;
+  virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
+  virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
+  virtual void on_clock(const ClockPair& pair) = 0;
+  virtual void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) = 0;
+  virtual SinkStatus status() const = 0;
+  /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.
+  virtual void drain(MonotonicTime deadline, Callback<void(std::uint64_t lost)> done) = 0;
+
+ protected:
+  ~Recorder() = default;
+};
+
+/// A sensor or feed, as the runtime sees it.
+class SensorEntry {
+ public:
+  virtual void stop() = 0;
+  virtual SensorStatus status() const = 0;
+  /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
+  virtual void stop_schedule(MonotonicTime end) = 0;
+  virtual bool is_reading() const noexcept = 0;
+
+ protected:
+  ~SensorEntry() = default;
+};
+
+class RuntimeCore {
+ public:
+  RuntimeCore(Runtime& face, Runtime::Config config);
+  ~RuntimeCore();
+
+  Runtime& face;
+  const Runtime::Config config;
+  Clock& clock() noexcept { return *clock_; }
+  /// A manual loop brings its own.
+  void use_clock(Clock& clock);
+  void use_manual_clock() { use_clock(manual_clock_); }
+  bool has_injected_clock() const noexcept { return config.clock != nullptr; }
+
+  Time event_time(MonotonicTime at) const noexcept { return Time{at.time_since_epoch() + offset_}; }
+  MonotonicTime monotonic_of(Time time) const noexcept { return MonotonicTime{time.time_since_epoch() - offset_}; }
+  const ClockPair& start() const noexcept { return start_; }
+  /// Records a pair when the time of day has moved against the monotonic line by more than 1 ms since the last pair, or
+  /// always when asked for. Returns whether it did.
+  bool look_at_clock(const char* always_source = nullptr);
+
+  TopicCore& topic(std::string_view name, PayloadType type);
+  TopicCore* find_topic(std::string_view name) noexcept;
+  const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
+  /// Claims the origin for one sensor or feed. SetupError (bad-name, busy): the name is taken, or was on another topic.
+  OriginCore& claim_origin(std::string_view name, TopicCore& topic);
+  /// The origin of the program's own events on a topic.
+  OriginCore& program_origin(TopicCore& topic);
+  const std::unordered_map<std::string_view, std::unique_ptr<OriginCore>>& origins() const noexcept { return origins_; }
+
+  std::vector<SubscriptionNode*> patterns;  ///< subscriptions that new topics are offered to
+  std::vector<Recorder*> recorders;
+  std::vector<SensorEntry*> sensors;
+  std::vector<LoopCore*> loops;
+
+  void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {});
+  /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
+  /// the same object within a second are joined.
+  void report(LoopCore* loop, std::string_view object, const Error& error);
+  /// Writes out the repeats that were joined longer than a second ago, or all.
+  void flush_repeats(bool all);
+  Callback<void(const LogRecord&)> on_log;
+
+ private:
+  struct Repeat {
+    std::string object;
+    Error error;
+    MonotonicTime last_written{};
+    std::uint64_t held_back = 0;
+  };
+  void write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count);
+
+  SystemClock system_clock_;
+  ManualClock manual_clock_;
+  Clock* clock_;
+  Duration offset_{0};
+  ClockPair start_;
+  Duration last_offset_{0};
+  std::vector<std::unique_ptr<TopicCore>> topics_;
+  std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
+  std::unordered_map<std::string, std::string> name_by_lower_case_;
+  std::unordered_map<std::string_view, std::unique_ptr<OriginCore>> origins_;
+  std::vector<Repeat> repeats_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,101 @@
+#include "loop/schedule.hpp"
+
+#include <algorithm>
+
+#include "loop/loop_core.hpp"
+
+namespace rtdata::detail {
+
+MonotonicTime RateMember::next_due() const noexcept { return group_ == nullptr ? MonotonicTime::max() : group_->next_due_of(*this); }
+
+MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
+  if (!firing_) return std::max(due, member.first_due_);
+  for (std::size_t i = position_; i < members_.size(); ++i) {
+    if (members_[i] == &member) return std::max(firing_due_, member.first_due_);
+  }
+  return std::max(firing_due_ + period_, member.first_due_);
+}
+
+void RateGroup::fire(MonotonicTime now) {
+  // What is late by a period or more is skipped: the latest tick that has come due is taken.
+  const auto behind = (now - due) / period_;
+  const MonotonicTime first_missed = due;
+  firing_due_ = due + behind * period_;
+  due = firing_due_ + period_;
+  loop_.moved(*this);
+  firing_ = true;
+  const std::size_t end = members_.size();  // what joins meanwhile is first due later
+  MonotonicTime from = now;
+  for (position_ = 0; position_ < end;) {
+    RateMember* member = members_[position_++];
+    if (position_ + 3 < end) __builtin_prefetch(members_[position_ + 3]);
+    if (member == nullptr || member->first_due_ > firing_due_) continue;
+    Tick tick;
+    tick.due = firing_due_;
+    tick.now = from;
+    if (behind > 0) [[unlikely]] {
+      tick.missed = static_cast<std::uint64_t>((firing_due_ - std::max(first_missed, member->first_due_)) / period_);
+    }
+    member->tick(tick);
+    const MonotonicTime to = loop_.now();
+    // A member that removed itself may be gone.
+    if (members_[position_ - 1] == member) loop_.account(member->times, from, to, [&] { return member->blame_name(); });
+    from = to;
+  }
+  firing_ = false;
+  if (live_ != members_.size()) compact();
+}
+
+void RateGroup::compact() {
+  std::erase(members_, nullptr);
+  if (members_.empty()) loop_.schedule().discard(*this);
+}
+
+void Schedule::add(RateMember& member, MonotonicTime start, Duration period, Duration phase) {
+  const Duration grid = loop_.config.phase_grid;
+  Duration first = start.time_since_epoch();
+  if (grid.count() > 0) first = (first + grid - Duration{1}) / grid * grid;
+  first += phase;
+  const auto key = std::pair{period, first % period};
+  auto& group = groups_[key];
+  member.first_due_ = MonotonicTime{first};
+  if (group == nullptr) {
+    group = std::make_unique<RateGroup>(loop_, period);
+    group->due = member.first_due_;
+    loop_.insert(*group);
+  } else if (member.first_due_ < group->due) {
+    // The group is due later: it has just had this tick, or its members all start later. Due instants are congruent, so
+    // it can go back, unless this tick has been fired already, in this very turn.
+    if (group->firing_ || group->firing_due_ >= member.first_due_) {
+      member.first_due_ = group->due;
+    } else {
+      group->due = member.first_due_;
+      loop_.moved(*group);
+    }
+  }
+  member.group_ = group.get();
+  group->members_.push_back(&member);
+  ++group->live_;
+}
+
+void Schedule::remove(RateMember& member) noexcept {
+  RateGroup* group = member.group_;
+  if (group == nullptr) return;
+  member.group_ = nullptr;
+  const auto at = std::find(group->members_.begin(), group->members_.end(), &member);
+  --group->live_;
+  if (group->firing_) {
+    *at = nullptr;
+  } else {
+    group->members_.erase(at);
+    if (group->members_.empty()) discard(*group);
+  }
+}
+
+void Schedule::discard(RateGroup& group) {
+  loop_.remove(group);
+  const auto at = std::find_if(groups_.begin(), groups_.end(), [&](const auto& entry) { return entry.second.get() == &group; });
+  groups_.erase(at);
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,76 @@
+// The schedule of a loop: rate groups. All that has the same period and phase shares one deadline.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "loop/deadline.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::detail {
+
+class RateGroup;
+
+/// What is called at a rate. `tick` may remove or add any member, itself included.
+class RateMember {
+ public:
+  /// `tick.missed`: ticks of this member's schedule skipped just before; `tick.index` is not set.
+  virtual void tick(const Tick& tick) = 0;
+  /// For blame: "sensor chamber".
+  virtual std::string blame_name() const = 0;
+
+  bool is_scheduled() const noexcept { return group_ != nullptr; }
+  MonotonicTime first_due() const noexcept { return first_due_; }
+  /// The first tick that has not been dealt with.
+  MonotonicTime next_due() const noexcept;
+
+  CallbackTimes times;
+
+ protected:
+  ~RateMember() = default;
+
+ private:
+  friend class RateGroup;
+  friend class Schedule;
+  RateGroup* group_ = nullptr;
+  MonotonicTime first_due_{};
+};
+
+class RateGroup final : public Deadline {
+ public:
+  RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
+  void fire(MonotonicTime now) override;
+  Duration period() const noexcept { return period_; }
+  /// Of this member: the group's due tick, unless the group is past it in the tick under way.
+  MonotonicTime next_due_of(const RateMember& member) const noexcept;
+
+ private:
+  friend class Schedule;
+  void compact();
+  LoopCore& loop_;
+  Duration period_;
+  std::vector<RateMember*> members_;  // null: removed while firing
+  std::size_t live_ = 0;
+  std::size_t position_ = 0;  // while firing: members before it have had their tick
+  MonotonicTime firing_due_{};
+  bool firing_ = false;
+};
+
+class Schedule {
+ public:
+  explicit Schedule(LoopCore& loop) : loop_(loop) {}
+  /// First due at `start` (rounded up to the phase grid) plus phase.
+  void add(RateMember& member, MonotonicTime start, Duration period, Duration phase);
+  void remove(RateMember& member) noexcept;
+
+ private:
+  friend class RateGroup;
+  void discard(RateGroup& group);
+  LoopCore& loop_;
+  std::map<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>> groups_;  // by period and phase
+};
+
+}  // namespace rtdata::detail

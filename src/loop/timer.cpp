@@ -1,0 +1,134 @@
+#include "rtdata/loop/timer.hpp"
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
+namespace rtdata {
+namespace detail {
+class TimerNode final : public Node, public Deadline {
+ public:
+  TimerNode(LoopCore& loop, Callback<void()> callback) : Node(loop), callback_(std::move(callback)) {}
+
+  void start_at(MonotonicTime at) {
+    if (!is_open()) return;
+    if (is_listed()) {
+      due = at;
+      loop()->moved(*this);
+    } else {
+      due = at;
+      loop()->hold();
+      loop()->insert(*this);
+    }
+  }
+  void stop() {
+    if (!is_open() || !is_listed()) return;
+    loop()->remove(*this);
+    loop()->unhold();
+  }
+  void fire(MonotonicTime now) override {
+    stop();
+    LoopCore& on = *loop();
+    Call call(*this);
+    on.call_user("timer", [&] { callback_(); });
+    on.account(times_, now, on.now(), [] { return std::string("timer"); });
+  }
+
+ private:
+  void on_close() noexcept override { stop(); }
+  void drop_callbacks() noexcept override { callback_.reset(); }
+  Callback<void()> callback_;
+  CallbackTimes times_;
+};
+
+class TickerNode final : public Node, public RateMember {
+ public:
+  TickerNode(LoopCore& loop, Ticker::Config config, Callback<void(const Tick&)> callback)
+      : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {
+    if (config_.period < std::chrono::microseconds{1}) {
+      throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name, "its period is " + to_string(config_.period),
+                        "use at least 1 us"});
+    }
+  }
+
+  void start() {
+    if (!is_open() || is_scheduled()) return;
+    index_ = 0;
+    loop()->hold();
+    loop()->schedule().add(*this, loop()->turn_start(), config_.period, config_.phase);
+  }
+  void stop() {
+    if (!is_open() || !is_scheduled()) return;
+    loop()->schedule().remove(*this);
+    loop()->unhold();
+  }
+  void set_period(Duration period) {
+    if (period < std::chrono::microseconds{1}) {
+      throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period), "use at least 1 us"});
+    }
+    const bool was_running = is_scheduled();
+    stop();
+    config_.period = period;
+    if (was_running) start();
+  }
+  void tick(const Tick& tick) override {
+    Tick told = tick;
+    index_ += tick.missed;
+    told.index = index_++;
+    ++fired;
+    missed += tick.missed;
+    LoopCore& on = *loop();
+    Call call(*this);
+    on.call_user(config_.name, [&] { callback_(told); });
+  }
+  std::string blame_name() const override { return config_.name; }
+
+  std::uint64_t fired = 0;
+  std::uint64_t missed = 0;
+
+ private:
+  void on_close() noexcept override { stop(); }
+  void drop_callbacks() noexcept override { callback_.reset(); }
+  Ticker::Config config_;
+  Callback<void(const Tick&)> callback_;
+  std::uint64_t index_ = 0;
+};
+
+}  // namespace detail
+
+using detail::TickerNode;
+using detail::TimerNode;
+
+Timer::Timer(Loop& loop, Callback<void()> callback) : Handle(new TimerNode(loop.core(), std::move(callback))) {}
+Timer::Timer(Loop& loop, Duration delay, Callback<void()> callback) : Timer(loop, std::move(callback)) { start(delay); }
+void Timer::start(Duration delay) {
+  if (is_open()) start_at(node()->loop()->now() + std::max(delay, Duration{0}));
+}
+void Timer::start_at(MonotonicTime due) {
+  if (is_open()) static_cast<TimerNode*>(node())->start_at(due);
+}
+void Timer::stop() {
+  if (is_open()) static_cast<TimerNode*>(node())->stop();
+}
+bool Timer::is_running() const noexcept { return is_open() && static_cast<TimerNode*>(node())->is_listed(); }
+
+Ticker::Ticker(Loop& loop, Duration period, Callback<void(const Tick&)> callback)
+    : Ticker(loop, Config{.period = period}, std::move(callback)) {}
+Ticker::Ticker(Loop& loop, Config config, Callback<void(const Tick&)> callback)
+    : Handle(new TickerNode(loop.core(), std::move(config), std::move(callback))) {
+  start();
+}
+void Ticker::start() {
+  if (is_open()) static_cast<TickerNode*>(node())->start();
+}
+void Ticker::stop() {
+  if (is_open()) static_cast<TickerNode*>(node())->stop();
+}
+void Ticker::set_period(Duration period) {
+  if (is_open()) static_cast<TickerNode*>(node())->set_period(period);
+}
+bool Ticker::is_running() const noexcept { return is_open() && static_cast<TickerNode*>(node())->is_scheduled(); }
+std::uint64_t Ticker::fired() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->fired : 0; }
+std::uint64_t Ticker::missed() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->missed : 0; }
+CallbackTimes Ticker::times() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->times : CallbackTimes{}; }
+
+}  // namespace rtdata

@@ -1,0 +1,188 @@
+#include "loop/topic_core.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+#include <new>
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr std::uint64_t most_in_group = 16;
+constexpr Duration group_aim = std::chrono::microseconds{50};
+
+}  // namespace
+
+TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
+    : name(std::move(name_)),
+      type(std::move(type_)),
+      payload_offset(event_payload_offset(type.alignment)),
+      runtime_(runtime) {}
+
+TopicCore::~TopicCore() {
+  drop_slots(tail_, head_);
+  ::operator delete(slots_, std::align_val_t{64});
+}
+
+void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
+  if (time <= origin.last_time) time = origin.last_time + Duration{1};
+  origin.last_time = time;
+  const EventHeader header{time, ++origin.sequence, origin.name};
+  for (Tap* tap : taps_) tap->offer(origin, header, payload);
+  if (!links_.empty()) enqueue(header, payload);
+}
+
+void TopicCore::enqueue(const EventHeader& header, void* payload) {
+  if (head_ - tail_ > mask_) {
+    ++dropped_;
+    return;
+  }
+  std::byte* to = slot(head_);
+  std::memcpy(to, &header, sizeof header);
+  if (type.move_construct == nullptr) {
+    std::memcpy(to + payload_offset, payload, type.size);
+  } else {
+    type.move_construct(to + payload_offset, payload);
+  }
+  ++head_;
+  if (!is_ready) loop_->add_ready(*this);
+}
+
+void TopicCore::make_ring(std::size_t capacity) {
+  const std::size_t alignment = std::max(type.alignment, alignof(EventHeader));
+  stride_ = (payload_offset + type.size + alignment - 1) / alignment * alignment;
+  const std::size_t slots = std::bit_ceil(std::max<std::size_t>(capacity, 2));
+  mask_ = slots - 1;
+  slots_ = static_cast<std::byte*>(::operator new(slots * stride_, std::align_val_t{64}));
+}
+
+Result<void> TopicCore::link(LoopCore& loop, SubscriptionNode& node) {
+  if (loop_ != nullptr && loop_ != &loop) {
+    return Error{Errc::bad_argument, "cannot subscribe", name, "the topic's deliveries run on another loop",
+                 "subscribe on the loop that publishes"};
+  }
+  auto map = node.accept(*this);
+  if (!map) return std::move(map).error();
+  if (slots_ == nullptr) make_ring(runtime_.config.ring_events);
+  loop_ = &loop;
+  links_.push_back({&node, std::move(*map), head_, head_, dropped_});
+  return {};
+}
+
+SubscriptionCounts TopicCore::counts_of(const Link& link) const noexcept {
+  SubscriptionCounts counts;
+  counts.dropped = dropped_ - link.dropped_before;
+  counts.offered = head_ - link.from + counts.dropped;
+  counts.delivered = link.delivered;
+  counts.cancelled = link.cancelled;
+  counts.queued = head_ - link.next;
+  return counts;
+}
+
+void TopicCore::retire(Link& link) noexcept {
+  link.cancelled += head_ - link.next;
+  link.next = head_;
+  const SubscriptionCounts counts = counts_of(link);
+  retired_.offered += counts.offered;
+  retired_.delivered += counts.delivered;
+  retired_.dropped += counts.dropped;
+  retired_.cancelled += counts.cancelled;
+  link.node = nullptr;
+  needs_sweep_ = true;
+}
+
+void TopicCore::unlink(SubscriptionNode& node) noexcept {
+  if (delivering_ == &node) return;  // its deliver() is on the stack: retired when that returns
+  for (Link& link : links_) {
+    if (link.node == &node) retire(link);
+  }
+  if (delivering_ == nullptr) std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
+}
+
+void TopicCore::cancel(const OriginCore& origin) noexcept {
+  for (std::uint64_t i = tail_; i != head_; ++i) {
+    auto& header = *reinterpret_cast<EventHeader*>(slot(i));
+    if (header.origin.data() == origin.name.data()) header.origin = {};
+  }
+}
+
+void TopicCore::deliver_group(LoopCore& loop) {
+  const std::uint64_t end = tail_ + std::min(group_, head_ - tail_);
+  const MonotonicTime begin = loop.now();
+  MonotonicTime from = begin;
+  for (std::size_t i = 0; i < links_.size(); ++i) {
+    SubscriptionNode* node = links_[i].node;
+    if (node == nullptr || links_[i].next >= end) continue;
+    const EventRun run{*this, slots_, stride_, mask_, links_[i].next, end - links_[i].next};
+    const auto map = links_[i].field_map;
+    delivering_ = node;
+    {
+      Call call(*node);
+      const auto result = node->deliver(run, map.get());
+      Link& link = links_[i];  // the vector may have grown meanwhile
+      link.delivered += result.delivered;
+      link.cancelled += result.seen - result.delivered;
+      link.next += result.seen;
+      const MonotonicTime to = loop.now();
+      loop.account(node->times, from, to, [&] { return node->name; });
+      from = to;
+      if (!node->is_open()) retire(link);
+    }
+    delivering_ = nullptr;
+  }
+  if (from - begin > group_aim) {
+    group_ = 1;
+  } else if (from - begin < group_aim / 2 && group_ < most_in_group) {
+    group_ *= 2;
+  }
+  if (type.destroy != nullptr) drop_slots(tail_, end);
+  tail_ = end;
+  if (needs_sweep_) {
+    std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
+    needs_sweep_ = false;
+    if (links_.empty()) {
+      drop_slots(tail_, head_);
+      tail_ = head_;
+    }
+  }
+}
+
+void TopicCore::drop_slots(std::uint64_t first, std::uint64_t last) noexcept {
+  if (type.destroy == nullptr) return;
+  for (std::uint64_t i = first; i != last; ++i) type.destroy(slot(i) + payload_offset);
+}
+
+void TopicCore::abandon() noexcept {
+  drop_slots(tail_, head_);
+  for (Link& link : links_) link.next = head_;
+  tail_ = head_;
+  loop_ = nullptr;
+  is_ready = false;
+  next_ready = nullptr;
+}
+
+SubscriptionCounts TopicCore::subscription_counts() const noexcept {
+  SubscriptionCounts sum = retired_;
+  for (const Link& link : links_) {
+    if (link.node == nullptr) continue;
+    const SubscriptionCounts counts = counts_of(link);
+    sum.offered += counts.offered;
+    sum.delivered += counts.delivered;
+    sum.dropped += counts.dropped;
+    sum.cancelled += counts.cancelled;
+    sum.queued += counts.queued;
+  }
+  return sum;
+}
+
+SubscriptionCounts TopicCore::counts_of(const SubscriptionNode& node) const noexcept {
+  for (const Link& link : links_) {
+    if (link.node == &node) return counts_of(link);
+  }
+  return {};
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,97 @@
+// What lies behind a topic: its taps (sinks), its ring, its links (subscriptions).
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::detail {
+
+class LoopCore;
+class OriginCore;
+class RuntimeCore;
+
+/// A sink's attachment to a topic. Takes its copy when an event is published.
+class Tap {
+ public:
+  virtual void offer(OriginCore& origin, const EventHeader& header, const void* payload) = 0;
+
+ protected:
+  ~Tap() = default;
+};
+
+class TopicCore {
+ public:
+  TopicCore(RuntimeCore& runtime, std::string name, PayloadType type);
+  ~TopicCore();
+  TopicCore(const TopicCore&) = delete;
+  TopicCore& operator=(const TopicCore&) = delete;
+
+  const std::string name;
+  const PayloadType type;
+  const std::size_t payload_offset;  ///< from an event's start
+
+  /// Gives the event its sequence and a time after the origin's last, copies it to every tap and into the ring. `payload`
+  /// is moved from when its type is not trivially copyable.
+  void publish(OriginCore& origin, Time time, void* payload);
+
+  /// Errors: description-differs.
+  Result<void> link(LoopCore& loop, SubscriptionNode& node);
+  void unlink(SubscriptionNode& node) noexcept;
+  void add_tap(Tap& tap) { taps_.push_back(&tap); }
+  void remove_tap(Tap& tap) noexcept { std::erase(taps_, &tap); }
+  /// Queued deliveries of this origin will not happen.
+  void cancel(const OriginCore& origin) noexcept;
+  /// Delivers one small group of events to every link.
+  void deliver_group(LoopCore& loop);
+  RuntimeCore& runtime() const noexcept { return runtime_; }
+  bool has_pending() const noexcept { return head_ != tail_; }
+  /// The loop is gone: what is queued is cancelled.
+  void abandon() noexcept;
+
+  SubscriptionCounts subscription_counts() const noexcept;
+  SubscriptionCounts counts_of(const SubscriptionNode& node) const noexcept;
+  std::vector<OriginCore*>& origins() noexcept { return origins_; }
+  const std::vector<OriginCore*>& origins() const noexcept { return origins_; }
+
+  TopicCore* next_ready = nullptr;  ///< of the loop's list of topics with pending deliveries
+  bool is_ready = false;
+
+ private:
+  struct Link {
+    SubscriptionNode* node;  // null: to be swept
+    std::shared_ptr<const void> field_map;
+    std::uint64_t from;        // ring position at subscription
+    std::uint64_t next;        // ring position of the next event to deliver
+    std::uint64_t dropped_before;
+    std::uint64_t delivered = 0;
+    std::uint64_t cancelled = 0;
+  };
+  void enqueue(const EventHeader& header, void* payload);
+  void make_ring(std::size_t capacity);
+  std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
+  SubscriptionCounts counts_of(const Link& link) const noexcept;
+  void retire(Link& link) noexcept;
+  void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
+
+  RuntimeCore& runtime_;
+  LoopCore* loop_ = nullptr;
+  std::vector<Tap*> taps_;
+  std::vector<Link> links_;
+  std::vector<OriginCore*> origins_;
+  std::byte* slots_ = nullptr;
+  std::size_t stride_ = 0;
+  std::size_t mask_ = 0;
+  std::uint64_t head_ = 0;
+  std::uint64_t tail_ = 0;
+  std::uint64_t dropped_ = 0;
+  std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
+  SubscriptionNode* delivering_ = nullptr;
+  bool needs_sweep_ = false;
+  SubscriptionCounts retired_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,116 @@
+#include "rtdata/sensors/feed.hpp"
+
+#include <cstring>
+
+#include "sensors/source_node.hpp"
+
+namespace rtdata {
+namespace detail {
+
+class FeedNode final : public SourceNode {
+ public:
+  FeedNode(LoopCore& loop, const FeedConfig& config, PayloadType type)
+      : SourceNode(loop, config.name, config.topic, std::move(type)) {}
+
+  void start() override { is_running_ = is_open(); }
+  void stop() override {
+    is_running_ = false;
+    origin_.topic.cancel(origin_);
+  }
+  void stop_schedule(MonotonicTime) override {}
+  bool is_reading() const noexcept override { return false; }
+  void set_rate(Rate) override {
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled", "set the rate at its source"});
+  }
+  Rate rate() const noexcept override { return {}; }
+  bool is_running() const noexcept override { return is_running_; }
+
+  void publish(void* payload, const Time* time) {
+    if (!is_running_) return;
+    ++origin_.counts.received;
+    ++origin_.counts.published;
+    const Time at = time != nullptr ? *time : loop()->runtime.event_time(loop()->now());
+    origin_.topic.publish(origin_, at, payload);
+    if (health() != Health::ok) set_health(Health::ok, nullptr);
+  }
+  void fail(const Error& error) {
+    if (!is_running_) return;
+    ++origin_.counts.received;
+    ++origin_.counts.failed;
+    complain(error, health() == Health::faulted ? Health::faulted : Health::degraded);
+  }
+  void complain(const Error& error, Health health) {
+    Call call(*this);
+    report(error);
+    if (is_open()) set_health(health, &error);
+  }
+  void repeated() {
+    if (!is_running_) return;
+    ++origin_.counts.received;
+    ++origin_.counts.repeated;
+  }
+  void lost(std::uint64_t count) {
+    if (is_running_) origin_.counts.lost += count;
+  }
+  void set_numbered() { origin_.counts.lost_is_known = true; }
+  std::size_t payload_size() const noexcept { return origin_.topic.type.size; }
+
+ private:
+  void on_close() noexcept override {
+    stop();
+    leave();
+  }
+  bool is_running_ = true;
+};
+
+Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) { return new FeedNode(loop.core(), config, std::move(type)); }
+
+void feed_publish(Node& feed, void* payload, const Time* time) { static_cast<FeedNode&>(feed).publish(payload, time); }
+
+PayloadType described_type(std::shared_ptr<const Description> description) {
+  PayloadType type;
+  type.size = description->size();
+  type.alignment = description->alignment();
+  type.type_name = description->name().c_str();
+  type.description = std::move(description);
+  return type;
+}
+
+}  // namespace detail
+
+namespace {
+
+detail::FeedNode* feed(detail::Node* node) noexcept {
+  return node != nullptr && node->is_open() ? static_cast<detail::FeedNode*>(node) : nullptr;
+}
+
+void publish(detail::Node* node, std::span<const std::byte> payload, const Time* time) {
+  auto* f = feed(node);
+  if (f == nullptr || payload.size() != f->payload_size()) return;
+  // Described payloads are trivially copyable: nothing moves out of it.
+  f->publish(const_cast<std::byte*>(payload.data()), time);
+}
+
+}  // namespace
+
+AnyFeed::AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description)
+    : AnySensor(detail::make_feed(loop, std::move(config), detail::described_type(std::move(description)))) {}
+void AnyFeed::publish_bytes(std::span<const std::byte> payload) { publish(node(), payload, nullptr); }
+void AnyFeed::publish_bytes(std::span<const std::byte> payload, Time time) { publish(node(), payload, &time); }
+void AnyFeed::fail(const Error& error) {
+  if (auto* f = feed(node())) f->fail(error);
+}
+void AnyFeed::fault(const Error& error) {
+  if (auto* f = feed(node())) f->complain(error, Health::faulted);
+}
+void AnyFeed::repeated() {
+  if (auto* f = feed(node())) f->repeated();
+}
+void AnyFeed::lost(std::uint64_t count) {
+  if (auto* f = feed(node())) f->lost(count);
+}
+void AnyFeed::set_numbered() {
+  if (auto* f = feed(node())) f->set_numbered();
+}
+
+}  // namespace rtdata

@@ -1,0 +1,47 @@
+#include "sensors/source_node.hpp"
+
+#include <algorithm>
+
+namespace rtdata::detail {
+
+SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type)
+    : Node(loop),
+      origin_(loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)))) {
+  loop.runtime.sensors.push_back(this);
+}
+
+void SourceNode::leave() noexcept {
+  origin_.is_claimed = false;
+  std::erase(loop()->runtime.sensors, static_cast<SensorEntry*>(this));
+}
+
+SensorStatus SourceNode::status() const {
+  return {origin_.name, origin_.topic.name, rate().period(), is_running(), health_, reason_, origin_.counts};
+}
+
+void SourceNode::report(const Error& error) noexcept {
+  try {
+    if (on_error) {
+      const std::string object = object_name();
+      Call call(*this);
+      loop()->call_user(object, [&] { on_error({object, error, 1}); });
+    } else {
+      loop()->runtime.report(loop(), object_name(), error);
+    }
+  } catch (...) {  // out of memory while telling of an error: it is counted all the same
+  }
+}
+
+void SourceNode::set_health(Health health, const Error* reason) {
+  if (reason != nullptr) reason_ = reason->text();
+  if (health == health_) return;
+  if (health == Health::ok) {
+    loop()->runtime.log(LogLevel::info, object_name(), "ok again");
+    reason_.clear();
+  } else if (health == Health::faulted) {
+    loop()->runtime.log(LogLevel::warning, object_name(), "faulted, will be tried again: " + reason_);
+  }
+  health_ = health;
+}
+
+}  // namespace rtdata::detail

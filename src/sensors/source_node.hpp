@@ -1,0 +1,42 @@
+// What scheduled sensors and feeds share: an origin, health, errors.
+#pragma once
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::detail {
+
+class SourceNode : public Node, public SensorEntry {
+ public:
+  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type);
+
+  virtual void start() = 0;
+  virtual void set_rate(Rate rate) = 0;
+  virtual Rate rate() const noexcept = 0;
+  virtual bool is_running() const noexcept = 0;
+  virtual CallbackTimes callback_times() const noexcept { return {}; }
+  SensorStatus status() const override;
+
+  const SensorCounts& counts() const noexcept { return origin_.counts; }
+  Health health() const noexcept { return health_; }
+  Callback<void(const ErrorReport&)> on_error;
+
+ protected:
+  ~SourceNode() override = default;
+  std::string object_name() const { return "sensor " + origin_.name; }
+  /// Hands the error to the sensor's own handler, or to the loop's.
+  void report(const Error& error) noexcept;
+  void set_health(Health health, const Error* reason);
+  /// To be called from a derived class's on_close.
+  void leave() noexcept;
+  void drop_callbacks() noexcept override { on_error.reset(); }
+
+  OriginCore& origin_;
+
+ private:
+  Health health_ = Health::ok;
+  std::string reason_;
+};
+
+}  // namespace rtdata::detail
