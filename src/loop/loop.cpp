@@ -312,6 +312,7 @@ void LoopCore::run() {
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
     run_due();
     do {
+      run_posted();  // libuv does not look at them when nothing else keeps the loop alive
       if (!stop_requested_.load(std::memory_order_relaxed)) uv_run(uv_loop_, UV_RUN_DEFAULT);
     } while (!stop_requested_.load(std::memory_order_relaxed) && has_posted());
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(slack));

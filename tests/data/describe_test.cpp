@@ -223,6 +223,10 @@ TEST_SUITE("data") {
     CHECK(t == text<5>("a"));
     CHECK(std::memcmp(&t, "\1\0a\0\0\0\0", sizeof t) == 0);
     CHECK(text<5>("a") < text<5>("b"));
+    CHECK(text<5>("a") < "b");
+    CHECK(text<5>("a") == std::string("a"));
+    CHECK("a" == text<5>("a"));
+    CHECK((std::string("b") > text<5>("a") && text<5>("a") != std::string_view("b") && text<5>("a") == text<3>("a")));
     CHECK(text<5>().empty());
     CHECK(sizeof(text<5>) == 7);
     CHECK(alignof(text<5>) == 1);

@@ -13,7 +13,9 @@
 ///     if (auto r = station.assign(line); !r) return r.error();
 #pragma once
 
+#include <compare>
 #include <cstddef>
+#include <string>
 #include <string_view>
 #include <type_traits>
 
@@ -41,6 +43,7 @@ class text {
     set(content);
   }
   constexpr text(const char* content) : text(std::string_view(content)) {}
+  constexpr text(const std::string& content) : text(std::string_view(content)) {}
 
   /// A text with this content. Errors: does_not_fit.
   static Result<text> make(std::string_view content) {
@@ -68,9 +71,16 @@ class text {
 
   friend constexpr bool operator==(const text& a, const text& b) noexcept { return a.view() == b.view(); }
   friend constexpr auto operator<=>(const text& a, const text& b) noexcept { return a.view() <=> b.view(); }
-  friend constexpr bool operator==(const text& a, std::string_view b) noexcept { return a.view() == b; }
-  friend constexpr auto operator<=>(const text& a, std::string_view b) noexcept { return a.view() <=> b; }
-  friend constexpr bool operator==(const text& a, const char* b) noexcept { return a.view() == b; }
+  template <class Other>
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr bool
+  operator==(const text& a, const Other& b) noexcept {
+    return a.view() == std::string_view(b);
+  }
+  template <class Other>
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr auto
+  operator<=>(const text& a, const Other& b) noexcept {
+    return a.view() <=> std::string_view(b);
+  }
 
  private:
   constexpr void set(std::string_view content) noexcept {

@@ -1,0 +1,158 @@
+/// Codec: events to bytes and back, in any format.
+///
+/// Shipped: "json" (one object a line), "raw" (the compact wire format), "csv" (a row an event). A format of your own
+/// is a class that derives from `Codec`, added to a `CodecRegistry` under its name; whatever takes formats by name
+/// (files, network sinks, exports) then takes it too.
+///
+/// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
+/// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),
+/// out_of_range and bad_argument (a value that its field cannot take), each naming the field. After an error of
+/// `encode` nothing has been appended.
+///
+///     auto codec = CodecRegistry::standard().make("json").or_throw();
+///     std::vector<std::byte> bytes;
+///     encode(*codec, "climate", event, bytes).or_throw();
+///     Decoded<Climate> same = decode<Climate>(*codec, bytes).or_throw();
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <functional>
+#include <map>
+#include <memory>
+#include <new>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/event.hpp"
+
+namespace rtdata {
+
+/// An event that came out of bytes; owns everything.
+struct DecodedEvent {
+  std::string topic;  ///< empty when the format does not carry it (CSV)
+  std::string origin;
+  Time time{};
+  std::optional<std::uint64_t> sequence;  ///< none when the format or its settings leave it out
+  std::vector<std::byte> payload;         ///< laid out as the description says
+
+  /// Valid as long as this object is unchanged; sequence 0 when there is none.
+  EventHeader header() const noexcept { return {time, sequence.value_or(0), origin}; }
+};
+
+/// A format.
+class Codec {
+ public:
+  virtual ~Codec() = default;
+
+  virtual std::string_view name() const noexcept = 0;
+  /// Appends the bytes of one event.
+  virtual Result<void> encode(const EventView& event, std::vector<std::byte>& out) = 0;
+  /// Reads exactly one event; anything missing or left over is an error.
+  virtual Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) = 0;
+
+  /// What stands once before the events of one topic, line end included; empty unless overridden.
+  virtual std::string header(const Description& description) const;
+  /// How many bytes at the start of `stream` are the first event, 0 while it is not all there. For reading files and
+  /// streams. Unless overridden: up to and with the first line end.
+  virtual std::size_t first_event(std::span<const std::byte> stream) const noexcept;
+};
+
+/// JSON, one object a line, for example (without the line breaks):
+///
+///     {"topic":"climate","time":1772366400000000000,"origin":"chamber","sequence":7,
+///      "data":{"temperature":21.5,"position":{"x":1},"accel":[0,0,9.81],"state":"idle","battery":null}}
+///
+/// Numbers are the shortest that read back equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char
+/// is a string of one character (bytes from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that
+/// has none), an absent optional null. Text that is no UTF-8 gets U+FFFD in place of each wrong byte. Decoding wants
+/// every key once and no other, in any order; "sequence" may be missing.
+std::unique_ptr<Codec> make_json_codec();
+
+struct RawConfig {
+  enum class Sequence { omit, include };
+  /// Whether the sequence number is sent, as a u64 after the origin. Both sides must agree.
+  Sequence sequence = Sequence::omit;
+};
+
+/// Raw bytes, little-endian: u32 size of what follows, then per value a u8 size and its bytes: topic, time (i64 ns),
+/// origin, then the fields in order, without their names. Nested records are flattened; an array of numbers, bools,
+/// chars or enumerations is one value, its elements one after the other; an array of texts is one value in which
+/// each text has a u8 size of its own. Text is as long as its content, an enumeration is its number, a bool is 0 or 1.
+/// A value of more than 255 bytes and an absent optional are errors: does_not_fit.
+std::unique_ptr<Codec> make_raw_codec(RawConfig config = {});
+
+struct CsvConfig {
+  enum class TimeFormat { nanoseconds, iso8601 };
+  /// How times are written; both are read.
+  TimeFormat time = TimeFormat::nanoseconds;
+};
+
+/// CSV after RFC 4180 with "\n" as line end ("\r\n" is read too): time, origin, sequence, then a column a leaf. The
+/// topic is not written: a CSV text holds one. An absent optional is an empty cell, an empty text is "".
+std::unique_ptr<Codec> make_csv_codec(CsvConfig config = {});
+
+/// `time,origin,sequence,temperature,position.x` with a line end: what the CSV codec's `header` gives.
+std::string csv_header(const Description& description);
+/// The same with units: `time [ns],origin,sequence,temperature [Cel],position.x [m]`.
+std::string csv_header_with_units(const Description& description);
+/// A row of the units alone: `ns,,,Cel,m`.
+std::string csv_units(const Description& description);
+
+/// Formats by name.
+class CodecRegistry {
+ public:
+  using Factory = std::function<std::unique_ptr<Codec>()>;
+
+  /// "json", "raw" and "csv", each with the default settings.
+  static CodecRegistry standard();
+
+  /// Errors: bad_name, when the name is taken or empty, or when there is no factory.
+  Result<void> add(std::string name, Factory factory);
+  /// Null when there is none; valid as long as the registry.
+  const Factory* find(std::string_view name) const noexcept;
+  /// A new codec. Errors: not_found, with the nearest name.
+  Result<std::unique_ptr<Codec>> make(std::string_view name) const;
+  /// In alphabetical order.
+  std::vector<std::string> names() const;
+
+ private:
+  std::map<std::string, Factory, std::less<>> factories_;
+};
+
+/// An event of a C++ type that came out of bytes.
+template <class T>
+struct Decoded {
+  std::string topic;
+  std::string origin;
+  Time time{};
+  std::optional<std::uint64_t> sequence;
+  T data;
+
+  /// Valid as long as this object is unchanged.
+  Event<T> event() const { return {{time, sequence.value_or(0), origin}, data}; }
+};
+
+template <Described T>
+Result<void> encode(Codec& codec, std::string_view topic, const Event<T>& event, std::vector<std::byte>& out) {
+  return codec.encode(EventView(topic, event), out);
+}
+
+template <Described T>
+Result<Decoded<T>> decode(Codec& codec, std::span<const std::byte> bytes) {
+  auto event = codec.decode(bytes, *description_of<T>());
+  if (!event) return std::move(event).error();
+  if (event->payload.size() != sizeof(T)) {
+    return Error{Errc::bad_data, "the format gave a payload of another size", std::string(codec.name()), "", ""};
+  }
+  alignas(T) std::byte memory[sizeof(T)];
+  std::memcpy(memory, event->payload.data(), sizeof(T));
+  return Decoded<T>{std::move(event->topic), std::move(event->origin), event->time, event->sequence,
+                    *std::launder(reinterpret_cast<const T*>(memory))};
+}
+
+}  // namespace rtdata

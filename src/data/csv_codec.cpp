@@ -1,0 +1,252 @@
+#include <charconv>
+#include <cmath>
+#include <limits>
+
+#include "rtdata/data/codec.hpp"
+
+namespace rtdata {
+namespace {
+
+void append(std::vector<std::byte>& out, std::string_view text) {
+  const auto* from = reinterpret_cast<const std::byte*>(text.data());
+  out.insert(out.end(), from, from + text.size());
+}
+
+bool needs_quotes(std::string_view text) {
+  return text.find_first_of("\",\r\n") != std::string_view::npos ||
+         (!text.empty() && (text.front() == ' ' || text.back() == ' ' || text.front() == '\t' || text.back() == '\t'));
+}
+
+enum class WhenEmpty { plain, quoted };
+
+void append_cell(std::string& row, std::string_view text, WhenEmpty when_empty = WhenEmpty::plain) {
+  if (!needs_quotes(text) && !(text.empty() && when_empty == WhenEmpty::quoted)) {
+    row += text;
+    return;
+  }
+  row += '"';
+  for (const char c : text) {
+    if (c == '"') row += '"';
+    row += c;
+  }
+  row += '"';
+}
+
+template <class T>
+void append_number(std::string& row, T number) {
+  char digits[32];
+  row.append(digits, std::to_chars(digits, digits + sizeof digits, number).ptr);
+}
+
+template <class T>
+void append_floating(std::string& row, const std::byte* from) {
+  T number;
+  std::memcpy(&number, from, sizeof number);
+  // The sign of a NaN says nothing, and not every reader takes it.
+  if (std::isnan(number)) {
+    row += "nan";
+  } else {
+    append_number(row, number);
+  }
+}
+
+template <class T>
+bool to_number(std::string_view text, T& number) {
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  return error == std::errc{} && end == text.data() + text.size() && !text.empty();
+}
+
+struct Cell {
+  std::string text;
+  bool quoted = false;
+};
+
+Error bad(std::string where, std::string why) {
+  return {Errc::bad_data, "the text is no row of CSV", std::move(where), std::move(why), ""};
+}
+
+/// One row, with or without its line end; nothing may follow it.
+Result<std::vector<Cell>> split(std::string_view row) {
+  std::vector<Cell> cells(1);
+  std::size_t i = 0;
+  const auto where = [&] { return "column " + std::to_string(cells.size()); };
+  while (i < row.size()) {
+    Cell& cell = cells.back();
+    const char c = row[i];
+    if (c == '"') {
+      if (cell.quoted || !cell.text.empty()) return bad(where(), "a quote within a cell");
+      cell.quoted = true;
+      for (++i;; ++i) {
+        if (i >= row.size()) return bad(where(), "a quoted cell does not end");
+        if (row[i] == '"') {
+          if (i + 1 >= row.size() || row[i + 1] != '"') break;
+          ++i;
+        }
+        cell.text += row[i];
+      }
+      ++i;
+    } else if (c == ',') {
+      cells.emplace_back();
+      ++i;
+    } else if (c == '\n' || c == '\r') {
+      const std::size_t end = i + (c == '\r' && i + 1 < row.size() && row[i + 1] == '\n' ? 2 : 1);
+      if (end != row.size() || (c == '\r' && end == i + 1)) return bad(where(), "something follows the end of the row");
+      i = end;
+    } else {
+      if (cell.quoted) return bad(where(), "something follows a quoted cell");
+      cell.text += c;
+      ++i;
+    }
+  }
+  return cells;
+}
+
+/// The value a cell means for this leaf.
+Result<Value> value_of(const Leaf& leaf, Cell& cell) {
+  const auto wrong = [&](const char* what) {
+    return Error{Errc::not_a_number, "the cell does not fit its column", "field " + leaf.path,
+                 "\"" + cell.text + "\" is no " + what, ""};
+  };
+  if (!cell.quoted && cell.text.empty() && leaf.optional != nullptr) return Value{};
+  switch (leaf.kind) {
+    case Kind::boolean:
+      if (cell.text == "true") return Value(true);
+      if (cell.text == "false") return Value(false);
+      return wrong("true or false");
+    case Kind::character:
+    case Kind::text:
+    case Kind::record:
+      return Value(std::move(cell.text));
+    case Kind::f32: {
+      // Not by way of a double: rounding twice may give the neighbour.
+      float number = 0;
+      if (to_number(cell.text, number)) return Value(static_cast<double>(number));
+      break;
+    }
+    case Kind::f64:
+      break;
+    case Kind::enumeration:
+      for (const EnumValue& value : leaf.field->values) {
+        if (value.name == cell.text) return Value(std::move(cell.text));
+      }
+      [[fallthrough]];
+    default: {
+      std::int64_t number = 0;
+      std::uint64_t large = 0;
+      if (to_number(cell.text, number)) return Value(number);
+      if (to_number(cell.text, large)) return Value(large);
+      if (leaf.kind == Kind::enumeration) return Value(std::move(cell.text));
+      break;
+    }
+  }
+  double number = 0;
+  if (to_number(cell.text, number)) return Value(number);
+  return wrong("number in range");
+}
+
+class CsvCodec final : public Codec {
+ public:
+  explicit CsvCodec(CsvConfig config) : config_(config) {}
+
+  std::string_view name() const noexcept override { return "csv"; }
+
+  Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
+    row_.clear();
+    if (config_.time == CsvConfig::TimeFormat::iso8601) {
+      row_ += to_iso8601(event.time());
+    } else {
+      append_number(row_, to_nanoseconds(event.time()));
+    }
+    row_ += ',';
+    append_cell(row_, event.origin());
+    row_ += ',';
+    append_number(row_, event.sequence());
+    for (const Leaf& leaf : event.description().leaves()) {
+      row_ += ',';
+      const std::byte* from = value_bytes(leaf, event.payload().data());
+      if (from == nullptr) continue;
+      if (leaf.kind == Kind::f64) {
+        append_floating<double>(row_, from);
+      } else if (leaf.kind == Kind::f32) {
+        append_floating<float>(row_, from);
+      } else {
+        append_cell(row_, to_string(read(leaf, event.payload().data())), WhenEmpty::quoted);
+      }
+    }
+    row_ += '\n';
+    append(out, row_);
+    return {};
+  }
+
+  Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
+    auto cells = split({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    if (!cells) return std::move(cells).error();
+    const auto& leaves = description.leaves();
+    if (cells->size() != 3 + leaves.size()) {
+      return bad("", std::to_string(cells->size()) + " columns, not " + std::to_string(3 + leaves.size()));
+    }
+    DecodedEvent event;
+    std::int64_t nanoseconds = 0;
+    if (const std::string& time = (*cells)[0].text; to_number(time, nanoseconds)) {
+      event.time = from_nanoseconds(nanoseconds);
+    } else {
+      auto read = parse_iso8601(time);
+      if (!read) return std::move(read).error();
+      event.time = *read;
+    }
+    event.origin = std::move((*cells)[1].text);
+    if (const std::string& text = (*cells)[2].text; !text.empty()) {
+      std::uint64_t sequence = 0;
+      if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is no number");
+      event.sequence = sequence;
+    }
+    event.payload.resize(description.size());
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+      auto value = value_of(leaves[i], (*cells)[3 + i]);
+      if (!value) return std::move(value).error();
+      if (auto done = write(leaves[i], event.payload.data(), *value); !done) return std::move(done).error();
+    }
+    return event;
+  }
+
+  std::string header(const Description& description) const override { return csv_header(description); }
+
+  std::size_t first_event(std::span<const std::byte> stream) const noexcept override {
+    bool quoted = false;
+    for (std::size_t i = 0; i < stream.size(); ++i) {
+      if (stream[i] == std::byte{'"'}) quoted = !quoted;
+      if (stream[i] == std::byte{'\n'} && !quoted) return i + 1;
+    }
+    return 0;
+  }
+
+ private:
+  CsvConfig config_;
+  std::string row_;
+};
+
+}  // namespace
+
+std::unique_ptr<Codec> make_csv_codec(CsvConfig config) { return std::make_unique<CsvCodec>(config); }
+
+std::string csv_header(const Description& description) {
+  std::string row = "time,origin,sequence";
+  for (const Leaf& leaf : description.leaves()) append_cell(row += ',', leaf.path);
+  return row += '\n';
+}
+
+std::string csv_header_with_units(const Description& description) {
+  std::string row = "time [ns],origin,sequence";
+  for (const Leaf& leaf : description.leaves()) {
+    append_cell(row += ',', leaf.unit.empty() ? leaf.path : leaf.path + " [" + leaf.unit + "]");
+  }
+  return row += '\n';
+}
+
+std::string csv_units(const Description& description) {
+  std::string row = "ns,,";
+  for (const Leaf& leaf : description.leaves()) append_cell(row += ',', leaf.unit);
+  return row += '\n';
+}
+
+}  // namespace rtdata

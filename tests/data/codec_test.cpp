@@ -1,0 +1,470 @@
+#include "rtdata/data/codec.hpp"
+
+#include <doctest/doctest.h>
+
+#include <bit>
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "data/payloads.hpp"
+
+using namespace rtdata;
+using namespace payloads;
+
+namespace {
+
+using Bytes = std::vector<std::byte>;
+
+std::string_view as_text(const Bytes& bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
+std::span<const std::byte> as_bytes(std::string_view text) {
+  return std::as_bytes(std::span(text.data(), text.size()));
+}
+
+Event<Everything> full_event() {
+  Event<Everything> event{{from_nanoseconds(1'772'366'400'123'456'789), 42, "cha\"mber, 1"}, {}};
+  Everything& e = event.data;
+  e.flag = true;
+  e.letter = '\xe4';
+  e.i8 = -128;
+  e.i16 = -32768;
+  e.i32 = std::numeric_limits<std::int32_t>::min();
+  e.i64 = std::numeric_limits<std::int64_t>::min();
+  e.u8 = 255;
+  e.u16 = 65535;
+  e.u32 = std::numeric_limits<std::uint32_t>::max();
+  e.u64 = std::numeric_limits<std::uint64_t>::max();
+  e.f32 = 0.1F;
+  e.f64 = -0.0;
+  e.name = "a\"\n\xc3\xa4\\";
+  e.state = State::broken;
+  e.maybe = 5e-324;
+  e.maybe_name = text<5>("");
+  e.maybe_state = State::running;
+  e.maybe_flag = false;
+  e.numbers = {1e-45F, std::numeric_limits<float>::max(), -16777216.0F};
+  e.names = {"", "x,y"};
+  e.states = {State::running, static_cast<State>(-9)};
+  e.maybes = {7U, 8U};
+  e.origin_point = {std::numeric_limits<double>::max(), 1};
+  e.points = {Point{-1.5, 2}, Point{9007199254740993.0, -3}};
+  return event;
+}
+
+template <class T>
+void check_round_trip(Codec& codec, const Event<T>& event) {
+  Bytes bytes;
+  encode(codec, "a/topic", event, bytes).or_throw();
+  CAPTURE(as_text(bytes));
+  CHECK(codec.first_event(bytes) == bytes.size());
+  const auto back = decode<T>(codec, bytes).or_throw();
+  CHECK((back.topic == "a/topic" || codec.name() == "csv"));
+  CHECK(back.origin == event.origin);
+  CHECK(back.time == event.time);
+  if (back.sequence) CHECK(*back.sequence == event.sequence);
+  CHECK(back.data == event.data);
+}
+
+std::vector<std::unique_ptr<Codec>> shipped() {
+  std::vector<std::unique_ptr<Codec>> codecs;
+  codecs.push_back(make_json_codec());
+  codecs.push_back(make_raw_codec());
+  codecs.push_back(make_raw_codec({.sequence = RawConfig::Sequence::include}));
+  codecs.push_back(make_csv_codec());
+  codecs.push_back(make_csv_codec({.time = CsvConfig::TimeFormat::iso8601}));
+  return codecs;
+}
+
+struct Number {
+  double d = 0;
+  float f = 0;
+  RTDATA_FIELDS(Number, (d), (f))
+};
+
+struct Small {
+  std::int32_t i = 0;
+  std::optional<double> d;
+  char c = 'x';
+  text<4> t;
+  bool b = false;
+  std::array<std::uint8_t, 2> a{};
+  RTDATA_FIELDS(Small, (i), (d), (c), (t), (b), (a))
+  bool operator==(const Small&) const = default;
+};
+
+std::string small_json(std::string_view data) {
+  return R"({"topic":"t","time":1,"origin":"o","sequence":2,"data":)" + std::string(data) + "}";
+}
+
+/// A format from outside the library: key=value, split by semicolons.
+class KeyValueCodec final : public Codec {
+ public:
+  std::string_view name() const noexcept override { return "key-value"; }
+  Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
+    std::string line(event.topic());
+    line += ";" + std::to_string(to_nanoseconds(event.time())) + ";" + std::string(event.origin());
+    for (const Leaf& leaf : event.description().leaves()) line += ";" + leaf.path + "=" + to_string(event.value(leaf));
+    line += '\n';
+    const auto bytes = as_bytes(line);
+    out.insert(out.end(), bytes.begin(), bytes.end());
+    return {};
+  }
+  Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
+    std::vector<std::string> parts(1);
+    for (const std::byte b : bytes) {
+      if (const char c = static_cast<char>(b); c == ';') {
+        parts.emplace_back();
+      } else if (c != '\n') {
+        parts.back() += c;
+      }
+    }
+    DecodedEvent event;
+    if (parts.size() != 3 + description.leaves().size()) return Error{Errc::bad_data, "fields are missing", "", "", ""};
+    event.topic = parts[0];
+    event.time = from_nanoseconds(std::stoll(parts[1]));
+    event.origin = parts[2];
+    event.payload.resize(description.size());
+    for (std::size_t i = 0; i < description.leaves().size(); ++i) {
+      const Leaf& leaf = description.leaves()[i];
+      const std::string value = parts[3 + i].substr(leaf.path.size() + 1);
+      if (auto done = write(leaf, event.payload.data(), std::stod(value)); !done) return done.error();
+    }
+    return event;
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("data") {
+  TEST_CASE("US-31 every format gives back an equal event, for every kind of value") {
+    for (const auto& codec : shipped()) {
+      CAPTURE(codec->name());
+      check_round_trip(*codec, full_event());
+      Event<Everything> plain{{from_nanoseconds(-1), 0, ""}, {}};
+      plain.data.maybe = 0;
+      plain.data.maybe_name = text<5>("x");
+      plain.data.maybe_state = State::idle;
+      plain.data.maybe_flag = true;
+      plain.data.maybes = {0U, 1U};
+      check_round_trip(*codec, plain);
+      check_round_trip(*codec, Event<Nothing>{{from_nanoseconds(5), 1, "button"}, {}});
+      check_round_trip(*codec, Event<Climate>{{from_nanoseconds(5), 1, "c"}, {21.5, 1e17}});
+      if (codec->name() != "raw") {
+        check_round_trip(*codec, Event<Everything>{{from_nanoseconds(5), 1, "all absent"}, {}});
+      }
+      for (int c = 0; c < 256; ++c) {
+        check_round_trip(*codec, Event<Small>{{{}, 1, "o"}, {1, 2.0, static_cast<char>(c), {}, false, {}}});
+      }
+    }
+  }
+
+  TEST_CASE("US-31 numbers come back bit for bit") {
+    std::mt19937_64 random(1);
+    for (const auto& codec : shipped()) {
+      CAPTURE(codec->name());
+      const auto check = [&](double d, float f) {
+        Bytes bytes;
+        encode(*codec, "t", Event<Number>{{{}, 1, "o"}, {d, f}}, bytes).or_throw();
+        CAPTURE(as_text(bytes));
+        const Number back = decode<Number>(*codec, bytes).or_throw().data;
+        CHECK((std::bit_cast<std::uint64_t>(back.d) == std::bit_cast<std::uint64_t>(d) ||
+               (std::isnan(d) && std::isnan(back.d))));
+        CHECK((std::bit_cast<std::uint32_t>(back.f) == std::bit_cast<std::uint32_t>(f) ||
+               (std::isnan(f) && std::isnan(back.f))));
+      };
+      using D = std::numeric_limits<double>;
+      using F = std::numeric_limits<float>;
+      check(D::quiet_NaN(), F::quiet_NaN());
+      check(-D::quiet_NaN(), -F::quiet_NaN());
+      check(D::infinity(), F::infinity());
+      check(-D::infinity(), -F::infinity());
+      check(D::denorm_min(), F::denorm_min());
+      check(-0.0, -0.0F);
+      check(D::max(), F::max());
+      check(D::min(), F::min());
+      check(1e22, 8388608.5F);
+      check(9007199254740993.0, 16777216.0F);
+      check(18446744073709551616.0, 18446744073709551616.0F);
+      for (int i = 0; i < 3000; ++i) {
+        check(std::bit_cast<double>(random()), std::bit_cast<float>(static_cast<std::uint32_t>(random())));
+        check(static_cast<double>(random()), static_cast<float>(random()));
+      }
+    }
+  }
+
+  TEST_CASE("US-31 JSON: one object a line, as documented") {
+    auto codec = make_json_codec();
+    Bytes bytes;
+    encode(*codec, "climate", Event<Climate>{{from_nanoseconds(1'772'366'400'000'000'000), 7, "chamber"}, {21.5, 0.1}},
+           bytes)
+        .or_throw();
+    CHECK(as_text(bytes) ==
+          "{\"topic\":\"climate\",\"time\":1772366400000000000,\"origin\":\"chamber\",\"sequence\":7,"
+          "\"data\":{\"temperature\":21.5,\"humidity\":0.1}}\n");
+    bytes.clear();
+    encode(*codec, "all", full_event(), bytes).or_throw();
+    const auto tree = nlohmann::json::parse(as_text(bytes));
+    CHECK(tree["data"]["letter"] == "\u00e4");
+    CHECK(tree["data"]["state"] == "broken");
+    CHECK(tree["data"]["states"][1] == -9);
+    CHECK(tree["data"]["points"][1]["label"] == -3);
+    CHECK(tree["data"]["u64"] == std::numeric_limits<std::uint64_t>::max());
+    // Appended to what is there, again and again.
+    const std::size_t one = bytes.size();
+    encode(*codec, "all", full_event(), bytes).or_throw();
+    CHECK(bytes.size() == 2 * one);
+    CHECK(codec->first_event(bytes) == one);
+  }
+
+  TEST_CASE("US-31 JSON: text that is no UTF-8 still gives valid JSON") {
+    auto codec = make_json_codec();
+    for (const char* text :
+         {"\xff", "\xc0\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\xe4", "a\x80z", "\xc3", "\xf0\x9f\x98"}) {
+      Bytes bytes;
+      Event<Small> event{{{}, 1, text}, {}};
+      event.data.t = std::string_view(text).substr(0, 4);
+      encode(*codec, text, event, bytes).or_throw();
+      CAPTURE(as_text(bytes));
+      CHECK(nlohmann::json::accept(as_text(bytes)));
+    }
+    for (const char* text : {"\xf0\x9f\x98\x80", "\xe2\x82\xac", "\x7f", "\x01\x1f"}) {
+      Event<Small> event{{{}, 1, text}, {}};
+      event.data.t = text;
+      event.data.d = 1;
+      check_round_trip(*codec, event);
+    }
+  }
+
+  TEST_CASE("US-31 JSON: wrong input is refused") {
+    auto codec = make_json_codec();
+    const auto read = [&](const std::string& text) { return decode<Small>(*codec, as_bytes(text)); };
+    const std::string good = R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})";
+    REQUIRE(read(small_json(good)));
+    CHECK(read(small_json(R"({"a":[1,2],"b":true,"t":"abc","c":"x","d":null,"i":1.0})")));
+    CHECK(read(R"({"data":)" + good + R"(,"topic":"t","time":1,"origin":"o"})"));
+    for (const char* data : {"{}",
+                             "[]",
+                             "3",
+                             "null",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true})",
+                             R"({"i":1,"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"i":1,"d":2.5,"c":"x","t":"abc","b":true})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2],"z":1})",
+                             R"({"i":3.7,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1e10,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":true,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":"1","d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":null,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":[],"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":{},"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":"nan","c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":1e999,"c":"x","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"xy","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"\u20ac","t":"abc","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abcde","b":true,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":1,"a":[1,2]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2,3]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,256]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,-1]})",
+                             R"({"i":1,"d":2.5,"c":"x","t":"abc","b":true,"a":1})"}) {
+      CAPTURE(data);
+      CHECK_FALSE(read(small_json(data)));
+    }
+    for (const char* text :
+         {"", " ", "{", "null", "[]", "\"\"", "{}", R"({"topic":"t"})",
+          R"({"topic":1,"time":1,"origin":"o","data":{}})", R"({"topic":"t","time":1.5,"origin":"o","data":{}})",
+          R"({"topic":"t","time":9223372036854775808,"origin":"o","data":{}})",
+          R"({"topic":"t","time":1,"origin":2,"data":{}})", R"({"topic":"t","time":1,"origin":"o"})",
+          R"({"topic":"t","time":1,"origin":"o","sequence":-1,"data":{}})",
+          R"({"topic":"t","topic":"t","time":1,"origin":"o","data":{}})"}) {
+      CAPTURE(text);
+      CHECK_FALSE(decode<Nothing>(*codec, as_bytes(text)));
+    }
+    CHECK(decode<Nothing>(*codec, as_bytes(R"({"topic":"t","time":1,"origin":"o","data":{}})")));
+    CHECK_FALSE(read(small_json(good) + "x"));
+    CHECK_FALSE(read(small_json(good) + small_json(good)));
+    CHECK_FALSE(read(std::string(100000, '[')));
+    const std::string whole = small_json(good);
+    for (std::size_t i = 0; i < whole.size(); ++i) CHECK_FALSE(read(whole.substr(0, i)));
+    CHECK(read(small_json(R"({"I":1,"d":2.5,"c":"x","t":"abc","b":true,"a":[1,2]})"))
+              .error()
+              .text()
+              .find("unknown key I") != std::string::npos);
+  }
+
+  TEST_CASE("US-31 raw bytes: the layout of the requirement, byte for byte") {
+    auto codec = make_raw_codec();
+    Bytes bytes;
+    encode(*codec, "ab",
+           Event<Small>{{from_nanoseconds(0x0102030405060708), 9, "o"}, {-2, 1.0, 'x', "hi", true, {7, 8}}}, bytes)
+        .or_throw();
+    const unsigned char expected[] = {44,                                            // what follows
+                                      0,  0,    0,                                   //
+                                      2,  'a',  'b',                                 // topic
+                                      8,  8,    7,    6,    5,    4, 3, 2,    1,     // time
+                                      1,  'o',                                       // origin
+                                      4,  0xfe, 0xff, 0xff, 0xff,                    // i
+                                      8,  0,    0,    0,    0,    0, 0, 0xf0, 0x3f,  // d
+                                      1,  'x',                                       // c
+                                      2,  'h',  'i',                                 // t
+                                      1,  1,                                         // b
+                                      2,  7,    8};                                  // a
+    std::string_view wanted(reinterpret_cast<const char*>(expected), sizeof expected);
+    const auto sized = static_cast<char>(sizeof expected - 4);
+    CHECK(as_text(bytes).substr(4) == wanted.substr(4));
+    CHECK(as_text(bytes)[0] == sized);
+    CHECK(as_text(bytes).substr(1, 3) == std::string_view("\0\0\0", 3));
+    // With its sequence number, and flattened.
+    auto numbered = make_raw_codec({.sequence = RawConfig::Sequence::include});
+    Bytes more;
+    encode(*numbered, "ab", Event<Nothing>{{from_nanoseconds(1), 9, "o"}, {}}, more).or_throw();
+    CHECK(more.size() == 4 + 3 + 9 + 2 + 9);
+    CHECK(decode<Nothing>(*numbered, more).or_throw().sequence == 9U);
+    CHECK_FALSE(decode<Nothing>(*codec, more));
+    CHECK_FALSE(decode<Nothing>(*codec, bytes));
+    CHECK(decode<Small>(*codec, bytes).or_throw().sequence == std::nullopt);
+  }
+
+  TEST_CASE("US-31 raw bytes: what does not fit is an error, not a cut, and appends nothing") {
+    auto codec = make_raw_codec();
+    Bytes bytes{std::byte{1}};
+    const auto refuse = [&](const Result<void>& done) {
+      REQUIRE_FALSE(done);
+      CHECK(done.error().code == Errc::does_not_fit);
+      CHECK(bytes.size() == 1);
+    };
+    refuse(encode(*codec, "t", Event<Small>{{{}, 1, "o"}, {}}, bytes));  // absent
+    refuse(encode(*codec, std::string(256, 't'), Event<Nothing>{}, bytes));
+    const std::string origin(256, 'o');
+    refuse(encode(*codec, "t", Event<Nothing>{{{}, 1, origin}, {}}, bytes));
+    CHECK(encode(*codec, std::string(255, 't'), Event<Nothing>{}, bytes));
+    bytes.resize(1);
+    const auto wide = DescriptionBuilder("wide").array("a", Kind::f64, 32).build().or_throw();
+    const Bytes payload(wide->size());
+    refuse(codec->encode(EventView("t", {}, *wide, payload), bytes));
+    const auto fits = DescriptionBuilder("fits").array("a", Kind::f64, 31).build().or_throw();
+    CHECK(codec->encode(EventView("t", {}, *fits, std::span(payload).first(fits->size())), bytes));
+    bytes.resize(1);
+    struct Long {
+      text<300> t;
+    };
+    const auto description = DescriptionBuilder("long").text("t", 300).build().or_throw();
+    Long value{std::string(256, 'x')};
+    refuse(codec->encode(EventView("t", {}, *description, std::as_bytes(std::span(&value, 1))), bytes));
+    value.t = std::string(255, 'x');
+    CHECK(codec->encode(EventView("t", {}, *description, std::as_bytes(std::span(&value, 1))), bytes));
+  }
+
+  TEST_CASE("US-31 raw bytes: anything too short, too long or of a wrong size is refused") {
+    auto codec = make_raw_codec();
+    Bytes bytes;
+    encode(*codec, "ab", full_event(), bytes).or_throw();
+    const auto set_size = [](Bytes& b) {
+      for (std::size_t i = 0; i < 4; ++i) b[i] = static_cast<std::byte>((b.size() - 4) >> (8 * i));
+    };
+    for (std::size_t size = 0; size < bytes.size(); ++size) {
+      Bytes cut(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(size));
+      CHECK_FALSE(decode<Everything>(*codec, cut));
+      CHECK(codec->first_event(cut) == 0);
+      if (size < 4) continue;
+      set_size(cut);
+      CHECK_FALSE(decode<Everything>(*codec, cut));
+    }
+    Bytes longer = bytes;
+    longer.push_back(std::byte{0});
+    CHECK(codec->first_event(longer) == bytes.size());
+    CHECK_FALSE(decode<Everything>(*codec, longer));
+    set_size(longer);
+    CHECK_FALSE(decode<Everything>(*codec, longer));
+    // A bool of 2: flag is the first field.
+    Bytes wrong = bytes;
+    const std::size_t flag = 4 + 3 + 9 + 1 + full_event().origin.size() + 1;
+    REQUIRE(wrong[flag] == std::byte{1});
+    wrong[flag] = std::byte{2};
+    CHECK_FALSE(decode<Everything>(*codec, wrong));
+  }
+
+  TEST_CASE("US-31 CSV: header, units, quoting") {
+    const Description& d = *description_of<Everything>();
+    auto codec = make_csv_codec();
+    CHECK(csv_header(*description_of<Climate>()) == "time,origin,sequence,temperature,humidity\n");
+    CHECK(codec->header(*description_of<Climate>()) == csv_header(*description_of<Climate>()));
+    CHECK(csv_header_with_units(*description_of<Climate>()) ==
+          "time [ns],origin,sequence,temperature [Cel],humidity [%RH]\n");
+    CHECK(csv_units(*description_of<Climate>()) == "ns,,,Cel,%RH\n");
+    CHECK(csv_header(d).find(",points[1].x,") != std::string::npos);
+    Bytes bytes;
+    encode(*codec, "t", Event<Small>{{from_nanoseconds(5), 2, "a,b"}, {1, std::nullopt, '"', "x\ny", true, {1, 2}}},
+           bytes)
+        .or_throw();
+    CHECK(as_text(bytes) == "5,\"a,b\",2,1,,\"\"\"\",\"x\ny\",true,1,2\n");
+    bytes.push_back(std::byte{'5'});
+    CHECK(codec->first_event(bytes) == bytes.size() - 1);
+    CHECK(decode<Small>(*codec, as_bytes("1970-01-01T00:00:00.5Z,o,,1,,x,abc,false,1,2\r\n")).or_throw().time ==
+          from_nanoseconds(500'000'000));
+  }
+
+  TEST_CASE("US-31 CSV: wrong input is refused") {
+    auto codec = make_csv_codec();
+    REQUIRE(decode<Small>(*codec, as_bytes("5,o,2,1,,x,abc,true,1,2")));
+    for (const char* row : {"",
+                            "\n",
+                            "5,o,2,1,,x,abc,true,1",
+                            "5,o,2,1,,x,abc,true,1,2,3",
+                            "5,o,2,1,,x,abc,true,1,2\n\n",
+                            "5,o,2,1,,x,abc,true,1,2\nx",
+                            "5,o,2,1,,x,abc,true,1,2\r",
+                            "x,o,2,1,,x,abc,true,1,2",
+                            "5,o,-2,1,,x,abc,true,1,2",
+                            "5,o,2,,,x,abc,true,1,2",
+                            "5,o,2,1.5,,x,abc,true,1,2",
+                            "5,o,2,1x,,x,abc,true,1,2",
+                            "5,o,2, 1,,x,abc,true,1,2",
+                            "5,o,2,99999999999,,x,abc,true,1,2",
+                            "5,o,2,1,abc,x,abc,true,1,2",
+                            "5,o,2,1,1e999,x,abc,true,1,2",
+                            "5,o,2,1,,xy,abc,true,1,2",
+                            "5,o,2,1,,,abc,true,1,2",
+                            "5,o,2,1,,x,abcde,true,1,2",
+                            "5,o,2,1,,x,abc,1,1,2",
+                            "5,o,2,1,,x,abc,true,256,2",
+                            "5,o,2,1,,x,\"abc,true,1,2",
+                            "5,o,2,1,,x,a\"bc,true,1,2",
+                            "5,o,2,1,,x,\"a\"bc,true,1,2"}) {
+      CAPTURE(row);
+      CHECK_FALSE(decode<Small>(*codec, as_bytes(row)));
+    }
+  }
+
+  TEST_CASE("US-31 NFR-6 a format from outside is added under its name") {
+    CodecRegistry registry = CodecRegistry::standard();
+    CHECK(registry.names() == std::vector<std::string>{"csv", "json", "raw"});
+    CHECK(registry.add("key-value", [] { return std::make_unique<KeyValueCodec>(); }));
+    const auto twice = registry.add("json", [] { return make_json_codec(); });
+    REQUIRE_FALSE(twice);
+    CHECK(twice.error().code == Errc::bad_name);
+    CHECK_FALSE(registry.add("", [] { return make_json_codec(); }));
+    CHECK_FALSE(registry.add("none", nullptr));
+    CHECK(registry.find("json") != nullptr);
+    CHECK(registry.find("jsn") == nullptr);
+    CHECK(registry.make("jsn").error().advice == "did you mean json?");
+    auto codec = registry.make("key-value").or_throw();
+    check_round_trip(*codec, Event<Climate>{{from_nanoseconds(5), 1, "c"}, {21.5, 40}});
+    CHECK(codec->header(*description_of<Climate>()).empty());
+  }
+
+  TEST_CASE("one JSON codec takes many descriptions, also ones that come and go") {
+    auto codec = make_json_codec();
+    for (int i = 0; i < 1000; ++i) {
+      const auto name = "f" + std::to_string(i);
+      const auto d = DescriptionBuilder("r").field(name, Kind::i32).build().or_throw();
+      const Bytes payload(d->size());
+      Bytes bytes;
+      codec->encode(EventView("t", {}, *d, payload), bytes).or_throw();
+      CHECK(as_text(bytes).find("\"" + name + "\":0") != std::string::npos);
+    }
+  }
+}
