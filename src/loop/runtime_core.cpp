@@ -259,7 +259,7 @@ std::vector<SensorStatus> Runtime::sensors() const {
 }
 
 std::vector<SinkStatus> Runtime::sinks() const {
-  std::vector<SinkStatus> all;
+  std::vector<SinkStatus> all = core_->closed_sinks;
   for (const auto* recorder : core_->recorders) all.push_back(recorder->status());
   return all;
 }
@@ -278,8 +278,8 @@ bool Runtime::balances() const {
   for (const auto& [name, origin] : core_->origins()) {
     if (!origin->counts.balances() || origin->counts.published != origin->sequence) return false;
   }
-  for (const auto* recorder : core_->recorders) {
-    if (!recorder->status().counts.balances()) return false;
+  for (const SinkStatus& sink : sinks()) {
+    if (!sink.counts.balances()) return false;
   }
   for (const auto& topic : core_->topics()) {
     if (!topic->subscription_counts().balances()) return false;
@@ -291,8 +291,8 @@ bool Runtime::has_loss() const {
   for (const auto& [name, origin] : core_->origins()) {
     if (origin->counts.has_loss()) return true;
   }
-  for (const auto* recorder : core_->recorders) {
-    if (recorder->status().counts.all_dropped() > 0) return true;
+  for (const SinkStatus& sink : sinks()) {
+    if (sink.counts.all_dropped() > 0) return true;
   }
   return false;
 }

@@ -72,6 +72,7 @@ class RuntimeCore {
 
   std::vector<SubscriptionNode*> patterns;  ///< subscriptions that new topics are offered to
   std::vector<Recorder*> recorders;
+  std::vector<SinkStatus> closed_sinks;  ///< as they ended
   std::vector<SensorEntry*> sensors;
   std::vector<LoopCore*> loops;
 

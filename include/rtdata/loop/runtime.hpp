@@ -80,6 +80,7 @@ class Runtime {
   void on_log(Callback<void(const LogRecord&)> handler);
 
   std::vector<SensorStatus> sensors() const;
+  /// Those that were closed in this run first.
   std::vector<SinkStatus> sinks() const;
   std::vector<TopicStatus> topics() const;
   /// Every equation of the ledger holds at this instant.

@@ -1,0 +1,197 @@
+/// Sinks: turn events of any described payload into durable or remote records.
+///
+/// A sink attaches to topics by pattern and takes its copy of each event when it is published (a memcpy into a bounded
+/// queue); its `Writer` stores them in batches on a lane of its own, so that neither the loop nor another sink ever waits
+/// for it. A new kind of sink is a Writer:
+///
+///     class Lines final : public rtdata::Writer {
+///       rtdata::Result<void> open() override { ... }
+///       rtdata::Result<void> write(rtdata::Batch& batch) override {
+///         for (const rtdata::Record& record : batch) ...
+///       }
+///     };
+///     rtdata::Sink sink(loop, {.name = "lines"}, std::make_unique<Lines>());
+///
+/// Every event offered ends as stored, dropped with a reason, or is still queued (ledger.hpp). A failed batch is kept and
+/// tried again with a delay that doubles; meanwhile the queue fills, and when it is full events are dropped by the chosen
+/// policy, and counted.
+///
+/// Closing (or destroying) a sink stores what is queued, waiting at most `close_deadline`; `Loop::close` and `Loop::drain`
+/// close all sinks of a loop, after its sensors.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; the Writer is called on the lane's alone.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/event.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata {
+
+/// What is dropped when the queue is full.
+enum class WhenFull { drop_newest, drop_oldest };
+
+struct SinkConfig {
+  std::string name = {};                         ///< in reports and the ledger; each kind has a default
+  std::vector<std::string> topics = {"#"};       ///< patterns; topics made later are taken too
+  std::size_t batch_rows = 500;                  ///< events that are stored together
+  Duration batch_time = std::chrono::seconds{1};   ///< a batch is stored after so long, however small it is
+  std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
+  WhenFull when_full = WhenFull::drop_newest;
+  Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
+  Duration retry_longest = std::chrono::seconds{10};
+  Duration close_deadline = std::chrono::seconds{10};  ///< how long closing waits for what is queued
+};
+
+/// One (topic, origin) that a sink takes events of. Immutable once it is listed.
+struct SlotInfo {
+  std::uint32_t topic_number = 0;  ///< counts the topics of this sink from 0
+  std::string topic;
+  std::string origin;
+  std::shared_ptr<const Description> description;
+};
+
+/// One event as a writer gets it. Valid until `write` returns.
+struct Record {
+  std::uint32_t slot = 0;
+  const SlotInfo* info = nullptr;
+  EventHeader header;
+  std::span<const std::byte> payload;
+  /// Valid as long as this record is.
+  EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
+};
+
+/// What an origin's account says at the end of a batch.
+struct OriginAccount {
+  std::uint32_t slot = 0;
+  SensorCounts sensor;
+  std::uint64_t offered = 0;
+  std::uint64_t dropped_newest = 0;
+  std::uint64_t dropped_oldest = 0;
+  std::uint64_t first_sequence = 0;  ///< of the first event offered to this sink; 0: none yet
+  std::uint64_t last_sequence = 0;
+  Segment segment;  ///< under way; period 0: none
+};
+
+/// All that a recording holds besides events. A writer that keeps no account ignores it.
+struct Account {
+  struct GapEntry {
+    std::uint32_t slot;
+    Gap gap;
+  };
+  struct SegmentEntry {
+    std::uint32_t slot;
+    Segment segment;
+  };
+  struct ErrorEntry {
+    Time time;
+    std::string object;
+    std::string id;
+    std::string text;
+    std::uint64_t count;
+  };
+  Time at{};
+  bool is_last = false;  ///< the sink closes: nothing follows
+  std::vector<OriginAccount> origins;  ///< those that changed
+  std::vector<GapEntry> gaps;          ///< closed since the last account
+  std::vector<SegmentEntry> segments;  ///< ended since the last account
+  std::vector<ErrorEntry> errors;
+  std::vector<ClockPair> clock;
+
+  bool is_empty() const noexcept {
+    return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && !is_last;
+  }
+};
+
+namespace detail {
+class SinkQueue;
+class SinkNode;
+struct ChunkHeader;
+}  // namespace detail
+
+/// Events to store together, in order of publishing, with the account as it stood after them.
+class Batch {
+ public:
+  class Iterator {
+   public:
+    Record operator*() const noexcept;
+    Iterator& operator++() noexcept;
+    bool operator!=(const Iterator& other) const noexcept { return chunk_ != other.chunk_ || offset_ != other.offset_; }
+
+   private:
+    friend class Batch;
+    Iterator(const Batch& batch, std::size_t chunk) noexcept : batch_(&batch), chunk_(chunk) {}
+    const Batch* batch_;
+    std::size_t chunk_;
+    std::size_t offset_ = 0;
+  };
+  Iterator begin() const;
+  Iterator end() const;
+  std::size_t size() const noexcept { return rows_; }
+  const SlotInfo& slot(std::uint32_t slot) const noexcept;
+  std::size_t slots() const noexcept;
+  /// Events of the slot that will be stored once this batch is.
+  std::uint64_t stored_after(std::uint32_t slot) const noexcept;
+  std::uint64_t refused_after(std::uint32_t slot) const noexcept;
+  /// Null when this batch brings none.
+  const Account* account() const noexcept { return account_; }
+  /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Returns are kept
+  /// only if the batch succeeds.
+  void refuse(const Record& record, const Error& why);
+
+ private:
+  friend class detail::SinkQueue;
+  detail::SinkQueue* queue_ = nullptr;
+  std::vector<detail::ChunkHeader*> chunks_;
+  std::size_t rows_ = 0;
+  const Account* account_ = nullptr;
+};
+
+/// Where a kept count of a slot lies, when it is to survive a kill. See SqliteSink.
+struct LiveCounts {
+  std::uint64_t offered = 0;
+  std::uint64_t dropped = 0;
+};
+
+/// Stores records. Called on the sink's lane, one call at a time.
+class Writer {
+ public:
+  virtual ~Writer() = default;
+  /// Before the first batch, and again after a failure. A writer that is open already does nothing.
+  virtual Result<void> open() = 0;
+  /// Stores all of the batch, or fails and is given the same batch again later: then it goes on where it stopped.
+  virtual Result<void> write(Batch& batch) = 0;
+  /// Nothing more is queued for now.
+  virtual Result<void> flush() { return {}; }
+  /// The last call: what was written is made durable and the resources are released.
+  virtual Result<void> close() { return {}; }
+  /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
+  virtual LiveCounts* live_counts(std::uint32_t slot);
+};
+
+class Sink : public Handle {
+ public:
+  Sink() noexcept = default;
+  /// SetupError: a pattern that is none, a topic without a description under an exact name.
+  Sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer);
+
+  /// Zeros once it is closed.
+  SinkCounts counts() const noexcept;
+  Health health() const noexcept;
+  SinkStatus status() const;
+  /// Errors of this sink; without a handler they go to the loop's.
+  void on_error(Callback<void(const ErrorReport&)> handler);
+  /// Hands over what is queued now, without waiting for the batch to fill.
+  void flush();
+};
+
+}  // namespace rtdata

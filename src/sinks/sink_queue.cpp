@@ -1,0 +1,286 @@
+#include "sinks/sink_queue.hpp"
+
+#include <sys/mman.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <new>
+
+namespace rtdata {
+
+LiveCounts* Writer::live_counts(std::uint32_t) { return nullptr; }
+
+namespace detail {
+namespace {
+
+template <class Function>
+void for_each_record(const ChunkHeader& chunk, Function&& function) {
+  for (std::size_t at = 0; at < chunk.used;) {
+    const auto& record = *reinterpret_cast<const RecordHeader*>(chunk.data + at);
+    function(record);
+    at += record.bytes;
+  }
+}
+
+constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { return ticket << 2 | state; }
+
+}  // namespace
+
+SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
+    : config_(config), writer_(std::move(writer)), chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+  // Pages are the kernel's until they are used: a queue that never fills costs no memory.
+  memory_bytes_ = chunks_.size() * chunk_bytes;
+  void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (memory == MAP_FAILED) {
+    throw SetupError(system_error(errno, "cannot set aside the queue", config.name, "make `queue_bytes` smaller"));
+  }
+  memory_ = static_cast<std::byte*>(memory);
+  for (std::size_t i = 0; i < chunks_.size(); ++i) chunks_[i].data = memory_ + i * chunk_bytes;
+  batch_.queue_ = this;
+  batch_.chunks_.reserve(chunks_.size());
+}
+
+SinkQueue::~SinkQueue() {
+  ::munmap(memory_, memory_bytes_);
+  for (auto& block : blocks_) delete block.load(std::memory_order_relaxed);
+}
+
+Slot& SinkQueue::add_slot(SlotInfo info) {
+  const std::uint32_t index = slot_count_.load(std::memory_order_relaxed);
+  if (index / block_size == most_blocks) throw SetupError({Errc::bad_argument, "too many origins", config_.name, "a sink takes at most 1048576", ""});
+  auto& block = blocks_[index / block_size];
+  if (block.load(std::memory_order_relaxed) == nullptr) block.store(new Block, std::memory_order_release);
+  Slot& made = slot(index);
+  made.info = std::move(info);
+  made.accounted.slot = index;
+  if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
+  slot_count_.store(index + 1, std::memory_order_release);
+  return made;
+}
+
+ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
+  for (ChunkHeader& chunk : chunks_) {
+    if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) == ChunkHeader::free) return &chunk;
+  }
+  if (config_.when_full == WhenFull::drop_newest) {
+    ++slot.dropped_newest;
+    ++slot.live->dropped;
+    return nullptr;
+  }
+  for (;;) {
+    ChunkHeader* oldest = nullptr;
+    std::uint64_t oldest_value = 0;
+    for (ChunkHeader& chunk : chunks_) {
+      const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
+      if ((value & 3) == ChunkHeader::queued && (oldest == nullptr || value < oldest_value)) {
+        oldest = &chunk;
+        oldest_value = value;
+      }
+    }
+    if (oldest == nullptr) {  // the lane is at work on all of them
+      ++slot.dropped_newest;
+      ++slot.live->dropped;
+      return nullptr;
+    }
+    if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling))) continue;
+    for_each_record(*oldest, [this](const RecordHeader& record) {
+      Slot& lost = this->slot(record.slot);
+      ++lost.dropped_oldest;
+      ++lost.live->dropped;
+    });
+    return oldest;
+  }
+}
+
+std::byte* SinkQueue::room(Slot& slot, std::size_t bytes) {
+  if (filling_ != nullptr && filling_->used + bytes > chunk_bytes) hand_over();
+  if (filling_ == nullptr) {
+    filling_ = take_chunk(slot);
+    if (filling_ == nullptr) return nullptr;
+    filling_->used = 0;
+    filling_->rows = 0;
+    filling_->ticket_and_state.store(with(0, ChunkHeader::filling), std::memory_order_relaxed);
+  }
+  return filling_->data + filling_->used;
+}
+
+bool SinkQueue::hand_over() {
+  rows_since_handover_ = 0;
+  if (filling_ == nullptr || filling_->rows == 0) return false;
+  filling_->ticket_and_state.store(with(++last_ticket_, ChunkHeader::queued), std::memory_order_release);
+  filling_ = nullptr;
+  return true;
+}
+
+Account* SinkQueue::free_account() {
+  AccountBox& box = accounts_[next_account_];
+  return box.after_ticket.load(std::memory_order_acquire) == 0 ? &box.account : nullptr;
+}
+
+void SinkQueue::hand_over_account() {
+  accounts_[next_account_].after_ticket.store(last_ticket_ + 1, std::memory_order_release);
+  next_account_ = (next_account_ + 1) % account_count;
+}
+
+SinkCounts SinkQueue::counts() const noexcept {
+  SinkCounts sum;
+  for (std::uint32_t i = 0; i < slot_count(); ++i) {
+    const Slot& s = slot(i);
+    const std::uint64_t stored = s.stored.load(std::memory_order_relaxed);
+    const std::uint64_t refused = s.refused.load(std::memory_order_relaxed);
+    sum.offered += s.live->offered;
+    sum.stored += stored;
+    sum.dropped[static_cast<std::size_t>(DropReason::queue_full_newest)] += s.dropped_newest;
+    sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += s.dropped_oldest;
+    sum.dropped[static_cast<std::size_t>(DropReason::refused)] += refused;
+  }
+  for (const ChunkHeader& chunk : chunks_) {
+    if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) != ChunkHeader::free) sum.queued += chunk.rows;
+  }
+  return sum;
+}
+
+bool SinkQueue::is_idle() const noexcept {
+  for (const ChunkHeader& chunk : chunks_) {
+    const auto state = chunk.ticket_and_state.load(std::memory_order_acquire) & 3;
+    if (state == ChunkHeader::queued || state == ChunkHeader::writing) return false;
+  }
+  for (const AccountBox& box : accounts_) {
+    if (box.after_ticket.load(std::memory_order_acquire) != 0) return false;
+  }
+  return true;
+}
+
+// ---- lane
+
+ChunkHeader* SinkQueue::next_queued() {
+  for (;;) {
+    ChunkHeader* next = nullptr;
+    std::uint64_t next_value = 0;
+    for (ChunkHeader& chunk : chunks_) {
+      const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
+      if ((value & 3) == ChunkHeader::queued && (next == nullptr || value < next_value)) {
+        next = &chunk;
+        next_value = value;
+      }
+    }
+    if (next == nullptr) return nullptr;
+    // The loop may take it back at this moment.
+    if (next->ticket_and_state.compare_exchange_strong(next_value, with(next_value >> 2, ChunkHeader::writing))) {
+      taken_ticket_ = next_value >> 2;
+      return next;
+    }
+  }
+}
+
+bool SinkQueue::gather() {
+  batch_.chunks_.clear();
+  batch_.rows_ = 0;
+  batch_.account_ = nullptr;
+  AccountBox& box = accounts_[account_cursor_];
+  const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
+  const auto is_behind_account = [&] { return after != 0 && taken_ticket_ + 1 >= after; };
+  while (batch_.rows_ < config_.batch_rows && !is_behind_account()) {
+    ChunkHeader* chunk = next_queued();
+    if (chunk == nullptr) break;
+    batch_.chunks_.push_back(chunk);
+    batch_.rows_ += chunk->rows;
+  }
+  // All before it has been gathered, or was taken back by the loop.
+  if (after != 0 && (is_behind_account() || batch_.rows_ < config_.batch_rows)) batch_.account_ = &box.account;
+  if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
+  for (const ChunkHeader* chunk : batch_.chunks_) {
+    for_each_record(*chunk, [this](const RecordHeader& record) { ++slot(record.slot).in_batch; });
+  }
+  return true;
+}
+
+void SinkQueue::finish_batch() {
+  for (ChunkHeader* chunk : batch_.chunks_) {
+    for_each_record(*chunk, [this](const RecordHeader& record) {
+      Slot& s = slot(record.slot);
+      if (s.in_batch == 0) return;
+      s.stored.fetch_add(s.in_batch - s.refused_in_batch, std::memory_order_relaxed);
+      s.refused.fetch_add(s.refused_in_batch, std::memory_order_relaxed);
+      s.in_batch = s.refused_in_batch = 0;
+    });
+    chunk->ticket_and_state.store(with(0, ChunkHeader::free), std::memory_order_release);
+  }
+  if (batch_.account_ != nullptr) {
+    AccountBox& box = accounts_[account_cursor_];
+    account_cursor_ = (account_cursor_ + 1) % account_count;
+    box.after_ticket.store(0, std::memory_order_release);
+  }
+  has_batch_ = false;
+}
+
+Result<void> SinkQueue::process() {
+  for (;;) {
+    if (!is_open_) {
+      if (auto opened = writer_->open(); !opened) return opened;
+      is_open_ = true;
+    }
+    if (!has_batch_ && !gather()) break;
+    has_batch_ = true;
+    if (auto written = writer_->write(batch_); !written) {
+      is_open_ = false;
+      for (const ChunkHeader* chunk : batch_.chunks_) {
+        for_each_record(*chunk, [this](const RecordHeader& record) { slot(record.slot).refused_in_batch = 0; });
+      }
+      return written;
+    }
+    finish_batch();
+  }
+  return writer_->flush();
+}
+
+Result<void> SinkQueue::close_writer() { return writer_->close(); }
+
+void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
+  ++slot(index).refused_in_batch;
+  if (refusals_++ == 0) first_refusal_ = why;
+}
+
+std::uint64_t SinkQueue::take_refusals(Error& why) {
+  if (refusals_ != 0) why = first_refusal_;
+  return std::exchange(refusals_, 0);
+}
+
+}  // namespace detail
+
+// ---- Batch
+
+Record Batch::Iterator::operator*() const noexcept {
+  const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
+  const auto* stored = reinterpret_cast<const detail::RecordHeader*>(at);
+  const SlotInfo& info = batch_->slot(stored->slot);
+  return {stored->slot, &info, {from_nanoseconds(stored->time), stored->sequence, info.origin},
+          {at + sizeof *stored, info.description->size()}};
+}
+
+Batch::Iterator& Batch::Iterator::operator++() noexcept {
+  const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
+  offset_ += reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->bytes;
+  if (offset_ >= chunk.used) {
+    offset_ = 0;
+    ++chunk_;
+  }
+  return *this;
+}
+
+Batch::Iterator Batch::begin() const { return Iterator(*this, 0); }
+Batch::Iterator Batch::end() const { return Iterator(*this, chunks_.size()); }
+const SlotInfo& Batch::slot(std::uint32_t slot) const noexcept { return queue_->slot(slot).info; }
+std::size_t Batch::slots() const noexcept { return queue_->slot_count(); }
+std::uint64_t Batch::stored_after(std::uint32_t slot) const noexcept {
+  const detail::Slot& s = queue_->slot(slot);
+  return s.stored.load(std::memory_order_relaxed) + s.in_batch - s.refused_in_batch;
+}
+std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
+  const detail::Slot& s = queue_->slot(slot);
+  return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
+}
+void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }
+
+}  // namespace rtdata

@@ -1,0 +1,128 @@
+// The queue between a loop and a sink's lane: chunks of records in memory set aside at the start, and accounts. Shared by
+// both, since a lane that hangs in its storage may be left behind.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstddef>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata::detail {
+
+/// Lies before each payload in a chunk.
+struct RecordHeader {
+  std::uint32_t slot;
+  std::uint32_t bytes;  // of header and padded payload
+  std::int64_t time;
+  std::uint64_t sequence;
+};
+inline constexpr std::size_t chunk_bytes = 64 * 1024;
+
+struct ChunkHeader {
+  enum State : std::uint64_t { free, filling, queued, writing };
+  // ticket << 2 | state: a chunk that was taken back and filled again has another ticket
+  std::atomic<std::uint64_t> ticket_and_state{free};
+  std::byte* data = nullptr;
+  std::size_t used = 0;
+  std::uint32_t rows = 0;
+};
+
+/// One (topic, origin): what is fixed, the loop's counts, the lane's counts.
+struct Slot {
+  SlotInfo info;
+  // loop
+  LiveCounts own;
+  LiveCounts* live = &own;
+  std::uint64_t dropped_newest = 0;
+  std::uint64_t dropped_oldest = 0;
+  std::uint64_t first_sequence = 0;
+  std::uint64_t last_sequence = 0;
+  OriginAccount accounted;  // as last handed over
+  // lane
+  std::atomic<std::uint64_t> stored{0};
+  std::atomic<std::uint64_t> refused{0};
+  std::uint64_t in_batch = 0;
+  std::uint64_t refused_in_batch = 0;
+};
+
+class SinkQueue {
+ public:
+  SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer);
+  ~SinkQueue();
+
+  // ---- loop
+  /// Room for a record, or null when the queue is full: then the policy has been applied and counted.
+  std::byte* room(Slot& slot, std::size_t bytes);
+  void commit(std::size_t bytes) noexcept {
+    filling_->used += bytes;
+    ++filling_->rows;
+    ++rows_since_handover_;
+  }
+  /// Queues the chunk being filled. False when there was nothing.
+  bool hand_over();
+  std::size_t rows_since_handover() const noexcept { return rows_since_handover_; }
+  /// An account to fill, or null while all are on their way.
+  Account* free_account();
+  /// Queues it behind all that was handed over before.
+  void hand_over_account();
+  Slot& add_slot(SlotInfo info);
+  Slot& slot(std::uint32_t index) const noexcept { return (*blocks_[index / block_size].load(std::memory_order_acquire))[index % block_size]; }
+  std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
+  SinkCounts counts() const noexcept;
+  bool is_idle() const noexcept;
+  /// The writer, for calls before the lane's first.
+  Writer& writer() noexcept { return *writer_; }
+
+  // ---- lane
+  /// Stores what is queued. An error leaves it queued.
+  Result<void> process();
+  Result<void> close_writer();
+  void note_refusal(std::uint32_t slot, const Error& why);
+  /// What was refused since the last call: how many, and the first reason.
+  std::uint64_t take_refusals(Error& why);
+
+ private:
+  friend class rtdata::Batch;
+  static constexpr std::size_t block_size = 256;
+  static constexpr std::size_t most_blocks = 4096;
+  static constexpr std::size_t account_count = 4;
+  struct AccountBox {
+    Account account;
+    std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
+  };
+  using Block = std::array<Slot, block_size>;
+  ChunkHeader* take_chunk(Slot& slot);
+  ChunkHeader* next_queued();
+  bool gather();
+  void finish_batch();
+
+  const SinkConfig config_;
+  std::unique_ptr<Writer> writer_;
+  std::byte* memory_ = nullptr;
+  std::size_t memory_bytes_ = 0;
+  std::vector<ChunkHeader> chunks_;
+  std::array<std::atomic<Block*>, most_blocks> blocks_{};
+  std::atomic<std::uint32_t> slot_count_{0};
+  std::array<AccountBox, account_count> accounts_;
+
+  // loop
+  ChunkHeader* filling_ = nullptr;
+  std::uint64_t last_ticket_ = 0;
+  std::size_t rows_since_handover_ = 0;
+  std::size_t next_account_ = 0;
+  // lane
+  Batch batch_;
+  bool has_batch_ = false;
+  bool is_open_ = false;
+  std::size_t account_cursor_ = 0;
+  std::uint64_t taken_ticket_ = 0;  // the last one gathered
+  std::uint64_t refusals_ = 0;
+  Error first_refusal_;
+};
+
+}  // namespace rtdata::detail
