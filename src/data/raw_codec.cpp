@@ -29,6 +29,15 @@ Error does_not_fit(const std::string& where, std::string why) {
           "use another format, such as json"};
 }
 
+/// An error of a nested record's field, with the path to it.
+Error within(const Field& record, std::size_t element, Error error) {
+  constexpr std::string_view start = "field ";
+  std::string path = record.name;
+  if (record.is_array) path += "[" + std::to_string(element) + "]";
+  error.where.insert(start.size(), path + ".");
+  return error;
+}
+
 class Encoder {
  public:
   explicit Encoder(std::vector<std::byte>& out) : out_(out), begin_(out.size()) { out_.resize(begin_ + 4); }
@@ -54,7 +63,8 @@ class Encoder {
       const std::byte* at = record + field.offset;
       if (field.kind == Kind::record) {
         for (std::size_t i = 0; i < field.count; ++i) {
-          if (auto done = this->fields(field.fields, at + i * field.stride); !done) return done;
+          auto done = this->fields(field.fields, at + i * field.stride);
+          if (!done) return within(field, i, std::move(done).error());
         }
         continue;
       }
@@ -146,7 +156,8 @@ class Decoder {
       std::byte* at = record + field.offset;
       if (field.kind == Kind::record) {
         for (std::size_t i = 0; i < field.count; ++i) {
-          if (auto done = this->fields(field.fields, at + i * field.stride); !done) return done;
+          auto done = this->fields(field.fields, at + i * field.stride);
+          if (!done) return within(field, i, std::move(done).error());
         }
         continue;
       }

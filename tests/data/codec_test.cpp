@@ -342,6 +342,13 @@ TEST_SUITE("data") {
     refuse(encode(*codec, "t", Event<Nothing>{{{}, 1, origin}, {}}, bytes));
     CHECK(encode(*codec, std::string(255, 't'), Event<Nothing>{}, bytes));
     bytes.resize(1);
+    const auto inner = DescriptionBuilder("inner").text("t", 300).build().or_throw();
+    const auto outer = DescriptionBuilder("outer").record_array("points", *inner, 2).build().or_throw();
+    Bytes points(outer->size());
+    write(*outer->find("points[1].t"), points.data(), std::string(256, 'x')).or_throw();
+    const auto nested = codec->encode(EventView("t", {}, *outer, points), bytes);
+    refuse(nested);
+    CHECK(nested.error().where == "field points[1].t");
     const auto wide = DescriptionBuilder("wide").array("a", Kind::f64, 32).build().or_throw();
     const Bytes payload(wide->size());
     refuse(codec->encode(EventView("t", {}, *wide, payload), bytes));
