@@ -1,0 +1,162 @@
+#include "sinks/sqlite/database.hpp"
+
+#include <sys/stat.h>
+
+#include <cerrno>
+
+namespace rtdata::sqlite {
+namespace {
+
+Errc errc_of(int code) {
+  switch (code & 0xff) {
+    case SQLITE_BUSY:
+    case SQLITE_LOCKED:
+      return Errc::busy;
+    case SQLITE_FULL:
+      return Errc::storage_full;
+    case SQLITE_READONLY:
+    case SQLITE_PERM:
+    case SQLITE_AUTH:
+      return Errc::not_permitted;
+    case SQLITE_NOTADB:
+      return Errc::not_a_recording;
+    case SQLITE_CORRUPT:
+      return Errc::damaged;
+    case SQLITE_CANTOPEN:
+      return Errc::not_found;
+    default:
+      return Errc::io_failed;
+  }
+}
+
+const char* advice_of(Errc code) {
+  switch (code) {
+    case Errc::busy: return "another program holds a lock on it: close that one";
+    case Errc::storage_full: return "make room; what waits is kept in memory meanwhile";
+    case Errc::not_permitted: return "check the permissions of the file and its folder";
+    case Errc::not_a_recording: return "it is no SQLite file: choose another path";
+    case Errc::damaged: return "keep it as it is, and record into another file";
+    default: return "";
+  }
+}
+
+}  // namespace
+
+Error error_of(sqlite3* database, std::string_view doing) {
+  const int code = sqlite3_extended_errcode(database);
+  const char* file = sqlite3_db_filename(database, "main");
+  const Errc kind = errc_of(code);
+  std::string why = sqlite3_errmsg(database);
+  if (const int system = sqlite3_system_errno(database); kind == Errc::io_failed && system != 0) {
+    why += " (" + std::generic_category().message(system) + ")";
+    if (system == ENOSPC) return {Errc::storage_full, std::string(doing), file != nullptr ? file : "", why, advice_of(Errc::storage_full)};
+  }
+  return {kind, std::string(doing), file != nullptr ? file : "", std::move(why), advice_of(kind)};
+}
+
+std::string quoted(std::string_view name) {
+  std::string text = "\"";
+  for (const char c : name) {
+    if (c == '"') text += '"';
+    text += c;
+  }
+  return text + '"';
+}
+
+Statement& Statement::bind(int index, std::int64_t value) noexcept {
+  sqlite3_bind_int64(raw(), index, value);
+  return *this;
+}
+Statement& Statement::bind(int index, double value) noexcept {
+  sqlite3_bind_double(raw(), index, value);
+  return *this;
+}
+Statement& Statement::bind(int index, std::string_view value) noexcept {
+  sqlite3_bind_text64(raw(), index, value.data() != nullptr ? value.data() : "", value.size(), SQLITE_STATIC, SQLITE_UTF8);
+  return *this;
+}
+Statement& Statement::bind_null(int index) noexcept {
+  sqlite3_bind_null(raw(), index);
+  return *this;
+}
+
+Result<bool> Statement::step() {
+  switch (sqlite3_step(raw())) {
+    case SQLITE_ROW: return true;
+    case SQLITE_DONE: return false;
+    default: {
+      Error error = error_of(sqlite3_db_handle(raw()), "cannot use the recording");
+      sqlite3_reset(raw());
+      return error;
+    }
+  }
+}
+
+Result<void> Statement::run() {
+  for (;;) {
+    auto more = step();
+    if (!more) return std::move(more).error();
+    if (!*more) break;
+  }
+  sqlite3_reset(raw());
+  return {};
+}
+
+void Statement::reset() noexcept { sqlite3_reset(raw()); }
+
+std::int64_t Statement::integer(int column) const noexcept { return sqlite3_column_int64(raw(), column); }
+double Statement::real(int column) const noexcept { return sqlite3_column_double(raw(), column); }
+std::string_view Statement::text(int column) const noexcept {
+  const auto* bytes = reinterpret_cast<const char*>(sqlite3_column_text(raw(), column));
+  return bytes == nullptr ? std::string_view{} : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(raw(), column))};
+}
+bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(raw(), column) == SQLITE_NULL; }
+
+Result<Database> Database::open(const std::string& path, Mode mode) {
+  struct stat status{};
+  const bool is_there = ::stat(path.c_str(), &status) == 0;
+  const char* doing = mode == Mode::read ? "cannot read the recording" : "cannot open the recording";
+  if (is_there && S_ISDIR(status.st_mode)) return system_error(EISDIR, doing, path, "name a file");
+  if (!is_there && mode == Mode::read) return system_error(errno, doing, path, "check the path");
+  Database made;
+  made.path_ = path;
+  sqlite3* raw = nullptr;
+  const int flags = SQLITE_OPEN_NOMUTEX | (mode == Mode::read ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
+  const int status_code = sqlite3_open_v2(path.c_str(), &raw, flags, nullptr);
+  made.database_.reset(raw);
+  if (status_code != SQLITE_OK) {
+    Error error = error_of(raw, doing);
+    error.where = path;
+    const int system = sqlite3_system_errno(raw);
+    if (system != 0) error = system_error(system, doing, path, "check the path and its permissions");
+    return error;
+  }
+  sqlite3_extended_result_codes(raw, 1);
+  sqlite3_busy_timeout(raw, 2000);
+  return made;
+}
+
+Result<Statement> Database::prepare(std::string_view sql) const {
+  sqlite3_stmt* raw = nullptr;
+  if (sqlite3_prepare_v3(database_.get(), sql.data(), static_cast<int>(sql.size()), SQLITE_PREPARE_PERSISTENT, &raw, nullptr) != SQLITE_OK) {
+    return error_of(database_.get(), "cannot use the recording");
+  }
+  return Statement(raw);
+}
+
+Result<void> Database::execute(const std::string& sql) const {
+  if (sqlite3_exec(database_.get(), sql.c_str(), nullptr, nullptr, nullptr) != SQLITE_OK) {
+    return error_of(database_.get(), "cannot use the recording");
+  }
+  return {};
+}
+
+Result<std::int64_t> Database::integer(std::string_view sql) const {
+  auto statement = prepare(sql);
+  if (!statement) return std::move(statement).error();
+  auto row = statement->step();
+  if (!row) return std::move(row).error();
+  return *row ? statement->integer(0) : 0;
+}
+
+}  // namespace rtdata::sqlite

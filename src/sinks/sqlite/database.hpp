@@ -1,0 +1,77 @@
+// A small RAII wrapper over the sqlite3 C API. Not thread-safe: one user at a time.
+#pragma once
+
+#include <sqlite3.h>
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::sqlite {
+
+class Statement {
+ public:
+  Statement() = default;
+  explicit Statement(sqlite3_stmt* statement) : statement_(statement) {}
+  explicit operator bool() const noexcept { return statement_ != nullptr; }
+  sqlite3_stmt* raw() const noexcept { return statement_.get(); }
+
+  Statement& bind(int index, std::int64_t value) noexcept;
+  Statement& bind(int index, double value) noexcept;
+  /// Not copied: it must live until the statement has run.
+  Statement& bind(int index, std::string_view value) noexcept;
+  Statement& bind_null(int index) noexcept;
+
+  /// Runs up to the next row: true when there is one. Errors are those of the database.
+  Result<bool> step();
+  /// Runs to the end and resets.
+  Result<void> run();
+  void reset() noexcept;
+
+  std::int64_t integer(int column) const noexcept;
+  double real(int column) const noexcept;
+  /// Valid until the next step.
+  std::string_view text(int column) const noexcept;
+  bool is_null(int column) const noexcept;
+
+ private:
+  struct Finalize {
+    void operator()(sqlite3_stmt* statement) const noexcept { sqlite3_finalize(statement); }
+  };
+  std::unique_ptr<sqlite3_stmt, Finalize> statement_;
+};
+
+class Database {
+ public:
+  enum class Mode { read, write };
+  Database() = default;
+  /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.
+  static Result<Database> open(const std::string& path, Mode mode);
+
+  explicit operator bool() const noexcept { return database_ != nullptr; }
+  Result<Statement> prepare(std::string_view sql) const;
+  /// One or more statements without results.
+  Result<void> execute(const std::string& sql) const;
+  /// The first column of the first row; 0 when there is none.
+  Result<std::int64_t> integer(std::string_view sql) const;
+  std::int64_t last_rowid() const noexcept { return sqlite3_last_insert_rowid(database_.get()); }
+  sqlite3* raw() const noexcept { return database_.get(); }
+  const std::string& path() const noexcept { return path_; }
+
+ private:
+  struct Close {
+    void operator()(sqlite3* database) const noexcept { sqlite3_close_v2(database); }
+  };
+  std::unique_ptr<sqlite3, Close> database_;
+  std::string path_;
+};
+
+/// The error that a call on this database has just returned.
+Error error_of(sqlite3* database, std::string_view doing);
+/// "name" with quotes doubled, for use in SQL.
+std::string quoted(std::string_view name);
+
+}  // namespace rtdata::sqlite

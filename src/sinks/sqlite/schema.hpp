@@ -1,0 +1,70 @@
+// The tables of a recording. docs/recording.md explains them to users. All times are ns since the epoch on the run's line
+// that never jumps, except rtdata_clock.monotonic.
+//
+// One table a topic, named as the topic (rtdata_topic maps the exceptions), columns:
+//   run, time, origin, sequence, then one column a leaf of the description, named by its path ("position.x", "accel[0]").
+// A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
+// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT; char TEXT of one
+// character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name; absent NULL.
+#pragma once
+
+namespace rtdata::sqlite {
+
+inline constexpr int application_id = 0x52544441;  // "RTDA"
+inline constexpr int schema_version = 1;           // PRAGMA user_version
+
+inline constexpr const char* schema = R"sql(
+CREATE TABLE IF NOT EXISTS rtdata_run(
+  run INTEGER PRIMARY KEY,
+  uuid TEXT NOT NULL,
+  name TEXT NOT NULL, notes TEXT NOT NULL, configuration TEXT NOT NULL,
+  program TEXT NOT NULL,            -- name and version of what recorded
+  host TEXT NOT NULL, boot_id TEXT NOT NULL, pid INTEGER NOT NULL,
+  started INTEGER NOT NULL,         -- time of the start
+  ended INTEGER,                    -- time of the last account
+  clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
+  state TEXT NOT NULL,              -- recording, closed, sealed (it ended without closing; a later start says what was lost)
+  lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
+  remark TEXT NOT NULL DEFAULT ''   -- of a sealed run: what is known of its end
+);
+CREATE TABLE IF NOT EXISTS rtdata_topic(
+  topic TEXT NOT NULL, version INTEGER NOT NULL,
+  table_name TEXT NOT NULL UNIQUE,
+  description TEXT NOT NULL,        -- JSON: record name, fields with type and unit
+  first_run INTEGER NOT NULL,
+  PRIMARY KEY(topic, version)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_schedule(  -- stretches of unchanged schedule
+  run INTEGER NOT NULL, origin TEXT NOT NULL, topic TEXT NOT NULL,
+  first_due INTEGER NOT NULL, period INTEGER NOT NULL, end INTEGER NOT NULL,
+  scheduled INTEGER NOT NULL,       -- = (end - first_due) / period + 1
+  PRIMARY KEY(run, origin, first_due)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_ledger(
+  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
+  slot INTEGER NOT NULL,
+  has_schedule INTEGER NOT NULL,
+  scheduled INTEGER NOT NULL, taken INTEGER NOT NULL, missed INTEGER NOT NULL, failed INTEGER NOT NULL,
+  in_flight INTEGER NOT NULL, late INTEGER NOT NULL,
+  received INTEGER NOT NULL, published INTEGER NOT NULL, repeated INTEGER NOT NULL, filtered INTEGER NOT NULL,
+  lost INTEGER,                     -- NULL: not detectable
+  offered INTEGER NOT NULL, stored INTEGER NOT NULL,
+  dropped_newest INTEGER NOT NULL, dropped_oldest INTEGER NOT NULL, dropped_refused INTEGER NOT NULL,
+  dropped_unsaved INTEGER NOT NULL DEFAULT 0,  -- of a sealed run: published and never committed
+  first_sequence INTEGER NOT NULL, last_sequence INTEGER NOT NULL,  -- offered; 0: none
+  pruned INTEGER NOT NULL DEFAULT 0,           -- rows deleted again by the size or age limit
+  rows_up_to INTEGER NOT NULL DEFAULT 0,       -- the topic table's last rowid when this was written
+  PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_gap(
+  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
+  kind TEXT NOT NULL,               -- missed, failed
+  reason TEXT NOT NULL,
+  first INTEGER NOT NULL, last INTEGER NOT NULL,  -- when the first and the last tick were due
+  count INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS rtdata_clock(
+  run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL,
+  source TEXT NOT NULL);            -- start, step (the time of day was set), end
+CREATE TABLE IF NOT EXISTS rtdata_error(
+  run INTEGER NOT NULL, time INTEGER NOT NULL, object TEXT NOT NULL, id TEXT NOT NULL, text TEXT NOT NULL,
+  count INTEGER NOT NULL);
+)sql";
+
+}  // namespace rtdata::sqlite
