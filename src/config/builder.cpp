@@ -89,8 +89,11 @@ void ConfigBuilder::add(ConfigItem item, Position position) {
 
 bool ConfigBuilder::begin(ConfigItem item, Position position) {
   if (frames_.size() == deepest) {
-    problems_.add({"too-deep", {*file_, position.line, position.column}, path(),
-                   "more than " + std::to_string(deepest) + " levels of nesting", ""});
+    problems_.add({"too-deep",
+                   {*file_, position.line, position.column},
+                   path(),
+                   "more than " + std::to_string(deepest) + " levels of nesting",
+                   ""});
     return false;
   }
   locate(item, position);

@@ -51,9 +51,12 @@ bool read_signed(const ConfigItem& item, std::int64_t least, std::int64_t most, 
     out = *value;
   } else if (const double* number = item.as_number()) {
     switch (whole_number(*number, out)) {
-      case Whole::yes: break;
-      case Whole::no: return wrong_type(item, "a whole number", problems);
-      case Whole::too_large: return out_of_range(item, std::to_string(least), std::to_string(most), problems);
+      case Whole::yes:
+        break;
+      case Whole::no:
+        return wrong_type(item, "a whole number", problems);
+      case Whole::too_large:
+        return out_of_range(item, std::to_string(least), std::to_string(most), problems);
     }
   } else {
     return wrong_type(item, "a whole number", problems);
@@ -71,9 +74,12 @@ bool read_unsigned(const ConfigItem& item, std::uint64_t most, std::uint64_t& ou
     out = static_cast<std::uint64_t>(*integer);
   } else if (const double* number = item.as_number()) {
     switch (whole_number(*number, small)) {
-      case Whole::yes: break;
-      case Whole::no: return wrong_type(item, "a whole number", problems);
-      case Whole::too_large: return out_of_range(item, "0", std::to_string(most), problems);
+      case Whole::yes:
+        break;
+      case Whole::no:
+        return wrong_type(item, "a whole number", problems);
+      case Whole::too_large:
+        return out_of_range(item, "0", std::to_string(most), problems);
     }
     if (small < 0) return out_of_range(item, "0", std::to_string(most), problems);
     out = static_cast<std::uint64_t>(small);
@@ -89,7 +95,8 @@ namespace {
 template <class Float>
 bool read_floating(const ConfigItem& item, Float& out, Problems& problems) {
   const auto inexact = [&] {
-    problems.add(item.problem("out-of-range", item.number_text() + " has more digits than the type of this value keeps"));
+    problems.add(
+        item.problem("out-of-range", item.number_text() + " has more digits than the type of this value keeps"));
     return false;
   };
   if (const double* number = item.as_number()) {
@@ -99,10 +106,12 @@ bool read_floating(const ConfigItem& item, Float& out, Problems& problems) {
   } else if (const std::int64_t* integer = item.as_signed()) {
     out = static_cast<Float>(*integer);
     // 2^63 itself is no int64: converting it back would be undefined.
-    if (out >= static_cast<Float>(9223372036854775808.0) || static_cast<std::int64_t>(out) != *integer) return inexact();
+    if (out >= static_cast<Float>(9223372036854775808.0) || static_cast<std::int64_t>(out) != *integer)
+      return inexact();
   } else if (const std::uint64_t* large = item.as_unsigned()) {
     out = static_cast<Float>(*large);
-    if (out >= static_cast<Float>(18446744073709551616.0) || static_cast<std::uint64_t>(out) != *large) return inexact();
+    if (out >= static_cast<Float>(18446744073709551616.0) || static_cast<std::uint64_t>(out) != *large)
+      return inexact();
   } else {
     return wrong_type(item, "a number", problems);
   }
@@ -138,8 +147,7 @@ bool read_duration(const ConfigItem& item, Duration& out, Sign sign, Problems& p
     out = negative ? -*parsed : *parsed;
     return true;
   }
-  problems.add(item.problem("bad-value", "expected a duration with its unit, such as \"10 ms\", got " + item.describe() +
-                                             ": " + reason(parsed.error())));
+  problems.add(item.problem("bad-value", item.describe() + " is not a duration: " + reason(parsed.error())));
   return false;
 }
 
@@ -151,8 +159,7 @@ bool read_rate(const ConfigItem& item, Rate& out, Problems& problems) {
     out = *parsed;
     return true;
   }
-  problems.add(item.problem("bad-value", "expected a rate with its unit, such as \"100 Hz\", got " + item.describe() +
-                                             ": " + reason(parsed.error())));
+  problems.add(item.problem("bad-value", item.describe() + " is not a rate: " + reason(parsed.error())));
   return false;
 }
 
@@ -166,17 +173,13 @@ bool check_is_object(const ConfigItem& item, Problems& problems) {
 
 bool check_length(const ConfigItem& item, std::size_t length, Problems& problems) {
   if (item.size() == length) return true;
-  problems.add(item.problem("wrong-length", "expected a list of " + std::to_string(length) + ", got one of " +
-                                                std::to_string(item.size())));
+  problems.add(item.problem(
+      "wrong-length", "expected a list of " + std::to_string(length) + ", got one of " + std::to_string(item.size())));
   return false;
 }
 
 void add_inexact_duration(const ConfigItem& item, Problems& problems) {
   problems.add(item.problem("out-of-range", item.describe() + " is finer or longer than the type of this value keeps"));
-}
-
-std::string duration_text(Duration value) {
-  return value < Duration::zero() ? "-" + to_string(-value) : to_string(value);
 }
 
 }  // namespace config_detail

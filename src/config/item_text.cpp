@@ -35,13 +35,22 @@ void write(const ConfigItem& item, ConfigItem::Layout layout, std::size_t depth,
     if (lines) out.append("\n").append(2 * level, ' ');
   };
   switch (item.kind()) {
-    case ConfigItem::Kind::null: out += "null"; return;
-    case ConfigItem::Kind::boolean: out += *item.as_boolean() ? "true" : "false"; return;
+    case ConfigItem::Kind::null:
+      out += "null";
+      return;
+    case ConfigItem::Kind::boolean:
+      out += *item.as_boolean() ? "true" : "false";
+      return;
     case ConfigItem::Kind::integer:
-    case ConfigItem::Kind::number: out += item.number_text(); return;
-    case ConfigItem::Kind::string: out += json_string(*item.as_string()); return;
+    case ConfigItem::Kind::number:
+      out += item.number_text();
+      return;
+    case ConfigItem::Kind::string:
+      out += json_string(*item.as_string());
+      return;
     case ConfigItem::Kind::array:
-    case ConfigItem::Kind::object: break;
+    case ConfigItem::Kind::object:
+      break;
   }
   const bool array = item.is_array();
   out += array ? '[' : '{';
@@ -80,13 +89,19 @@ const double* ConfigItem::as_number() const noexcept {
 
 std::string ConfigItem::describe() const {
   switch (kind()) {
-    case Kind::null: return "null";
-    case Kind::boolean: return *as_boolean() ? "true" : "false";
+    case Kind::null:
+      return "null";
+    case Kind::boolean:
+      return *as_boolean() ? "true" : "false";
     case Kind::integer:
-    case Kind::number: return "the number " + beginning(number_text(), 40);
-    case Kind::string: return "the string " + json_string(beginning(*as_string(), 40));
-    case Kind::array: return size() == 0 ? "an empty list" : "a list";
-    case Kind::object: return size() == 0 ? "an empty object" : "an object";
+    case Kind::number:
+      return "the number " + beginning(number_text(), 40);
+    case Kind::string:
+      return "the string " + json_string(beginning(*as_string(), 40));
+    case Kind::array:
+      return size() == 0 ? "an empty list" : "a list";
+    case Kind::object:
+      return size() == 0 ? "an empty object" : "an object";
   }
   return "null";
 }

@@ -74,7 +74,8 @@ Problem in_a_string(const JsonMistake& mistake, const TextScanner& before, const
 Problem bad_word(const Token& token) {
   const char first = token.text.front();
   if ((first >= '0' && first <= '9') || first == '-' || first == '+' || first == '.')
-    return problem(token.position, shown(token) + " is not a number as JSON writes it; text, and values with a unit, need \"quotes\"");
+    return problem(token.position,
+                   shown(token) + " is not a number as JSON writes it; text, and values with a unit, need \"quotes\"");
   return problem(token.position, "expected a value, found " + shown(token) + "; text needs \"quotes\"",
                  nearest_name(token.text, {"true", "false", "null"}));
 }
@@ -146,7 +147,8 @@ Problem explain(const JsonMistake& mistake, TextScanner& scanner) {
   const std::string closing = mistake.in_object ? "'}'" : "']'";
   if (is_closing(token))
     return problem(token.position, "expected " + closing + " to close " + opening(mistake) + ", found " + shown(token));
-  return problem(token.position, "expected ',' or " + closing + ", found " + shown(token) + "; is a comma missing before it?");
+  return problem(token.position,
+                 "expected ',' or " + closing + ", found " + shown(token) + "; is a comma missing before it?");
 }
 
 }  // namespace rtdata

@@ -13,11 +13,11 @@ struct JsonMistake {
   std::size_t bytes_read = 0;     ///< by the library
   std::string_view library_text;  ///< its own words
   bool number_too_large = false;
-  bool in_object = false;    ///< what is being read lies in an object
-  bool in_array = false;     ///< ... in an array
-  bool after_key = false;    ///< the last thing accepted was a key
-  bool after_value = false;  ///< ... was a whole value
-  TextScanner::Token previous;      ///< the last thing accepted
+  bool in_object = false;          ///< what is being read lies in an object
+  bool in_array = false;           ///< ... in an array
+  bool after_key = false;          ///< the last thing accepted was a key
+  bool after_value = false;        ///< ... was a whole value
+  TextScanner::Token previous;     ///< the last thing accepted
   ConfigBuilder::Position opened;  ///< where the innermost object or array begins
 };
 

@@ -77,7 +77,8 @@ bool check_encoding(std::string_view text, const std::string& file, Problems& pr
     const std::size_t size = character_size(text.substr(i));
     if (size == 0 || text[i] == '\0') {
       problems.add({"bad-encoding", place, "",
-                    size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text", ""});
+                    size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text",
+                    ""});
       return false;
     }
     ++place.column;
@@ -107,10 +108,12 @@ void parse(ConfigDocument& document, const ConfigFormats& formats) {
     std::string known;
     for (const std::string& extension : formats.extensions())
       if (!extension.empty()) known += (known.empty() ? "" : ", ") + extension;
-    document.problems.add({"unknown-format", {document.file, 0, 0}, "",
-                           "no configuration format has the extension \"" + extension_of(document.file) +
-                               "\"; there are " + known,
-                           ""});
+    document.problems.add(
+        {"unknown-format",
+         {document.file, 0, 0},
+         "",
+         "no configuration format has the extension \"" + extension_of(document.file) + "\"; there are " + known,
+         ""});
     return;
   }
   std::string_view text = document.text;

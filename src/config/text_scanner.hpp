@@ -21,8 +21,8 @@ class TextScanner {
     ConfigBuilder::Position position;
   };
 
-  /// Skips white space and comments, then takes one token: a string with its quotes, a word or number, or one character.
-  /// Its text is empty at the end of the text. A string that does not end is taken to the end of its line.
+  /// Skips white space and comments, then takes one token: a string with its quotes, a word or number, or one
+  /// character. Its text is empty at the end of the text. A string that does not end is taken to the end of its line.
   Token next();
   /// The same, after the commas and colons between two values.
   Token next_value();

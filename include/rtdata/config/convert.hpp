@@ -14,8 +14,10 @@
 /// - an integer from a whole number in its range; 3.0 and 1e3 are whole, 3.7 is not;
 /// - float and double from any number that is not too large for them, and from an integer only when it is exact;
 /// - char from a string of one byte; strings from strings;
-/// - durations and rates from strings with a unit, "10 ms", "100 Hz"; a duration that its type cannot hold exactly is an
+/// - durations and rates from strings with a unit, "10 ms", "100 Hz"; a duration that its type cannot hold exactly is
+/// an
 ///   error (1500 us as milliseconds);
+/// - an enumeration with a `describe` from the name of a value;
 /// - std::optional from null or its value; std::array, std::vector, std::deque, std::list from an array;
 ///   std::map and std::unordered_map with string keys from an object; ConfigItem from anything, as it is.
 ///
@@ -31,8 +33,10 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <vector>
 
 #include "rtdata/config/item.hpp"
+#include "rtdata/data/describe.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata {
@@ -50,11 +54,12 @@ bool read_character(const ConfigItem& item, char& out, Problems& problems);
 enum class Sign { positive, any };
 bool read_duration(const ConfigItem& item, Duration& out, Sign sign, Problems& problems);
 bool read_rate(const ConfigItem& item, Rate& out, Problems& problems);
+/// The place of the item's text among the names; -1, with a problem, when it is not there.
+int choose(const ConfigItem& item, const std::vector<std::string>& names, Problems& problems);
 bool check_is_array(const ConfigItem& item, Problems& problems);
 bool check_is_object(const ConfigItem& item, Problems& problems);
 bool check_length(const ConfigItem& item, std::size_t length, Problems& problems);
 void add_inexact_duration(const ConfigItem& item, Problems& problems);
-std::string duration_text(Duration value);
 
 template <class T>
 inline constexpr bool always_false = false;
@@ -89,8 +94,9 @@ inline constexpr bool is_optional<std::optional<T>> = true;
 
 template <class T>
 struct ConfigValue {
-  static_assert(config_detail::always_false<T>,
-                "a configuration item cannot be read as this type: use a standard type, or specialise rtdata::ConfigValue");
+  static_assert(
+      config_detail::always_false<T>,
+      "a configuration item cannot be read as this type: use a standard type, or specialise rtdata::ConfigValue");
   static bool read(const ConfigItem&, T&, Problems&);
   static void write(const T&, ConfigItem&);
 };
@@ -181,7 +187,7 @@ struct ConfigValue<std::chrono::duration<Rep, Period>> {
     return false;
   }
   static void write(Span value, ConfigItem& item) {
-    item.set_string(config_detail::duration_text(std::chrono::duration_cast<Duration>(value)));
+    item.set_string(to_string(std::chrono::duration_cast<Duration>(value)));
   }
 };
 
@@ -191,6 +197,25 @@ struct ConfigValue<Rate> {
     return config_detail::read_rate(item, out, problems);
   }
   static void write(Rate value, ConfigItem& item);  ///< "100 Hz", or its period; null for no rate
+};
+
+template <DescribedEnum T>
+struct ConfigValue<T> {
+  static bool read(const ConfigItem& item, T& out, Problems& problems) {
+    const auto values = describe(type_tag<T>{}).values;
+    std::vector<std::string> names;
+    for (const auto& entry : values) names.emplace_back(entry.name);
+    const int index = config_detail::choose(item, names, problems);
+    if (index < 0) return false;
+    out = values[static_cast<std::size_t>(index)].value;
+    return true;
+  }
+  /// A number without a name becomes null.
+  static void write(T value, ConfigItem& item) {
+    item.set_null();
+    for (const auto& entry : describe(type_tag<T>{}).values)
+      if (entry.value == value) item.set_string(entry.name);
+  }
 };
 
 template <>

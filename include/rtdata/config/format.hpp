@@ -26,15 +26,16 @@ namespace rtdata {
 
 /// A configuration as it was read: its text, its tree, and what is wrong with it.
 struct ConfigDocument {
-  std::string file;   ///< as it was asked for
-  std::string text;   ///< as it is in the file
-  ConfigItem root;    ///< null when the file could not be read or has a syntax error
+  std::string file;  ///< as it was asked for
+  std::string text;  ///< as it is in the file
+  ConfigItem root;   ///< null when the file could not be read or has a syntax error
   Problems problems;
 
   bool good() const noexcept { return problems.empty(); }
   /// The root; throws ConfigError when there are problems. For small programs.
   ConfigItem or_throw() const;
-  /// The line of a problem of this file, and below it a '^' under its column; long lines are cut. Empty when it has none.
+  /// The line of a problem of this file, and below it a '^' under its column; long lines are cut. Empty when it has
+  /// none.
   std::string excerpt(const Problem& problem) const;
   /// Every problem in the order of the file, each with its excerpt.
   std::string report() const;

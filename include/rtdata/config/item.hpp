@@ -1,9 +1,9 @@
 /// ConfigItem: one item of a configuration, with everything below it.
 ///
 /// A configuration is an n-ary tree of null, booleans, integers, numbers, strings, arrays and objects; objects keep the
-/// order in which they were written. An item is a value: a copy is a tree of its own, and changing an item changes neither
-/// its parent nor its siblings. Each item knows the place in the file it came from and its path in the tree, and a copy
-/// keeps both, so that a mistake found late can still be shown where it was made.
+/// order in which they were written. An item is a value: a copy is a tree of its own, and changing an item changes
+/// neither its parent nor its siblings. Each item knows the place in the file it came from and its path in the tree,
+/// and a copy keeps both, so that a mistake found late can still be shown where it was made.
 ///
 ///     ConfigItem config = load_config("bench.json").or_throw();
 ///     double volts = config.at("sensors", 0, "span_voltage").get<double>();   // or at("sensors[0].span_voltage")
@@ -108,9 +108,10 @@ class ConfigItem {
   std::size_t size() const noexcept;
   std::vector<std::string> keys() const;
 
-  /// The value as a standard type: bool, any integer, float, double, char, std::string, std::string_view (into this item,
-  /// until it is changed), Duration and every std::chrono duration, Rate, std::optional (null is none), std::array,
-  /// std::vector and other containers, std::map<std::string, T>. Throws ConfigError when it is something else.
+  /// The value as a standard type: bool, any integer, float, double, char, std::string, std::string_view (into this
+  /// item, until it is changed), Duration and every std::chrono duration, Rate, std::optional (null is none),
+  /// std::array, std::vector and other containers, std::map<std::string, T>. Throws ConfigError when it is something
+  /// else.
   template <class T>
   T get() const {
     T value{};
@@ -218,7 +219,7 @@ class ConfigItem {
   const ConfigItem& step_to(std::string_view key_or_path) const;
   const ConfigItem& step_to(std::size_t index) const;
   template <class Integer>
-    requires std::is_integral_v<Integer>
+  requires std::is_integral_v<Integer>
   const ConfigItem& step_to(Integer index) const {
     return step_to(static_cast<std::size_t>(index));  // a negative one becomes huge, and is not there
   }
