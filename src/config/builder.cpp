@@ -89,11 +89,8 @@ void ConfigBuilder::add(ConfigItem item, Position position) {
 
 bool ConfigBuilder::begin(ConfigItem item, Position position) {
   if (frames_.size() == deepest) {
-    problems_.add({"too-deep",
-                   {*file_, position.line, position.column},
-                   path(),
-                   "more than " + std::to_string(deepest) + " levels of nesting",
-                   ""});
+    problems_.add("too-deep", {*file_, position.line, position.column}, path(),
+                  "more than " + std::to_string(deepest) + " levels of nesting");
     return false;
   }
   locate(item, position);
@@ -113,7 +110,7 @@ void ConfigBuilder::attach(ConfigItem item) {
     const auto [first, added] = frame.keys.emplace(key, Position{place.line, place.column});
     if (!added) {
       const ConfigPlace earlier{*file_, first->second.line, first->second.column};
-      problems_.add({"duplicate-key", place, item.path(), "this key is already at " + earlier.text(), ""});
+      problems_.add("duplicate-key", place, item.path(), "this key is already at " + earlier.text());
       return;
     }
   }

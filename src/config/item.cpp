@@ -16,6 +16,12 @@ bool is_plain(std::string_view key) {
   });
 }
 
+/// A key that is not plain, as a step of a path.
+std::string in_brackets(const std::string& key) {
+  std::string step = "[";
+  return step.append(ConfigItem::of(key).to_json()).append("]");
+}
+
 Error not_a_container(const ConfigItem& item, std::string_view what, std::string_view wanted) {
   const Problem problem = item.problem("wrong-type", std::string(what));
   Error error = problem.error();
@@ -64,12 +70,12 @@ std::string ConfigItem::path() const {
   std::string path;
   for (auto step = steps.rbegin(); step != steps.rend(); ++step) {
     if ((*step)->element) {
-      path += "[" + std::to_string((*step)->index) + "]";
+      path.append("[").append(std::to_string((*step)->index)).append("]");
     } else if (is_plain((*step)->key)) {
       if (!path.empty()) path += '.';
       path += (*step)->key;
     } else {
-      path += "[" + ConfigItem::of((*step)->key).to_json() + "]";
+      path += in_brackets((*step)->key);
     }
   }
   return path;
@@ -137,7 +143,7 @@ const ConfigItem* ConfigItem::follow(std::string_view path) const {
   std::size_t used = 0;
   if (path.starts_with("[\"")) {
     for (const ConfigChild& member : children()) {
-      const std::string step = "[" + ConfigItem::of(member.key).to_json() + "]";
+      const std::string step = in_brackets(member.key);
       if (is_object() && path.starts_with(step)) {
         child = &member.item;
         used = step.size();

@@ -23,14 +23,17 @@ struct Descriptor {
   }
 };
 
-Problem cannot_read(const std::string& file, const std::string& why) {
-  return {"cannot-read", {file, 0, 0}, "", "cannot read the configuration: " + why, ""};
+ConfigPlace whole(const std::string& file) {
+  ConfigPlace place;
+  place.file = file;
+  return place;
 }
 
 /// Reads the whole file, or adds a problem.
 bool read_file(const std::string& file, std::string& text, Problems& problems) {
   const auto fail = [&](int error) {
-    problems.add(cannot_read(file, std::generic_category().message(error)));
+    problems.add("cannot-read", whole(file), "",
+                 "cannot read the configuration: " + std::generic_category().message(error));
     return false;
   };
   const Descriptor descriptor{::open(file.c_str(), O_RDONLY | O_CLOEXEC)};
@@ -44,7 +47,7 @@ bool read_file(const std::string& file, std::string& text, Problems& problems) {
     if (count < 0) return fail(errno);
     if (count == 0) return true;
     if (text.size() + static_cast<std::size_t>(count) > largest_file) {
-      problems.add({"too-large", {file, 0, 0}, "", "the file is larger than 64 MiB", ""});
+      problems.add("too-large", whole(file), "", "the file is larger than 64 MiB");
       return false;
     }
     text.append(buffer.data(), static_cast<std::size_t>(count));
@@ -76,9 +79,8 @@ bool check_encoding(std::string_view text, const std::string& file, Problems& pr
   for (std::size_t i = 0; i < text.size();) {
     const std::size_t size = character_size(text.substr(i));
     if (size == 0 || text[i] == '\0') {
-      problems.add({"bad-encoding", place, "",
-                    size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text",
-                    ""});
+      problems.add("bad-encoding", place, "",
+                   size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text");
       return false;
     }
     ++place.column;
@@ -109,17 +111,14 @@ void parse(ConfigDocument& document, const ConfigFormats& formats) {
     for (const std::string& extension : formats.extensions())
       if (!extension.empty()) known += (known.empty() ? "" : ", ") + extension;
     document.problems.add(
-        {"unknown-format",
-         {document.file, 0, 0},
-         "",
-         "no configuration format has the extension \"" + extension_of(document.file) + "\"; there are " + known,
-         ""});
+        "unknown-format", whole(document.file), "",
+        "no configuration format has the extension \"" + extension_of(document.file) + "\"; there are " + known);
     return;
   }
   std::string_view text = document.text;
   if (text.starts_with(byte_order_mark)) text.remove_prefix(byte_order_mark.size());
   if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
-    document.problems.add({"empty", {document.file, 0, 0}, "", "the configuration is empty", ""});
+    document.problems.add("empty", whole(document.file), "", "the configuration is empty");
     return;
   }
   if (check_encoding(text, document.file, document.problems))

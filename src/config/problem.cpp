@@ -77,6 +77,15 @@ Error Problem::error() const {
           suggestion.empty() ? "" : "did you mean \"" + suggestion + "\"?"};
 }
 
+void Problems::add(std::string id, ConfigPlace place, std::string path, std::string message, std::string suggestion) {
+  Problem& problem = list_.emplace_back();
+  problem.id = std::move(id);
+  problem.place = std::move(place);
+  problem.path = std::move(path);
+  problem.message = std::move(message);
+  problem.suggestion = std::move(suggestion);
+}
+
 void Problems::append(const Problems& others) { list_.insert(list_.end(), others.begin(), others.end()); }
 
 void Problems::sort() {

@@ -32,8 +32,9 @@ std::string listed(const std::vector<std::string>& names) {
 
 bool check_number(const ConfigItem& item, double value, const ParameterRules& rules, Problems& problems) {
   if (within(value, rules)) return true;
-  const std::string unit_text = rules.unit.empty() ? "" : " " + std::string(rules.unit);
-  return out_of_range(item, item.number_text() + unit_text, range_of(rules, ParameterType::Kind::number), problems);
+  std::string text = item.number_text();
+  if (!rules.unit.empty()) text.append(" ").append(rules.unit);
+  return out_of_range(item, text, range_of(rules, ParameterType::Kind::number), problems);
 }
 
 bool check_duration(const ConfigItem& item, Duration value, const ParameterRules& rules, Problems& problems) {
@@ -95,8 +96,9 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   for (const KnownKey& entry : known) {
     if (!entry.required || is_present(entry.key) || std::find(meant.begin(), meant.end(), entry.key) != meant.end())
       continue;
-    std::string message = "\"" + std::string(entry.key) + "\" is missing";
-    if (!entry.doc.empty()) message += ": " + std::string(entry.doc);
+    std::string message = "\"";
+    message.append(entry.key).append("\" is missing");
+    if (!entry.doc.empty()) message.append(": ").append(entry.doc);
     problems.add(item.problem("missing-key", std::move(message)));
     good = false;
   }

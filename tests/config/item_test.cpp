@@ -259,7 +259,7 @@ TEST_SUITE("config") {
     item.set(0.1f);
     CHECK(item.get<float>() == 0.1f);
     item.set(1e300);
-    CHECK(parse("[" + item.to_json() + "]").at(0).get<double>() == 1e300);
+    CHECK(parse(std::string("[").append(item.to_json()).append("]")).at(0).get<double>() == 1e300);
     item.set(std::vector<Duration>{1ns, 1h});
     CHECK(item.get<std::vector<Duration>>() == std::vector<Duration>{1ns, 1h});
     item.set(-Duration(5ms));

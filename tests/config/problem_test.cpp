@@ -18,7 +18,7 @@ TEST_SUITE("config") {
   TEST_CASE("problems are ordered by place, and those of one place stay in order") {
     Problems problems;
     const auto add = [&](std::size_t line, std::size_t column, const char* message) {
-      problems.add({"x", {"f", line, column}, "", message, ""});
+      problems.add("x", {"f", line, column}, "", message);
     };
     add(2, 1, "c");
     add(1, 9, "b");

@@ -57,7 +57,7 @@ class IniFormat final : public ConfigFormat {
         builder.key(content.substr(0, equals), {line, 1});
         builder.string(content.substr(equals + 3), {line, equals + 4});
       } else if (!content.empty()) {
-        problems.add({"syntax", {file, line, 1}, builder.path(), "expected KEY = TEXT", ""});
+        problems.add("syntax", {file, line, 1}, builder.path(), "expected KEY = TEXT");
       }
     }
     return builder.finish();
@@ -82,9 +82,9 @@ TEST_SUITE("config") {
     CHECK(mistake("{\"a\": 10ms}") ==
           "1:7: '10ms' is not a number as JSON writes it; text, and values with a unit, need \"quotes\"");
     for (const char* number : {"01", "1.", ".5", "+1", "0x1F", "-", "1-2", "1e", "--1"})
-      CHECK_MESSAGE(
-          mistake("[" + std::string(number) + "]").find("is not a number as JSON writes it") != std::string::npos,
-          number);
+      CHECK_MESSAGE(mistake(std::string("[").append(number).append("]")).find("is not a number as JSON writes it") !=
+                        std::string::npos,
+                    number);
     CHECK(mistake("{\"a\": [1, 2}") ==
           "1:12: a: expected ']' to close the list that begins at line 1, column 7, found '}'");
     CHECK(mistake("{\"a\":\n  [1, {\"y\": [") ==
@@ -145,7 +145,7 @@ TEST_SUITE("config") {
     CHECK(mistake("[\"a\xff\"]") == "1:4: this byte is not UTF-8: save the file as UTF-8");
     CHECK(mistake("{}\n// \xc3") == "2:4: this byte is not UTF-8: save the file as UTF-8");
     for (const char* bad : {"\xc0\x80", "\xe0\x80\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\x80", "\xf0\x9f\x98"})
-      CHECK(id_of("[\"" + std::string(bad) + "\"]") == "bad-encoding");
+      CHECK(id_of(std::string("[\"").append(bad).append("\"]")) == "bad-encoding");
     CHECK(mistake(std::string_view("{}\0{", 4)) == "1:3: a NUL byte: the file is no text");
     CHECK(id_of("[1e400]") == "out-of-range");
     CHECK(mistake("{\"a\": -1e400}") == "1:7: the number -1e400 is too large");
@@ -175,7 +175,7 @@ TEST_SUITE("config") {
     std::string keys = "{";
     for (int i = 0; i < 50000; ++i) keys += (i ? ", \"k" : "\"k") + std::to_string(i) + "\": 1";
     CHECK(parse_config(keys + "}").or_throw().size() == 50000);
-    CHECK(mistake("[\"" + std::string(5000000, 'x')).ends_with("is missing on this line"));
+    CHECK(mistake(std::string("[\"").append(5000000, 'x')).ends_with("is missing on this line"));
   }
 
   TEST_CASE("US-19 numbers are read the same under every locale") {
@@ -196,14 +196,17 @@ TEST_SUITE("config") {
           "  \t\"\xc3\xa9\": tru\n"
           "  \t     ^\n");
     const ConfigDocument wide =
-        parse_config("[" + std::string(3000, ' ') + "?" + std::string(3000, ' ') + "]", "f.json");
+        parse_config(std::string("[").append(3000, ' ').append("?").append(3000, ' ').append("]"), "f.json");
     const std::string excerpt = wide.excerpt(wide.problems[0]);
     CHECK(excerpt.size() < 250);
     const std::size_t line_end = excerpt.find('\n');
     CHECK(excerpt.find('?') == excerpt.find('^') - line_end - 1);
     CHECK(parse_config("", "f.json").report() == "f.json: the configuration is empty\n");
-    CHECK(wide.excerpt({"x", {"other", 1, 1}, "", "", ""}).empty());
-    CHECK(wide.excerpt({"x", {"f.json", 9, 1}, "", "", ""}).empty());
+    Problem elsewhere = wide.problems[0];
+    elsewhere.place.line = 9;
+    CHECK(wide.excerpt(elsewhere).empty());
+    elsewhere.place = {"other", 1, 1};
+    CHECK(wide.excerpt(elsewhere).empty());
   }
 
   TEST_CASE("US-22 files that cannot be read are told apart") {

@@ -54,6 +54,7 @@ class Problems {
   using const_iterator = std::vector<Problem>::const_iterator;
 
   void add(Problem problem) { list_.push_back(std::move(problem)); }
+  void add(std::string id, ConfigPlace place, std::string path, std::string message, std::string suggestion = {});
   void append(const Problems& others);
 
   bool empty() const noexcept { return list_.empty(); }
