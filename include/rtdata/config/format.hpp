@@ -20,6 +20,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/config/convert.hpp"
 #include "rtdata/config/item.hpp"
 
 namespace rtdata {
