@@ -9,7 +9,7 @@
 ///     sensors.check(item, problems);                     // every mistake of the item, nothing is made
 ///     SensorHandle handle = sensors.create(item, loop);  // throws ConfigError with every mistake
 ///
-/// Owner: the program; it must outlive no product. Filled by one thread, then read by any.
+/// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
 /// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
 #pragma once
 
