@@ -27,6 +27,7 @@ class StoreJob final : public LaneJob {
       result = Error{Errc::io_failed, "the writer threw", "", e.what(), ""};
     }
     refused = queue->take_refusals(refusal);
+    warning = queue->writer().take_warning();
   }
   void done(Outcome outcome) override;
 
@@ -36,6 +37,7 @@ class StoreJob final : public LaneJob {
   Result<void> result;
   std::uint64_t refused = 0;
   Error refusal;
+  std::optional<Error> warning;
 };
 
 }  // namespace
@@ -177,6 +179,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       Error error = job.refusal;
       report(error, job.refused);
     }
+    if (job.warning) report(*job.warning, 1);
     if (!job.result) {
       failed(job.result.error());
       return;
