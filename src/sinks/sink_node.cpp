@@ -167,7 +167,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   void tick(const Tick&) override {
     loop()->runtime.look_at_clock();
-    loop()->runtime.flush_repeats(false);
+    loop()->runtime.flush_repeats(detail::RuntimeCore::Repeats::old);
     const bool has_rows = queue_->hand_over();
     const bool has_account = account(false);
     if (has_rows || has_account) start_storing();
@@ -291,7 +291,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void begin_closing() {
     if (closing_) return;
     for (const auto& tap : taps_) tap->topic.remove_tap(*tap);
-    loop()->runtime.flush_repeats(true);
+    loop()->runtime.flush_repeats(detail::RuntimeCore::Repeats::all);
     loop()->runtime.look_at_clock("end");
     if (is_scheduled()) loop()->schedule().remove(*this);
     queue_->hand_over();
