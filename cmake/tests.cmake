@@ -10,3 +10,10 @@ target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS R
 foreach(suite data loop sensors sinks config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
+
+# Files that must not compile, each with one sentence.
+find_package(Python3 COMPONENTS Interpreter)
+if(Python3_FOUND)
+  add_test(NAME compile_fail COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/data/compile_fail.py
+    ${CMAKE_CXX_COMPILER} ${CMAKE_CURRENT_SOURCE_DIR}/include)
+endif()
