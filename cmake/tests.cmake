@@ -17,3 +17,5 @@ if(Python3_FOUND)
   add_test(NAME compile_fail COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/data/compile_fail.py
     ${CMAKE_CXX_COMPILER} ${CMAKE_CURRENT_SOURCE_DIR}/include)
 endif()
+
+include(cmake/examples.cmake)
