@@ -91,7 +91,7 @@ def documented(source):
             rows = sections.setdefault(line.strip("# `"), {})
         elif line.startswith("| `"):
             cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-            rows[cells[0].strip("`")] = cells[3].strip("`").replace("\\|", "|")
+            rows[cells[0].strip("`")] = cells[3].strip("`")
     return sections
 
 
@@ -99,7 +99,7 @@ def check_types(source, program):
     if program is None:
         print("skipped: the parameters of `rtdata types`, since the program is not built")
         return
-    sections, group, name, columns = documented(source), "", "", {}
+    sections, group, name, parent, columns = documented(source), "", "", "", {}
     for line in run([program, "types"]).stdout.splitlines():
         if line in ("sensor types", "sink types"):
             group = "Every sensor" if line.startswith("sensor") else "Every sink"
@@ -110,11 +110,13 @@ def check_types(source, program):
             if name not in sections:
                 problem("docs/configuration.md", f"no section for the type {name}")
         elif line.startswith("  parameter "):
-            words = ["parameter", "type", "unit", "default", "meaning"]
-            columns = {word: line.index(word, 2 if word == "parameter" else line.index("type")) for word in words if word in line}
-        elif match := re.match(r" +([a-z]\w*)  ", line):
-            key, default = match[1], line[columns["default"]:columns["meaning"]].strip()
-            wanted = next((sections[s][key] for s in (name, group) if key in sections.get(s, {})), None)
+            columns = {word: line.index(word, line.index("type")) for word in ("default", "meaning")}
+        elif match := re.match(r"( +)([a-z]\w*)  ", line):
+            key, default = match[2], line[columns["default"]:columns["meaning"]].strip()
+            is_member = len(match[1]) > 2  # of the parameter before it
+            parent = parent if is_member else key
+            places = [f"{name}`: `{parent}"] if is_member else [name, group]
+            wanted = next((sections[s][key] for s in places if key in sections.get(s, {})), None)
             if wanted is None:
                 problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")
             elif wanted != default:
