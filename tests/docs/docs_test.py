@@ -75,7 +75,7 @@ def check_links(source):
 
 
 def check_errors(source):
-    ids = re.findall(r'return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
     listed = re.search(r"Ids in use: (.*?)\. They do not", (source / "include/rtdata/config/problem.hpp").read_text(), re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
     headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))
@@ -137,6 +137,13 @@ def tests_of(identifier, names):
     return [name for name in names if ids & set(re.findall(r"\b(?:US|NFR|FW)-\d+", name))]
 
 
+def check_handles(source):
+    names = test_names(source)
+    for test in re.findall(r"`(handle rule [^`]+)`", (source / "docs/handles.md").read_text()):
+        if test not in names:
+            problem("docs/handles.md", f"there is no test {test!r}")
+
+
 def check_requirements(source, rewrite):
     page, names = source / "docs/requirements.md", test_names(source)
     lines = []
@@ -167,6 +174,7 @@ def main():
     check_links(source)
     check_errors(source)
     check_types(source, program)
+    check_handles(source)
     check_requirements(source, rewrite=False)
     print("\n".join(problems))
     print(f"{len(problems)} problems" if problems else "the documentation agrees with the product")
