@@ -279,6 +279,7 @@ MonotonicTime LoopCore::turn_start() noexcept {
 void LoopCore::run_due() {
   constexpr int rounds = 4;  // what comes due meanwhile is done at once rather than armed for, but I/O gets its turn
   if (firing_) return;       // asked for by a callback of a deadline
+  schedule_.begin_waiting();
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {
     const MonotonicTime until = now();
@@ -349,6 +350,7 @@ void LoopCore::deliver_all() { deliver(Budget::none); }
 
 void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
+  schedule_.begin_waiting();
   if (runtime.has_injected_clock()) runtime.look_at_clock();
   deliver(Budget::limited);
   if (ready_first_ == nullptr && !turn_is_open_) uv_idle_stop(&side_->idle);

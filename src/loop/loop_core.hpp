@@ -52,6 +52,12 @@ class LoopCore {
   void remove(Deadline& deadline) noexcept;
   void moved(Deadline& deadline);
   Schedule& schedule() noexcept { return schedule_; }
+  /// Between the begin and the end of running. An attached loop cannot know: it is never turning.
+  bool is_turning() const noexcept { return is_running_; }
+  /// Schedules wait: on an attached loop, makes sure that a turn comes.
+  void wake_for_waiting() noexcept {
+    if (attached_) start_idle();
+  }
   /// The instant at which what is started in this turn begins.
   MonotonicTime turn_start() noexcept;
   /// Up to here every due tick has been fired or counted.

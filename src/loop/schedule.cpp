@@ -1,6 +1,7 @@
 #include "loop/schedule.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "loop/loop_core.hpp"
 
@@ -53,9 +54,26 @@ void RateGroup::compact() {
   if (members_.empty()) loop_.schedule().discard(*this);
 }
 
-void Schedule::add(RateMember& member, MonotonicTime start, Duration period, Duration phase) {
+void Schedule::add(RateMember& member, Duration period, Duration phase) {
+  if (loop_.is_turning()) return place(member, period, phase);
+  waiting_.push_back({&member, period, phase});
+  member.is_waiting_ = true;
+  loop_.wake_for_waiting();
+}
+
+void Schedule::begin_waiting() {
+  while (!waiting_.empty()) {
+    auto begun = std::exchange(waiting_, {});
+    for (const Waiting& one : begun) {
+      one.member->is_waiting_ = false;
+      place(*one.member, one.period, one.phase);
+    }
+  }
+}
+
+void Schedule::place(RateMember& member, Duration period, Duration phase) {
   const Duration grid = loop_.config.phase_grid;
-  Duration first = start.time_since_epoch();
+  Duration first = loop_.turn_start().time_since_epoch();
   if (grid.count() > 0) first = (first + grid - Duration{1}) / grid * grid;
   first += phase;
   if (&member == ticking_) first += period;
@@ -78,9 +96,14 @@ void Schedule::add(RateMember& member, MonotonicTime start, Duration period, Dur
   member.group_ = group;
   group->members_.push_back(&member);
   ++group->live_;
+  member.schedule_began();
 }
 
 void Schedule::remove(RateMember& member) noexcept {
+  if (std::exchange(member.is_waiting_, false)) {
+    std::erase_if(waiting_, [&](const Waiting& one) { return one.member == &member; });
+    return;
+  }
   RateGroup* group = member.group_;
   if (group == nullptr) return;
   member.group_ = nullptr;

@@ -23,7 +23,10 @@ class RateMember {
   /// For blame: "sensor chamber".
   virtual std::string blame_name() const = 0;
 
-  bool is_scheduled() const noexcept { return group_ != nullptr; }
+  /// Its schedule has begun: `first_due()` is known.
+  virtual void schedule_began() {}
+
+  bool is_scheduled() const noexcept { return group_ != nullptr || is_waiting_; }
   MonotonicTime first_due() const noexcept { return first_due_; }
   /// The first tick that has not been dealt with.
   MonotonicTime next_due() const noexcept;
@@ -38,6 +41,7 @@ class RateMember {
   friend class Schedule;
   RateGroup* group_ = nullptr;
   MonotonicTime first_due_{};
+  bool is_waiting_ = false;
 };
 
 class RateGroup final : public Deadline {
@@ -64,14 +68,24 @@ class RateGroup final : public Deadline {
 class Schedule {
  public:
   explicit Schedule(LoopCore& loop) : loop_(loop) {}
-  /// First due at `start` (rounded up to the phase grid) plus phase.
-  void add(RateMember& member, MonotonicTime start, Duration period, Duration phase);
+  /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn, it
+  /// begins when the loop does, so that setting up takes no ticks from anybody.
+  void add(RateMember& member, Duration period, Duration phase);
   void remove(RateMember& member) noexcept;
+  /// Begins the schedules that wait for the loop to turn.
+  void begin_waiting();
 
  private:
   friend class RateGroup;
+  void place(RateMember& member, Duration period, Duration phase);
   void discard(RateGroup& group);
   LoopCore& loop_;
+  struct Waiting {
+    RateMember* member;
+    Duration period;
+    Duration phase;
+  };
+  std::vector<Waiting> waiting_;
   using Key = std::pair<Duration, Duration>;  // period and phase
   std::multimap<Key, std::unique_ptr<RateGroup>> groups_;  // several of a key only while one has had a tick the other has not
   const RateMember* ticking_ = nullptr;

@@ -54,7 +54,7 @@ class TickerNode final : public Node, public RateMember {
     if (!is_open() || is_scheduled()) return;
     index_ = 0;
     loop()->hold();
-    loop()->schedule().add(*this, loop()->turn_start(), config_.period, config_.phase);
+    loop()->schedule().add(*this, config_.period, config_.phase);
   }
   void stop() {
     if (!is_open() || !is_scheduled()) return;

@@ -8,7 +8,6 @@ namespace {
 
 constexpr std::string_view loop_held = "loop held";
 constexpr std::string_view still_reading = "still reading";
-constexpr std::string_view lane_full = "lane full";
 constexpr std::string_view stopped = "stopped";
 
 void check_rate(Rate rate, const std::string& name) {
@@ -55,10 +54,11 @@ void SensorNode::start() {
 
 void SensorNode::begin_schedule() {
   origin_.late_after = late_after_.count() >= 0 ? late_after_ : std::max(Duration{std::chrono::milliseconds{1}}, period_ / 10);
-  loop()->schedule().add(*this, loop()->turn_start(), period_, phase_);
-  origin_.begin_segment(first_due(), period_);
   loop()->hold();
+  loop()->schedule().add(*this, period_, phase_);
 }
+
+void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period_); }
 
 void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;
@@ -117,6 +117,7 @@ void SensorNode::cancel_transaction() {
   if (origin_.counts.in_flight != 0) {
     origin_.fail_read(stopped, transaction_->due_);
     transaction_->owner_ = nullptr;
+    transaction_->is_unwanted_.store(true, std::memory_order_relaxed);
   }
   transaction_ = nullptr;
 }
@@ -132,6 +133,7 @@ void SensorNode::drop_callbacks() noexcept {
 }
 
 Result<void> SensorNode::open_device() noexcept {
+  lane_ = nullptr;  // what is opened may be another physical device than before
   try {
     return device_->open();
   } catch (const std::exception& e) {
@@ -245,9 +247,13 @@ void SensorNode::submit(const Tick& tick) {
   Transaction& transaction = *transaction_;
   transaction.due_ = tick.due;
   origin_.begin_read();
-  if (!loop()->lane(lane_device_->lane_key(), lane_device_->give_up_after()).submit(transaction_)) {
-    origin_.fail_read(lane_full, tick.due);
-    failed({Errc::busy, "cannot read", object_name(), "its lane is full of reads that do not come back", "look at the device"}, tick.now);
+  if (lane_ == nullptr) lane_ = &loop()->lane(lane_device_->lane_key(), lane_device_->give_up_after());
+  if (!lane_->submit(transaction_)) {
+    const Error error = lane_->is_stuck() ? lane_device_->given_up_error()
+                                          : Error{Errc::busy, "cannot read", object_name(),
+                                                  "its lane is full of reads of sensors that share the device", "lower their rates"};
+    origin_.fail_read(error.id(), tick.due);
+    failed(error, tick.now);
   }
 }
 
@@ -277,6 +283,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
 }
 
 void Transaction::run() noexcept {
+  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
   began_ = loop_ != nullptr ? loop_->now() : std::chrono::steady_clock::now();
   transact();
 }

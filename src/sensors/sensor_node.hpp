@@ -24,6 +24,7 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
 
   void tick(const Tick& tick) override;
+  void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
 
@@ -47,6 +48,7 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
 
   std::unique_ptr<SensorDevice> device_;
   LaneDevice* lane_device_;  // null: read inline
+  Lane* lane_ = nullptr;     // the loop's; found when the device was opened
   std::shared_ptr<Transaction> transaction_;
   Duration period_;
   Duration phase_;

@@ -68,7 +68,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     for (const auto& topic : runtime.topics()) on_topic(*topic);
     runtime.recorders.push_back(this);
     clock_.push_back({loop()->now(), runtime.clock().realtime(), "start"});
-    loop()->schedule().add(*this, loop()->turn_start(), config_.batch_time, Duration{0});
+    loop()->schedule().add(*this, config_.batch_time, Duration{0});
     is_attached_ = true;
   }
 

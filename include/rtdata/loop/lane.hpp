@@ -53,6 +53,8 @@ class Lane {
   bool submit(std::shared_ptr<LaneJob> job);
   /// Threads that have been left behind and have not come back.
   std::size_t left_behind() const noexcept;
+  /// As many threads as may be are left behind: nothing runs until one of them comes back.
+  bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
   /// Gives up the first job that has not finished, whatever its time.
   void give_up();
   /// Tells finished jobs' owners. Called by the loop when a worker has woken it.
