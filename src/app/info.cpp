@@ -5,6 +5,7 @@
 #include <ostream>
 
 #include "app/commands.hpp"
+#include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
 
 namespace rtdata::app {
@@ -158,8 +159,10 @@ void print(const Recording& recording, const Content& content, std::ostream& out
   for (const RunInfo& run : content.runs) {
     out << "  " << run.run << (run.name.empty() ? "" : " \"" + run.name + "\"") << "  " << short_time(run.started)
         << (run.ended ? " to " + short_time(*run.ended) : "") << "  " << name_of(run.state) << "\n";
-    if (!run.notes.empty()) out << "    " << run.notes << "\n";
-    if (!run.remark.empty()) out << "    " << run.remark << "\n";
+    std::string lines;
+    if (!run.notes.empty()) detail::wrap(lines, "    ", run.notes);
+    if (!run.remark.empty()) detail::wrap(lines, "    ", run.remark);
+    out << lines;
   }
   out << "\nrun " << content.shown->run << "\n";
   print_table(content.summaries, out);
@@ -168,8 +171,10 @@ void print(const Recording& recording, const Content& content, std::ostream& out
     out << "\nerrors of run " << content.shown->run << "\n";
     for (std::size_t i = 0; i < content.errors.size() && i < most; ++i) {
       const RecordedError& error = content.errors[i];
-      out << "  " << short_time(error.time) << " " << error.object << ": " << error.text << (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : "")
-          << "\n";
+      std::string line;
+      detail::wrap(line, "  ", short_time(error.time) + " " + error.object + ": " + error.text +
+                                   (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : ""));
+      out << line;
     }
     if (content.errors.size() > most) out << "  and " << content.errors.size() - most << " more\n";
   }

@@ -181,7 +181,7 @@ struct TopicSummary {
   std::size_t origins = 0;
   std::uint64_t rows = 0;
   double wanted_hertz = 0;   ///< from the schedule, summed over the origins; 0: no schedule
-  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, between first and last
+  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, in the run
   /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};

@@ -55,7 +55,6 @@ struct OriginTimes {
   std::vector<Segment> segments;
   std::size_t current = 0;
   std::uint64_t rows = 0;
-  std::int64_t first = 0, last = 0;
 
   /// The segment that a time belongs to, or null. Times ascend, so it is mostly that of the time before.
   const Segment* segment_of(Time time) {
@@ -93,8 +92,7 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
       current = &found->second;
       name = found->first;
     }
-    if (current->rows++ == 0) current->first = ns;
-    current->last = ns;
+    ++current->rows;
     const Time time = from_nanoseconds(ns);
     TopicSummary& summary = into.summary;
     ++summary.rows;
@@ -106,7 +104,8 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
   }
 }
 
-void add_rates(TopicTimes& topic) {
+/// `length`: of the run.
+void add_rates(TopicTimes& topic, Duration length) {
   for (const auto& [name, origin] : topic.origins) {
     double seconds = 0, ticks = 0;
     for (const Segment& segment : origin.segments) {
@@ -116,8 +115,8 @@ void add_rates(TopicTimes& topic) {
     if (seconds > 0) {
       topic.summary.wanted_hertz += ticks / seconds;
       topic.summary.reached_hertz += static_cast<double>(origin.rows) / seconds;
-    } else if (origin.rows > 1 && origin.last > origin.first) {
-      topic.summary.reached_hertz += static_cast<double>(origin.rows - 1) * 1e9 / static_cast<double>(origin.last - origin.first);
+    } else if (length.count() > 0) {
+      topic.summary.reached_hertz += static_cast<double>(origin.rows) * 1e9 / static_cast<double>(length.count());
     }
   }
 }
@@ -133,6 +132,12 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
   if (!schedule) return std::move(schedule).error();
   auto recorded = recording.topics();
   if (!recorded) return std::move(recorded).error();
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  Duration length{0};
+  for (const RunInfo& info : *runs) {
+    if (info.run == run && info.ended) length = *info.ended - info.started;
+  }
   std::map<std::string, TopicTimes> topics;
   for (const LedgerEntry& entry : *ledger) {
     TopicTimes& topic = topics[entry.topic];
@@ -154,7 +159,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     TopicSummary& sum = topic.summary;
     sum.topic = name;
     sum.origins = topic.origins.size();
-    add_rates(topic);
+    add_rates(topic, length);
     if (topic.lateness.total() != 0) {
       sum.has_lateness = true;
       sum.lateness_p50 = topic.lateness.percentile(0.5);

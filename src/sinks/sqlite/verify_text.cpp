@@ -1,33 +1,13 @@
 // A verify report for people and for programs.
 #include <nlohmann/json.hpp>
 
+#include "data/wrap.hpp"
 #include "rtdata/sinks/verify.hpp"
 
 namespace rtdata {
 namespace {
 
-constexpr std::size_t width = 80;
-
-/// A paragraph after a bullet, broken at spaces.
-void wrap(std::string& out, std::string_view bullet, std::string_view text) {
-  const std::string indent(bullet.size(), ' ');
-  std::string line(bullet);
-  bool is_empty = true;
-  while (!text.empty()) {
-    const std::size_t end = std::min(text.find(' '), text.size());
-    const std::string_view word = text.substr(0, end);
-    text.remove_prefix(std::min(end + 1, text.size()));
-    if (!is_empty && line.size() + 1 + word.size() > width) {
-      out += line + "\n";
-      line = indent;
-      is_empty = true;
-    }
-    if (!is_empty) line += ' ';
-    line += word;
-    is_empty = false;
-  }
-  out += line + "\n";
-}
+using detail::wrap;
 
 std::string times_of(const RunInfo& info) {
   std::string text = to_iso8601(info.started).substr(0, 19) + "Z";
