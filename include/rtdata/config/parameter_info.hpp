@@ -1,0 +1,76 @@
+/// ParameterInfo: what a component can be configured with, at run time; for listings, documentation and editors.
+///
+/// Made by `parameters_of<Config>()` (read.hpp) from the declaration; see parameter.hpp. Values; any thread.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/item.hpp"
+
+namespace rtdata {
+
+struct ParameterInfo;
+
+/// What a parameter holds.
+struct ParameterType {
+  enum class Kind {
+    any,  ///< not known here
+    boolean,
+    integer,
+    number,
+    character,
+    string,
+    duration,
+    rate,
+    choice,  ///< one of `choices`
+    list,    ///< of `element`
+    map,     ///< any keys, with `element` as values
+    object,  ///< of `members`
+  };
+  Kind kind = Kind::any;
+  bool nullable = false;              ///< null is a value (std::optional)
+  std::size_t length = 0;             ///< of a list; 0: any
+  std::optional<double> least, most;  ///< numbers as they are, durations in ns, rates in Hz
+  std::vector<std::string> choices;
+  std::vector<ParameterType> element;  ///< one, of a list or map
+  std::vector<ParameterInfo> members;  ///< of an object
+
+  /// "number", "list of 3 numbers", "duration", "choice" ...
+  std::string name() const;
+  /// "0 to 255", "at least 1 ms", "" for none; of the elements for a list.
+  std::string range() const;
+};
+
+struct ParameterInfo {
+  std::string key;
+  ParameterType type;
+  std::string unit;          ///< UCUM, of a number
+  ConfigItem default_value;  ///< null for none
+  bool required = false;
+  std::string doc;
+
+  /// The default as one writes it in the file, strings without quotes; "" for none.
+  std::string default_text() const;
+};
+
+/// A draft-07 JSON Schema of an object with these parameters and no others, as JSON text.
+std::string schema(const std::vector<ParameterInfo>& parameters, std::string_view title, std::string_view doc);
+
+/// A type in a registry, by its name in the file.
+struct TypeInfo {
+  std::string name;
+  std::string doc;
+  std::vector<ParameterInfo> parameters;
+
+  /// The schema of an item of this type: `{"type": "analog", ...}`. `key`: what names the type.
+  std::string schema(std::string_view key = "type") const;
+};
+
+/// The schema of an item of any of these types, which asks for the parameters of the one that it names.
+std::string schema(const std::vector<TypeInfo>& types, std::string_view key = "type");
+
+}  // namespace rtdata

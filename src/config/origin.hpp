@@ -1,0 +1,24 @@
+/// Where an item came from: private to src/config.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "rtdata/config/item.hpp"
+
+namespace rtdata {
+
+/// Shared by copies of an item, immutable. A chain of them up to the root gives the path, so that paths cost no memory.
+struct ConfigItem::Origin {
+  std::shared_ptr<const Origin> parent;  ///< null for the root
+  std::string key;
+  std::size_t index = 0;
+  bool element = false;  ///< of an array
+  std::shared_ptr<const std::string> file;
+  std::size_t line = 0;
+  std::size_t column = 0;
+  std::size_t key_line = 0;
+  std::size_t key_column = 0;
+};
+
+}  // namespace rtdata
