@@ -14,7 +14,8 @@ namespace rtdata::detail {
 
 class RateGroup;
 
-/// What is called at a rate. `tick` may remove or add any member, itself included.
+/// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in its
+/// own tick has the next one a period after the new start, since it has just had one.
 class RateMember {
  public:
   /// `tick.missed`: ticks of this member's schedule skipped just before; `tick.index` is not set.
@@ -44,7 +45,7 @@ class RateGroup final : public Deadline {
   RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
   void fire(MonotonicTime now) override;
   Duration period() const noexcept { return period_; }
-  /// Of this member: the group's due tick, unless the group is past it in the tick under way.
+  /// Of this member: the group's first tick not dealt with, unless the group is past it in the tick under way.
   MonotonicTime next_due_of(const RateMember& member) const noexcept;
 
  private:
@@ -55,7 +56,8 @@ class RateGroup final : public Deadline {
   std::vector<RateMember*> members_;  // null: removed while firing
   std::size_t live_ = 0;
   std::size_t position_ = 0;  // while firing: members before it have had their tick
-  MonotonicTime firing_due_{};
+  MonotonicTime firing_due_ = MonotonicTime::min();  // of the last tick
+  MonotonicTime first_missed_{};  // while firing: first tick not dealt with before
   bool firing_ = false;
 };
 
@@ -70,7 +72,9 @@ class Schedule {
   friend class RateGroup;
   void discard(RateGroup& group);
   LoopCore& loop_;
-  std::map<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>> groups_;  // by period and phase
+  using Key = std::pair<Duration, Duration>;  // period and phase
+  std::multimap<Key, std::unique_ptr<RateGroup>> groups_;  // several of a key only while one has had a tick the other has not
+  const RateMember* ticking_ = nullptr;
 };
 
 }  // namespace rtdata::detail
