@@ -126,8 +126,7 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
   if (tail.empty()) return {};
   std::vector<std::byte> whole = tail;
   whole.resize(tail.size() + window_bytes);
-  for (const char end : {'"', '\n'}) whole.push_back(static_cast<std::byte>(end));
-  whole.push_back(std::byte{'\n'});
+  for (const char end : {'\n', '"', '\n'}) whole.push_back(static_cast<std::byte>(end));  // of a row, and of an open quote
   if (tail.size() > 2 * window_bytes || codec.first_event(whole) == 0) {
     return Error{Errc::damaged, "cannot append to", path_, "what it holds is no " + std::string(codec.name()),
                  "check `format`, or choose another path"};
