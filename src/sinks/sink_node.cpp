@@ -10,13 +10,13 @@
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/sink_notes.hpp"
 #include "sinks/sink_queue.hpp"
 
 namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr std::size_t most_errors = 256;
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
 /// Stores what is queued, on the lane.
@@ -71,7 +71,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
     runtime.recorders.push_back(this);
-    clock_.push_back({loop()->now(), runtime.clock().realtime(), "start"});
+    notes_.add({loop()->now(), runtime.clock().realtime(), "start"});
     loop()->schedule().add(*this, loop()->turn_start(), config_.batch_time, Duration{0});
     is_attached_ = true;
   }
@@ -151,36 +151,17 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void on_gap(OriginCore& origin, const Gap& gap) override {
     Slot* slot = find_slot(origin);
     if (slot == nullptr) return;
-    const std::uint32_t index = slot->accounted.slot;
-    if (gaps_.size() >=
-        std::max<std::size_t>(4096, 2 * queue_->slot_count())) {  // storage stalls: gaps of one origin become one
-      for (auto entry = gaps_.rbegin(); entry != gaps_.rend(); ++entry) {
-        if (entry->slot != index || entry->gap.kind != gap.kind) continue;
-        entry->gap.last = gap.last;
-        entry->gap.count += gap.count;
-        if (entry->gap.reason != gap.reason) entry->gap.reason = "several";
-        return;
-      }
-    }
-    gaps_.push_back({index, gap});
+    notes_.add(slot->accounted.slot, gap, queue_->slot_count());
   }
 
   void on_segment(OriginCore& origin, const Segment& segment) override {
-    if (Slot* slot = find_slot(origin)) segments_.push_back({slot->accounted.slot, segment});
+    if (Slot* slot = find_slot(origin)) notes_.add(slot->accounted.slot, segment);
   }
 
-  void on_clock(const ClockPair& pair) override { clock_.push_back(pair); }
+  void on_clock(const ClockPair& pair) override { notes_.add(pair); }
 
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override {
-    for (auto& entry : errors_) {
-      if (errors_.size() < most_errors) break;
-      if (entry.object == object && entry.id == error.id()) {
-        entry.count += count;
-        return;
-      }
-    }
-    if (errors_.size() < 2 * most_errors)
-      errors_.push_back({time, std::string(object), std::string(error.id()), error.text(), count});
+    notes_.add(time, object, error, count);
   }
 
   SinkStatus status() const override {
@@ -330,14 +311,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
         account->origins.push_back(now);
       }
     }
-    account->gaps.swap(gaps_);
-    account->segments.swap(segments_);
-    account->errors.swap(errors_);
-    account->clock.swap(clock_);
-    gaps_.clear();
-    segments_.clear();
-    errors_.clear();
-    clock_.clear();
+    notes_.move_into(*account);
     if (account->is_empty()) return false;
     queue_->hand_over_account();
     return true;
@@ -351,9 +325,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     RuntimeCore& runtime = loop()->runtime;
     runtime.flush_repeats(RuntimeCore::Repeats::all);  // a user's handler may close this sink: then that does the rest
     if (!is_attached_) return;
-    if (clock_.empty() || std::strcmp(clock_.back().source, "end") != 0) {
-      clock_.push_back({loop()->now(), runtime.clock().realtime(), "end"});
-    }
+    if (!notes_.has_end()) notes_.add({loop()->now(), runtime.clock().realtime(), "end"});
     if (is_scheduled()) loop()->schedule().remove(*this);
     queue_->hand_over();
     queue_->keep_own_counts();
@@ -443,10 +415,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::shared_ptr<StoreJob> job_;
   std::unique_ptr<Lane> lane_;
   std::vector<std::unique_ptr<TopicTap>> taps_;
-  std::vector<Account::GapEntry> gaps_;
-  std::vector<Account::SegmentEntry> segments_;
-  std::vector<Account::ErrorEntry> errors_;
-  std::vector<ClockPair> clock_;
+  SinkNotes notes_;
   Timer retry_;
   Timer deadline_;
   Duration retry_delay_{0};
