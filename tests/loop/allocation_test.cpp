@@ -19,6 +19,7 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sinks/sink.hpp"
 
 namespace {
 
@@ -57,6 +58,11 @@ namespace {
 struct Stage {
   const char* name;
   std::function<std::function<std::uint64_t()>(Loop&)> set_up;
+};
+
+class Nowhere final : public Writer {
+  Result<void> open() override { return {}; }
+  Result<void> write(Batch&) override { return {}; }
 };
 
 template <class T>
@@ -112,6 +118,11 @@ const std::vector<Stage>& stages() {
          auto ticker = keep(Ticker(loop, 10ms, [feed](const Tick&) { feed->publish({}); }));
          return std::function<std::uint64_t()>([ticker, count = count_events(loop.subscribe<Number>(
                                                             "reordered", [](const Event<Number>&) {}))] { return count(); });
+       }},
+      {"copy for a sink, and hand over batches",
+       [](Loop& loop) {
+         auto sink = keep(Sink(loop, {.name = "sink", .batch_time = 20ms}, std::make_unique<Nowhere>()));
+         return std::function<std::uint64_t()>([sink] { return sink->counts().offered; });
        }},
   };
   return all;
