@@ -107,6 +107,12 @@ Lane::~Lane() {
   }
 }
 
+bool Lane::is_stuck() noexcept {
+  // A job that was given up may have come back since, and its thread with it.
+  std::erase_if(behind_, [](const auto& worker) { return worker->ended.load(std::memory_order_acquire); });
+  return worker_ == nullptr && behind_.size() >= most_left_behind;
+}
+
 void Lane::start_worker() {
   worker_ = std::make_shared<Worker>();
   worker_->loop_wake = loop_.wake_handle();
@@ -140,7 +146,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
     return true;
   }
   if (worker_ == nullptr) {
-    if (left_behind_ >= most_left_behind) return false;
+    if (is_stuck()) return false;
     start_worker();
   }
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
@@ -195,9 +201,9 @@ void Lane::give_up() {
     const std::lock_guard lock(worker_->loop_mutex);
     worker_->loop_wake = nullptr;
   }
+  behind_.push_back(std::move(worker_));
   worker_ = nullptr;
-  ++left_behind_;
-  if (left_behind_ < most_left_behind) {
+  if (!is_stuck()) {
     start_worker();
     for (std::size_t i = 1; i < outstanding_.size(); ++i) worker_->push(outstanding_[i]);
     finish(0, LaneJob::Outcome::given_up);

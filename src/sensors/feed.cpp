@@ -67,15 +67,6 @@ Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) { return new Fe
 
 void feed_publish(Node& feed, void* payload, const Time* time) { static_cast<FeedNode&>(feed).publish(payload, time); }
 
-PayloadType described_type(std::shared_ptr<const Description> description) {
-  PayloadType type;
-  type.size = description->size();
-  type.alignment = description->alignment();
-  type.type_name = description->name().c_str();
-  type.description = std::move(description);
-  return type;
-}
-
 }  // namespace detail
 
 namespace {

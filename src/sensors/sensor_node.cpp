@@ -8,7 +8,6 @@ namespace {
 
 constexpr std::string_view loop_held = "loop held";
 constexpr std::string_view still_reading = "still reading";
-constexpr std::string_view lane_full = "lane full";
 constexpr std::string_view stopped = "stopped";
 
 void check_rate(Rate rate, const std::string& name) {
@@ -117,6 +116,7 @@ void SensorNode::cancel_transaction() {
   if (origin_.counts.in_flight != 0) {
     origin_.fail_read(stopped, transaction_->due_);
     transaction_->owner_ = nullptr;
+    transaction_->is_unwanted_.store(true, std::memory_order_relaxed);
   }
   transaction_ = nullptr;
 }
@@ -132,6 +132,7 @@ void SensorNode::drop_callbacks() noexcept {
 }
 
 Result<void> SensorNode::open_device() noexcept {
+  lane_ = nullptr;  // what is opened may be another physical device than before
   try {
     return device_->open();
   } catch (const std::exception& e) {
@@ -245,9 +246,13 @@ void SensorNode::submit(const Tick& tick) {
   Transaction& transaction = *transaction_;
   transaction.due_ = tick.due;
   origin_.begin_read();
-  if (!loop()->lane(lane_device_->lane_key(), lane_device_->give_up_after()).submit(transaction_)) {
-    origin_.fail_read(lane_full, tick.due);
-    failed({Errc::busy, "cannot read", object_name(), "its lane is full of reads that do not come back", "look at the device"}, tick.now);
+  if (lane_ == nullptr) lane_ = &loop()->lane(lane_device_->lane_key(), lane_device_->give_up_after());
+  if (!lane_->submit(transaction_)) {
+    const Error error = lane_->is_stuck() ? lane_device_->given_up_error()
+                                          : Error{Errc::busy, "cannot read", object_name(),
+                                                  "its lane is full of reads of sensors that share the device", "lower their rates"};
+    origin_.fail_read(error.id(), tick.due);
+    failed(error, tick.now);
   }
 }
 
@@ -277,6 +282,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
 }
 
 void Transaction::run() noexcept {
+  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
   began_ = loop_ != nullptr ? loop_->now() : std::chrono::steady_clock::now();
   transact();
 }

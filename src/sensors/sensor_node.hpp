@@ -47,6 +47,7 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
 
   std::unique_ptr<SensorDevice> device_;
   LaneDevice* lane_device_;  // null: read inline
+  Lane* lane_ = nullptr;     // the loop's; found when the device was opened
   std::shared_ptr<Transaction> transaction_;
   Duration period_;
   Duration phase_;

@@ -4,6 +4,15 @@
 
 namespace rtdata::detail {
 
+PayloadType described_type(std::shared_ptr<const Description> description) {
+  PayloadType type;
+  type.size = description->size();
+  type.alignment = description->alignment();
+  type.type_name = description->name().c_str();
+  type.description = std::move(description);
+  return type;
+}
+
 SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type)
     : Node(loop),
       origin_(loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)))) {

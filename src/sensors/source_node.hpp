@@ -7,6 +7,9 @@
 
 namespace rtdata::detail {
 
+/// The type of a payload that has a description and no C++ type.
+PayloadType described_type(std::shared_ptr<const Description> description);
+
 class SourceNode : public Node, public SensorEntry {
  public:
   SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type);

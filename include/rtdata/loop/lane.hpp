@@ -50,7 +50,10 @@ class Lane {
 
   /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
   bool submit(std::shared_ptr<LaneJob> job);
-  std::size_t left_behind() const noexcept { return left_behind_; }
+  /// Threads left behind that have not ended since.
+  std::size_t left_behind() noexcept { return is_stuck() ? most_left_behind : behind_.size(); }
+  /// As many threads as may be are left behind: nothing runs until one of them comes back.
+  bool is_stuck() noexcept;
   /// Gives up the running job now, whatever its time.
   void give_up();
   /// Tells finished jobs' owners. Called by the loop when a worker has woken it.
@@ -71,7 +74,7 @@ class Lane {
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
-  std::size_t left_behind_ = 0;
+  std::vector<std::shared_ptr<Worker>> behind_;
 };
 
 }  // namespace rtdata::detail

@@ -8,6 +8,7 @@
 /// Owner: the sensor and the lane. Thread: `transact` the lane's, all else the loop's.
 #pragma once
 
+#include <atomic>
 #include <memory>
 #include <string>
 
@@ -27,6 +28,7 @@ class Transaction : public LaneJob {
  private:
   friend class SensorNode;
   SensorNode* owner_ = nullptr;  // null once the sensor does not want it any more
+  std::atomic<bool> is_unwanted_{false};  // the same for the lane's thread, when it was not begun yet
   MonotonicTime due_{};
   MonotonicTime began_{};
   LoopCore* loop_ = nullptr;  // on manual loops, whose clock it takes; null otherwise

@@ -1,0 +1,38 @@
+/// What the parts that all sensors have in common are called in a configuration file.
+///
+///     {"name": "chamber", "topic": "pressure/chamber", "rate": "100 Hz", "retry_first": "100 ms", ...}
+///
+/// Read them with `read_config(item, config, problems, UnknownKeys::ignore)`; the rest is the sensor's own Config.
+/// Values; any thread.
+#pragma once
+
+#include "rtdata/config/parameter.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+constexpr auto parameters(type_tag<SensorConfig>) {
+  using namespace std::chrono_literals;
+  return parameter_list(
+      parameter("name", &SensorConfig::name, "the origin of its events, unique in the file", required),
+      parameter("topic", &SensorConfig::topic, "where it publishes; empty: as its name"),
+      parameter("rate", &SensorConfig::rate, "how often it is read", required, at_most(Rate::from_period(1us))),
+      parameter("phase", &SensorConfig::phase, "added to the start of its schedule", range(Duration{0}, Duration{1h})),
+      parameter("late_after", &SensorConfig::late_after,
+                "readings that begin later than this are counted as late; default the larger of 1 ms and 10 % of the period",
+                at_least(Duration{0})),
+      parameter("faulted_after", &SensorConfig::faulted_after, "failures in a row that make it faulted", range(1, 1000000)),
+      parameter("retry_first", &SensorConfig::retry_first, "wait before a faulted device is opened again",
+                range(Duration{1ms}, Duration{1h})),
+      parameter("retry_longest", &SensorConfig::retry_longest, "the wait doubles up to this", range(Duration{1ms}, Duration{24h})),
+      parameter("required", &SensorConfig::required, "a device that cannot be opened at the start ends the program"),
+      parameter("start", &SensorConfig::start, "start it with the system"));
+}
+
+constexpr auto parameters(type_tag<FeedConfig>) {
+  return parameter_list(parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required),
+                        parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name"));
+}
+
+}  // namespace rtdata

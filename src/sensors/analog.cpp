@@ -1,0 +1,143 @@
+#include "rtdata/sensors/analog.hpp"
+
+#include <charconv>
+#include <cmath>
+#include <cstring>
+
+#include "rtdata/sensors/transaction.hpp"
+#include "sensors/source_node.hpp"
+#include "sensors/sysfs_file.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_read = "cannot read the ADC file";
+constexpr const char* find_advice = "check `file`; `ls /sys/bus/iio/devices/*/in_voltage*_raw` lists the converters";
+
+double codes(const AnalogConfig& config) noexcept { return std::ldexp(1.0, static_cast<int>(config.quantization_bits)); }
+
+double span_voltage_of_value(const AnalogConfig& config) noexcept {
+  return config.span_value_voltage.value_or(config.span_voltage);
+}
+
+std::string shown(std::string_view text) {
+  std::string shown = "\"";
+  for (const char c : text.substr(0, 40)) shown += c >= ' ' && c < 127 ? c : '?';
+  return shown + (text.size() > 40 ? "...\"" : "\"");
+}
+
+class ReadFile final : public detail::Transaction {
+ public:
+  explicit ReadFile(const std::string& path) : file(path) {}
+  void transact() noexcept override { file.read(); }
+  detail::SysfsFile file;
+};
+
+class AnalogDevice final : public detail::LaneDevice {
+ public:
+  explicit AnalogDevice(AnalogConfig config) : config_(std::move(config)) {}
+
+  Result<void> open() override {
+    lane_key_ = detail::physical_device_of(config_.file);
+    return detail::check_readable(config_.file, cannot_read, find_advice);
+  }
+  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<ReadFile>(config_.file); }
+  std::string lane_key() const override { return lane_key_; }
+  Duration give_up_after() const override { return config_.timeout; }
+  Error given_up_error() const override {
+    return {Errc::timed_out, cannot_read, config_.file, "no answer within " + to_string(config_.timeout),
+            "look at the converter and its bus; `timeout` sets how long to wait"};
+  }
+
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
+    const detail::SysfsFile& file = static_cast<ReadFile&>(transaction).file;
+    if (file.error_number() != 0) {
+      error = system_error(file.error_number(), cannot_read, config_.file, find_advice);
+      return detail::Sampled::failed;
+    }
+    Result<std::int64_t> adc = parse_adc(config_, file.text());
+    if (!adc) {
+      error = std::move(adc).error();
+      return detail::Sampled::failed;
+    }
+    AnalogReading reading{convert(config_, *adc), *adc};
+    port.publish(&reading);
+    return detail::Sampled::value;
+  }
+
+ private:
+  AnalogConfig config_;
+  std::string lane_key_;
+};
+
+void check(const AnalogConfig& config, const std::string& name) {
+  const auto refuse = [&](const char* why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot use this analog sensor", "sensor " + name, why, advice});
+  };
+  const double span = span_voltage_of_value(config);
+  if (config.file.empty()) refuse("it has no file", find_advice);
+  if (config.quantization_bits < 1 || config.quantization_bits > 62) refuse("quantization_bits is not 1 to 62", "such as 12");
+  if (config.timeout <= Duration{0}) refuse("its timeout is not positive", "such as 1 s");
+  for (const double volts : {config.zero_value_voltage, span, config.scale, config.zero_voltage, config.span_voltage}) {
+    if (!std::isfinite(volts)) refuse("a voltage or the scale is not finite", "set it to a number");
+  }
+  if (config.span_voltage == 0) refuse("span_voltage is 0", "set it to the range of the converter, such as 3.3");
+  if (config.conversion == AnalogConversion::standard ? span == 0 : span == config.zero_value_voltage) {
+    refuse("the sensor's range has no width", "set span_value_voltage to the voltage of the full value");
+  }
+}
+
+}  // namespace
+
+double convert(const AnalogConfig& config, std::int64_t adc) noexcept {
+  const double span_value_voltage = span_voltage_of_value(config);
+  const double width = config.conversion == AnalogConversion::standard ? span_value_voltage
+                                                                       : span_value_voltage - config.zero_value_voltage;
+  const double zero = codes(config) * (config.zero_value_voltage - config.zero_voltage) / config.span_voltage;
+  const double span = codes(config) * width / config.span_voltage;
+  return (static_cast<double>(adc) - zero) * config.scale / span;
+}
+
+Result<std::int64_t> parse_adc(const AnalogConfig& config, std::string_view text) {
+  const std::string_view number = detail::trimmed(text);
+  const auto failure = [&](Errc code, std::string why, const char* advice) {
+    return Error{code, cannot_read, config.file, std::move(why), advice};
+  };
+  constexpr const char* no_adc = "the file of a converter holds one whole number; check `file`";
+  if (text.size() >= detail::SysfsFile::most) return failure(Errc::bad_data, "it holds more than a number", no_adc);
+  if (number.empty()) return failure(Errc::bad_data, "it is empty", no_adc);
+  std::int64_t adc = 0;
+  const auto [end, status] = std::from_chars(number.data(), number.data() + number.size(), adc);
+  if (status == std::errc::invalid_argument || end != number.data() + number.size()) {
+    return failure(Errc::not_a_number, shown(number) + " is no whole number", no_adc);
+  }
+  const std::int64_t count = std::int64_t{1} << config.quantization_bits;
+  const std::int64_t least = config.signed_adc ? -count / 2 : 0;
+  const std::int64_t greatest = config.signed_adc ? count / 2 - 1 : count - 1;
+  if (status == std::errc::result_out_of_range || adc < least || adc > greatest) {
+    return failure(Errc::out_of_range,
+                   shown(number) + " is outside " + std::to_string(least) + " to " + std::to_string(greatest),
+                   "check `quantization_bits` and `signed_adc`");
+  }
+  return adc;
+}
+
+Result<std::shared_ptr<const Description>> analog_description(const std::string& unit) {
+  return DescriptionBuilder("analog").field("value", Kind::f64, unit).field("raw", Kind::i64).build();
+}
+
+std::optional<AnalogReading> analog_reading(const EventView& event) noexcept {
+  const Description& description = event.description();
+  if (description.name() != "analog" || event.payload().size() != sizeof(AnalogReading)) return {};
+  AnalogReading reading;
+  std::memcpy(&reading, event.payload().data(), sizeof reading);
+  return reading;
+}
+
+AnalogSensor::AnalogSensor(Loop& loop, SensorConfig sensor, AnalogConfig config) {
+  check(config, sensor.name);
+  auto type = detail::described_type(analog_description(config.unit).or_throw());
+  *this = AnalogSensor(detail::make_sensor(loop, std::move(sensor), std::move(type), std::make_unique<AnalogDevice>(std::move(config))));
+}
+
+}  // namespace rtdata

@@ -1,0 +1,50 @@
+// A small text file of the kernel, read whole, on a lane.
+#pragma once
+
+#include <sys/types.h>
+
+#include <array>
+#include <cstddef>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::detail {
+
+/// Owns the descriptor. Below /sys it stays open between reads, as sysfs answers each read at 0 anew.
+class SysfsFile {
+ public:
+  static constexpr std::size_t most = 128;
+  explicit SysfsFile(std::string path) : path_(std::move(path)) {}
+  SysfsFile(const SysfsFile&) = delete;
+  SysfsFile& operator=(const SysfsFile&) = delete;
+  ~SysfsFile() { close(); }
+
+  /// Blocks as long as the kernel does. Afterwards `error_number` is 0 and `text` the content, at most `most` bytes of
+  /// it; or `error_number` says what went wrong.
+  void read() noexcept;
+  int error_number() const noexcept { return error_number_; }
+  std::string_view text() const noexcept { return {buffer_.data(), size_}; }
+  const std::string& path() const noexcept { return path_; }
+
+ private:
+  void close() noexcept;
+
+  std::string path_;
+  int fd_ = -1;
+  bool keeps_open_ = false;
+  int error_number_ = 0;
+  std::size_t size_ = 0;
+  std::array<char, most> buffer_;
+};
+
+/// Whether the file is there and may be read, found out without opening it (which may block). `what`, `advice`: of the
+/// error.
+Result<void> check_readable(const std::string& path, const char* what, const std::string& advice);
+/// One lane per physical device: its directory for a file below /sys, else the file itself.
+std::string physical_device_of(const std::string& path);
+/// Without the newline and blanks around it.
+std::string_view trimmed(std::string_view text) noexcept;
+
+}  // namespace rtdata::detail

@@ -1,0 +1,55 @@
+// What the tests of sensors share: files of their own, and a log of errors.
+#pragma once
+
+#include <unistd.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <string>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+/// A directory that is gone after the test.
+class ScratchDirectory {
+ public:
+  ScratchDirectory() {
+    char name[] = "/tmp/rtdata_test_XXXXXX";
+    path_ = ::mkdtemp(name);
+  }
+  ScratchDirectory(const ScratchDirectory&) = delete;
+  ScratchDirectory& operator=(const ScratchDirectory&) = delete;
+  ~ScratchDirectory() {
+    for (const std::string& file : files_) ::unlink(file.c_str());
+    for (auto at = directories_.rbegin(); at != directories_.rend(); ++at) ::rmdir(at->c_str());
+    ::rmdir(path_.c_str());
+  }
+  const std::string& path() const { return path_; }
+  std::string file(const std::string& name) {
+    const std::string path = path_ + "/" + name;
+    for (auto at = path.find('/', path_.size() + 1); at != std::string::npos; at = path.find('/', at + 1)) {
+      if (::access(path.substr(0, at).c_str(), F_OK) == 0) continue;
+      directories_.push_back(path.substr(0, at));
+      [[maybe_unused]] const int made = ::system(("mkdir -p '" + directories_.back() + "'").c_str());
+    }
+    files_.push_back(path);
+    return path;
+  }
+  std::string file(const std::string& name, const std::string& content) {
+    const std::string path = file(name);
+    write(path, content);
+    return path;
+  }
+  static void write(const std::string& path, const std::string& content) { std::ofstream(path, std::ios::trunc) << content; }
+
+ private:
+  std::string path_;
+  std::vector<std::string> files_;
+  std::vector<std::string> directories_;
+};
+
+/// Keeps what goes to the log away from the test's output.
+inline void be_quiet(rtdata::Loop& loop) {
+  loop.runtime().on_log([](const rtdata::LogRecord&) {});
+}
