@@ -391,7 +391,9 @@ void LoopCore::report_exception(std::string_view name, const char* what) noexcep
 // ---- Node
 
 Node::Node(LoopCore& loop) : loop_(&loop) { loop.link(*this); }
-Node::~Node() = default;
+Node::~Node() {
+  if (loop_ != nullptr) loop_->unlink(*this);  // a constructor of the derived class threw: it was never open
+}
 
 void Node::close() noexcept {
   if (loop_ == nullptr) return;

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <cstring>
 
-#include "rtdata/sensors/transaction.hpp"
 #include "sensors/source_node.hpp"
 #include "sensors/sysfs_file.hpp"
 
@@ -26,13 +25,6 @@ std::string shown(std::string_view text) {
   return shown + (text.size() > 40 ? "...\"" : "\"");
 }
 
-class ReadFile final : public detail::Transaction {
- public:
-  explicit ReadFile(const std::string& path) : file(path) {}
-  void transact() noexcept override { file.read(); }
-  detail::SysfsFile file;
-};
-
 class AnalogDevice final : public detail::LaneDevice {
  public:
   explicit AnalogDevice(AnalogConfig config) : config_(std::move(config)) {}
@@ -41,7 +33,7 @@ class AnalogDevice final : public detail::LaneDevice {
     lane_key_ = detail::physical_device_of(config_.file);
     return detail::check_readable(config_.file, cannot_read, find_advice);
   }
-  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<ReadFile>(config_.file); }
+  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(config_.file); }
   std::string lane_key() const override { return lane_key_; }
   Duration give_up_after() const override { return config_.timeout; }
   Error given_up_error() const override {
@@ -50,7 +42,7 @@ class AnalogDevice final : public detail::LaneDevice {
   }
 
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
-    const detail::SysfsFile& file = static_cast<ReadFile&>(transaction).file;
+    const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
     if (file.error_number() != 0) {
       error = system_error(file.error_number(), cannot_read, config_.file, find_advice);
       return detail::Sampled::failed;

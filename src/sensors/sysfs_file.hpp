@@ -9,6 +9,7 @@
 #include <string_view>
 
 #include "rtdata/data/error.hpp"
+#include "rtdata/sensors/transaction.hpp"
 
 namespace rtdata::detail {
 
@@ -37,6 +38,14 @@ class SysfsFile {
   int error_number_ = 0;
   std::size_t size_ = 0;
   std::array<char, most> buffer_;
+};
+
+/// Reads it once.
+class ReadFile final : public Transaction {
+ public:
+  explicit ReadFile(const std::string& path) : file(path) {}
+  void transact() noexcept override { file.read(); }
+  SysfsFile file;
 };
 
 /// Whether the file is there and may be read, found out without opening it (which may block). `what`, `advice`: of the

@@ -1,0 +1,164 @@
+/// HostSensor: what this computer knows of itself.
+///
+///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz}, {.what = HostQuantity::cpu});
+///     auto s = loop.topic<rtdata::HostCpu>("host/cpu").subscribe(loop, [](const auto& e) { use(e->busy); });
+///
+/// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity or
+/// device that it does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`.
+///
+/// Files of /proc stay open and are read inline: a read costs microseconds (`process` the least: fit for 1 kHz and more,
+/// and it always changes). Files of /sys may ask a slow chip: they are read on a lane, and given up after `timeout`.
+/// Shares of time are made of the difference of two reads: the first read gives nothing (repeated), nor does one so soon
+/// that the kernel's clock (10 ms mostly) has not moved.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/parameter.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+enum class HostQuantity {
+  cpu,          ///< HostCpu; device: "cpu0" ..., empty: all together
+  load,         ///< HostLoad
+  memory,       ///< HostMemory
+  disk,         ///< HostDisk; device: "sda", "mmcblk0p1"
+  network,      ///< HostNetwork; device: "eth0"
+  scheduler,    ///< HostScheduler
+  process,      ///< HostProcess: this program
+  temperature,  ///< HostTemperature; device: "thermal_zone0" or "hwmon0/temp1", empty: the first there is
+  frequency,    ///< HostFrequency; device: "cpu0" ..., empty: cpu0
+};
+constexpr auto describe(type_tag<HostQuantity>) {
+  using enum HostQuantity;
+  return enumeration("quantity", value("cpu", cpu), value("load", load), value("memory", memory), value("disk", disk),
+                     value("network", network), value("scheduler", scheduler), value("process", process),
+                     value("temperature", temperature), value("frequency", frequency));
+}
+
+/// Shares of the time since the last read, "%"; they add up to 100.
+struct HostCpu {
+  double busy = 0;  ///< all but idle and iowait
+  double user = 0;
+  double nice = 0;
+  double system = 0;
+  double idle = 0;
+  double iowait = 0;
+  double irq = 0;
+  double softirq = 0;
+  double steal = 0;
+  RTDATA_FIELDS(HostCpu, (busy, "%"), (user, "%"), (nice, "%"), (system, "%"), (idle, "%"), (iowait, "%"), (irq, "%"),
+                (softirq, "%"), (steal, "%"))
+};
+/// Mean number of tasks that run or wait.
+struct HostLoad {
+  double minutes_1 = 0;
+  double minutes_5 = 0;
+  double minutes_15 = 0;
+  std::uint32_t running = 0;  ///< tasks that run or could, now
+  std::uint32_t tasks = 0;
+  RTDATA_FIELDS(HostLoad, (minutes_1), (minutes_5), (minutes_15), (running), (tasks))
+};
+struct HostMemory {
+  std::uint64_t total = 0;
+  std::uint64_t free = 0;
+  std::uint64_t available = 0;  ///< what programs could still get
+  std::uint64_t buffers = 0;
+  std::uint64_t cached = 0;
+  std::uint64_t swap_total = 0;
+  std::uint64_t swap_free = 0;
+  RTDATA_FIELDS(HostMemory, (total, "By"), (free, "By"), (available, "By"), (buffers, "By"), (cached, "By"),
+                (swap_total, "By"), (swap_free, "By"))
+};
+/// Since the machine's start.
+struct HostDisk {
+  std::uint64_t reads = 0;
+  std::uint64_t read_bytes = 0;
+  std::uint64_t writes = 0;
+  std::uint64_t written_bytes = 0;
+  std::uint64_t in_flight = 0;  ///< now
+  std::uint64_t busy_time = 0;
+  RTDATA_FIELDS(HostDisk, (reads), (read_bytes, "By"), (writes), (written_bytes, "By"), (in_flight), (busy_time, "ms"))
+};
+/// Since the interface's start.
+struct HostNetwork {
+  std::uint64_t received_bytes = 0;
+  std::uint64_t received_packets = 0;
+  std::uint64_t receive_errors = 0;
+  std::uint64_t receive_drops = 0;
+  std::uint64_t sent_bytes = 0;
+  std::uint64_t sent_packets = 0;
+  std::uint64_t send_errors = 0;
+  std::uint64_t send_drops = 0;
+  RTDATA_FIELDS(HostNetwork, (received_bytes, "By"), (received_packets), (receive_errors), (receive_drops), (sent_bytes, "By"),
+                (sent_packets), (send_errors), (send_drops))
+};
+/// Since the machine's start, but for the last two.
+struct HostScheduler {
+  std::uint64_t context_switches = 0;
+  std::uint64_t interrupts = 0;
+  std::uint64_t soft_interrupts = 0;
+  std::uint64_t forks = 0;
+  std::uint32_t running = 0;
+  std::uint32_t blocked = 0;
+  RTDATA_FIELDS(HostScheduler, (context_switches), (interrupts), (soft_interrupts), (forks), (running), (blocked))
+};
+/// Since the start of the program, of the thread that runs the loop.
+struct HostProcess {
+  std::uint64_t cpu_time = 0;     ///< of all threads of the program
+  std::uint64_t run_time = 0;     ///< of the loop's thread
+  std::uint64_t wait_time = 0;    ///< the loop's thread could have run, but another did
+  std::uint64_t time_slices = 0;  ///< how often the loop's thread was put on a CPU
+  RTDATA_FIELDS(HostProcess, (cpu_time, "ns"), (run_time, "ns"), (wait_time, "ns"), (time_slices))
+};
+struct HostTemperature {
+  double temperature = 0;
+  RTDATA_FIELDS(HostTemperature, (temperature, "Cel"))
+};
+struct HostFrequency {
+  double frequency = 0;
+  RTDATA_FIELDS(HostFrequency, (frequency, "Hz"))
+};
+
+struct HostConfig {
+  HostQuantity what = HostQuantity::cpu;
+  std::string device = {};  ///< which one, see HostQuantity
+  std::string root = {};    ///< put before /proc and /sys: where a container sees its host's
+  Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
+
+  friend constexpr auto parameters(type_tag<HostConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("quantity", &HostConfig::what, "what is read", required),
+        parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer"),
+        parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's"),
+        parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up", range(Duration{1ms}, Duration{1h})));
+  }
+};
+
+class HostSensor : public AnySensor {
+ public:
+  HostSensor() noexcept = default;
+  /// SetupError: as `Sensor`; and bad-argument for a disk or network without a device.
+  HostSensor(Loop& loop, SensorConfig sensor, HostConfig config);
+
+ private:
+  explicit HostSensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+/// One sensor that this machine has.
+struct HostSensorInfo {
+  HostQuantity what = HostQuantity::cpu;
+  std::string device;  ///< for HostConfig::device
+  std::string name;    ///< as the kernel calls it ("x86_pkg_temp"), or empty
+};
+/// Looks into /proc and /sys below `root`. Blocks for as long as listing directories takes; any thread.
+std::vector<HostSensorInfo> available_host_sensors(const std::string& root = {});
+
+}  // namespace rtdata

@@ -1,0 +1,115 @@
+#include "io/tty.hpp"
+
+// <asm/termbits.h> has termios2 with arbitrary speeds; it cannot be included together with <termios.h>.
+#include <asm/ioctls.h>
+#include <asm/termbits.h>
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/ioctl.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
+#include <unistd.h>
+
+#include <cerrno>
+
+namespace rtdata::detail {
+namespace {
+
+constexpr const char* cannot_open = "cannot open the serial line";
+constexpr const char* used_by = "another program uses it";
+
+Error bad_setting(std::string why, const char* advice) {
+  return {Errc::bad_argument, "cannot use these serial settings", "", std::move(why), advice};
+}
+
+std::string fuser_advice(const std::string& path) { return "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)"; }
+
+Error open_error(int number, const std::string& path) {
+  switch (number) {
+    case EACCES:
+      return system_error(number, cannot_open, path,
+                          "add the user to the device's group (`sudo usermod -aG dialout $USER`) and log in again");
+    case EBUSY: return {Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
+    case ENOENT:
+    case ENXIO:
+    case ENODEV: return system_error(number, cannot_open, path, "plug it in, or check `device`; `ls /dev/serial/by-id` lists the lines");
+    default: return system_error(number, cannot_open, path);
+  }
+}
+
+bool is_pseudo_terminal(int fd) noexcept {
+  struct stat status {};
+  return ::fstat(fd, &status) == 0 && major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
+}
+
+Result<void> set_up(int fd, const std::string& path, const SerialSettings& settings, unsigned flags) {
+  struct termios2 tty {};
+  if (::ioctl(fd, TCGETS2, &tty) != 0) {
+    return Error{Errc::bad_argument, cannot_open, path, "it is no serial line", "check `device`"};
+  }
+  if (::flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
+    return Error{Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
+  }
+  ::ioctl(fd, TIOCEXCL);  // whoever opens it from now on gets EBUSY (but for root, whom the lock keeps out)
+  tty.c_iflag = settings.parity == Parity::none ? 0 : INPCK;
+  tty.c_oflag = 0;
+  tty.c_lflag = 0;
+  tty.c_cflag = flags | BOTHER | (BOTHER << IBSHIFT);
+  tty.c_ispeed = tty.c_ospeed = settings.baud_rate;
+  tty.c_cc[VMIN] = 1;
+  tty.c_cc[VTIME] = 0;
+  if (::ioctl(fd, TCSETS2, &tty) != 0) return system_error(errno, "cannot set up the serial line", path, "check its settings");
+  struct termios2 now {};
+  if (::ioctl(fd, TCGETS2, &now) != 0) return system_error(errno, "cannot set up the serial line", path);
+  // A driver sets what it can and says what that is. Pseudo terminals carry characters, not bits.
+  const double off = static_cast<double>(now.c_ospeed) / settings.baud_rate - 1;
+  const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR;
+  if (off > 0.03 || off < -0.03) {
+    return Error{Errc::out_of_range, "cannot set up the serial line", path,
+                 "it cannot do " + std::to_string(settings.baud_rate) + " Bd, only " + std::to_string(now.c_ospeed), "change `baud_rate`"};
+  }
+  if ((now.c_cflag & format) != (flags & format) && !is_pseudo_terminal(fd)) {
+    return Error{Errc::out_of_range, "cannot set up the serial line", path, "it cannot do this character size, parity or stop bits",
+                 "change `character_size`, `parity` or `stop_bits`"};
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<unsigned> control_flags(const SerialSettings& settings) {
+  constexpr unsigned sizes[] = {CS5, CS6, CS7, CS8};
+  if (settings.baud_rate == 0) return bad_setting("a baud rate of 0", "such as 9600");
+  if (settings.character_size < 5 || settings.character_size > 8) return bad_setting("a character has 5 to 8 bits", "set `character_size`");
+  if (settings.stop_bits < 1 || settings.stop_bits > 2) return bad_setting("there are 1 or 2 stop bits", "set `stop_bits`");
+  unsigned flags = CREAD | CLOCAL | sizes[settings.character_size - 5];
+  if (settings.stop_bits == 2) flags |= CSTOPB;
+  switch (settings.parity) {
+    case Parity::none: break;
+    case Parity::even: flags |= PARENB; break;
+    case Parity::odd: flags |= PARENB | PARODD; break;
+    case Parity::mark: flags |= PARENB | PARODD | CMSPAR; break;
+    case Parity::space: flags |= PARENB | CMSPAR; break;
+  }
+  return flags;
+}
+
+Result<int> open_tty(const std::string& path, const SerialSettings& settings) {
+  Result<unsigned> flags = control_flags(settings);
+  if (!flags) return std::move(flags).error();
+  const int fd = ::open(path.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+  if (fd < 0) return open_error(errno, path);
+  if (Result<void> done = set_up(fd, path, settings, *flags); !done) {
+    ::close(fd);
+    return std::move(done).error();
+  }
+  return fd;
+}
+
+void close_tty(int fd) noexcept {
+  // On a pseudo terminal the mark would outlive this descriptor, and keep ourselves out as well.
+  ::ioctl(fd, TIOCNXCL);
+  ::close(fd);
+}
+
+}  // namespace rtdata::detail

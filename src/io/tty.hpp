@@ -1,0 +1,19 @@
+// Opening and closing a serial line of the kernel.
+#pragma once
+
+#include <string>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/io/serial_settings.hpp"
+
+namespace rtdata::detail {
+
+/// The c_cflag of these settings, speed left out. Errors: bad-argument.
+Result<unsigned> control_flags(const SerialSettings& settings);
+
+/// Opens it raw, not blocking, and for this program alone. Returns the descriptor; to be closed by `close_tty`.
+/// Errors: not-found, not-permitted, busy, bad-argument (no tty, settings), out-of-range (the device cannot do them).
+Result<int> open_tty(const std::string& path, const SerialSettings& settings);
+void close_tty(int fd) noexcept;
+
+}  // namespace rtdata::detail

@@ -1,0 +1,276 @@
+#include "rtdata/sensors/host.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <functional>
+#include <optional>
+#include <utility>
+
+#include "sensors/host_text.hpp"
+#include "sensors/sysfs_file.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_read = "cannot read this computer's counters";
+constexpr const char* not_here = "this machine or its kernel has none; available_host_sensors() lists what there is";
+
+/// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
+class ProcFile {
+ public:
+  explicit ProcFile(std::string path) : path_(std::move(path)), buffer_(4096) {}
+  ProcFile(ProcFile&& other) noexcept
+      : path_(std::move(other.path_)), fd_(std::exchange(other.fd_, -1)), buffer_(std::move(other.buffer_)) {}
+  ProcFile& operator=(ProcFile&&) = delete;
+  ~ProcFile() { close(); }
+
+  Result<void> open() {
+    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+    if (fd_ < 0) return system_error(errno, cannot_read, path_, not_here);
+    return {};
+  }
+  void close() noexcept {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = -1;
+  }
+  /// Valid until the next read. What is longer than a megabyte is an error.
+  Result<std::string_view> read() {
+    constexpr std::size_t most = 1 << 20;
+    std::size_t size = 0;
+    for (;;) {
+      const ssize_t got = ::pread(fd_, buffer_.data() + size, buffer_.size() - size, static_cast<off_t>(size));
+      if (got < 0 && errno == EINTR) continue;
+      if (got < 0) return system_error(errno, cannot_read, path_, not_here);
+      size += static_cast<std::size_t>(got);
+      // A short text comes whole; a long one in pieces, until nothing more comes.
+      if (got == 0 || size < 1024) return std::string_view(buffer_.data(), size);
+      if (size < buffer_.size()) continue;
+      if (size == most) return Error{Errc::does_not_fit, cannot_read, path_, "it is longer than a megabyte", ""};
+      buffer_.resize(2 * size);
+    }
+  }
+
+ private:
+  std::string path_;
+  int fd_ = -1;
+  std::vector<char> buffer_;
+};
+
+/// Reads inline and parses.
+template <class T>
+struct ProcDevice {
+  ProcFile file;
+  std::function<Reading<T>(std::string_view)> parse;
+
+  Result<void> open() { return file.open(); }
+  void close() noexcept { file.close(); }
+  Reading<T> read() {
+    const Result<std::string_view> text = file.read();
+    return text ? parse(*text) : Reading<T>(text.error());
+  }
+};
+
+struct CpuDevice {
+  ProcFile file;
+  std::string device;
+  std::optional<detail::CpuTicks> before = {};
+
+  Result<void> open() {
+    before.reset();
+    return file.open();
+  }
+  void close() noexcept { file.close(); }
+  Reading<HostCpu> read() {
+    const Result<std::string_view> text = file.read();
+    if (!text) return text.error();
+    const Result<detail::CpuTicks> now = detail::parse_cpu(*text, device);
+    if (!now) return now.error();
+    const auto last = std::exchange(before, *now);
+    return last ? detail::cpu_shares(*last, *now) : Reading<HostCpu>(nothing_new);
+  }
+};
+
+/// One number of /sys, on the device's lane. `T` has one double.
+template <class T>
+class SysDevice final : public detail::LaneDevice {
+ public:
+  using Find = std::function<Result<std::string>()>;
+  SysDevice(Find find, double factor, Duration timeout) : find_(std::move(find)), factor_(factor), timeout_(timeout) {}
+
+  Result<void> open() override {
+    Result<std::string> found = find_();
+    if (!found) return std::move(found).error();
+    path_ = *std::move(found);
+    return detail::check_readable(path_, cannot_read, not_here);
+  }
+  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(path_); }
+  std::string lane_key() const override { return detail::physical_device_of(path_); }
+  Duration give_up_after() const override { return timeout_; }
+  Error given_up_error() const override {
+    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_), "look at the chip; `timeout` sets how long to wait"};
+  }
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
+    const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
+    if (file.error_number() != 0) {
+      error = system_error(file.error_number(), cannot_read, path_, not_here);
+      return detail::Sampled::failed;
+    }
+    Result<std::int64_t> number = detail::parse_number(file.text());
+    if (!number) {
+      error = std::move(number).error();
+      error.where = path_;
+      return detail::Sampled::failed;
+    }
+    T payload{static_cast<double>(*number) * factor_};
+    port.publish(&payload);
+    return detail::Sampled::value;
+  }
+
+ private:
+  Find find_;
+  double factor_;
+  Duration timeout_;
+  std::string path_;
+};
+
+/// The names in a directory, in the order of their numbers; none when it is not there.
+std::vector<std::string> names_in(const std::string& directory) {
+  std::vector<std::string> names;
+  if (DIR* open = ::opendir(directory.c_str())) {
+    while (const dirent* entry = ::readdir(open)) {
+      if (entry->d_name[0] != '.') names.emplace_back(entry->d_name);
+    }
+    ::closedir(open);
+  }
+  std::sort(names.begin(), names.end(), [](const std::string& a, const std::string& b) {
+    return a.size() != b.size() ? a.size() < b.size() : a < b;
+  });
+  return names;
+}
+
+std::string first_line_of(const std::string& path) {
+  detail::SysfsFile file(path);
+  file.read();
+  return std::string(detail::trimmed(file.error_number() == 0 ? file.text() : ""));
+}
+
+std::vector<HostSensorInfo> thermometers(const std::string& root) {
+  std::vector<HostSensorInfo> found;
+  const std::string zones = root + "/sys/class/thermal/";
+  for (const std::string& zone : names_in(zones)) {
+    if (zone.starts_with("thermal_zone")) found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type")});
+  }
+  const std::string chips = root + "/sys/class/hwmon/";
+  for (const std::string& chip : names_in(chips)) {
+    for (const std::string& file : names_in(chips + chip)) {
+      if (!file.starts_with("temp") || !file.ends_with("_input")) continue;
+      const std::string input = file.substr(0, file.size() - 6);
+      const std::string label = first_line_of(chips + chip + "/" + input + "_label");
+      found.push_back({HostQuantity::temperature, chip + "/" + input,
+                       first_line_of(chips + chip + "/name") + (label.empty() ? "" : " " + label)});
+    }
+  }
+  return found;
+}
+
+Result<std::string> thermometer_file(const std::string& root, std::string device) {
+  if (device.empty()) {
+    const auto all = thermometers(root);
+    if (all.empty()) {
+      return Error{Errc::not_found, "cannot read a temperature", root + "/sys/class/thermal, " + root + "/sys/class/hwmon",
+                   "this machine shows none", "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
+    }
+    device = all.front().device;
+  }
+  if (device.find('/') == std::string::npos) return root + "/sys/class/thermal/" + device + "/temp";
+  return root + "/sys/class/hwmon/" + device + "_input";
+}
+
+std::string frequency_file(const std::string& root, const std::string& device) {
+  return root + "/sys/devices/system/cpu/" + (device.empty() ? "cpu0" : device) + "/cpufreq/scaling_cur_freq";
+}
+
+template <class T, class Device>
+detail::Node* inline_sensor(Loop& loop, SensorConfig sensor, Device device) {
+  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
+                             std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)));
+}
+template <class T>
+detail::Node* proc_sensor(Loop& loop, SensorConfig sensor, std::string path, std::function<Reading<T>(std::string_view)> parse) {
+  return inline_sensor<T>(loop, std::move(sensor), ProcDevice<T>{ProcFile(std::move(path)), std::move(parse)});
+}
+template <class T>
+detail::Node* sys_sensor(Loop& loop, SensorConfig sensor, typename SysDevice<T>::Find find, double factor, Duration timeout) {
+  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
+                             std::make_unique<SysDevice<T>>(std::move(find), factor, timeout));
+}
+
+Reading<HostProcess> process_times(std::string_view schedstat) {
+  Result<HostProcess> process = detail::parse_process(schedstat);
+  struct timespec now {};
+  if (process && ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now) == 0) {
+    process->cpu_time = static_cast<std::uint64_t>(now.tv_sec) * 1000000000u + static_cast<std::uint64_t>(now.tv_nsec);
+  }
+  return process;
+}
+
+detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
+  const std::string proc = config.root + "/proc/";
+  std::string device = config.device;
+  switch (config.what) {
+    case HostQuantity::cpu:
+      return inline_sensor<HostCpu>(loop, std::move(sensor), CpuDevice{ProcFile(proc + "stat"), std::move(device)});
+    case HostQuantity::load: return proc_sensor<HostLoad>(loop, std::move(sensor), proc + "loadavg", detail::parse_load);
+    case HostQuantity::memory: return proc_sensor<HostMemory>(loop, std::move(sensor), proc + "meminfo", detail::parse_memory);
+    case HostQuantity::disk:
+      return proc_sensor<HostDisk>(loop, std::move(sensor), proc + "diskstats",
+                                   [device](std::string_view text) { return detail::parse_disk(text, device); });
+    case HostQuantity::network:
+      return proc_sensor<HostNetwork>(loop, std::move(sensor), proc + "net/dev",
+                                      [device](std::string_view text) { return detail::parse_network(text, device); });
+    case HostQuantity::scheduler: return proc_sensor<HostScheduler>(loop, std::move(sensor), proc + "stat", detail::parse_scheduler);
+    case HostQuantity::process: return proc_sensor<HostProcess>(loop, std::move(sensor), proc + "thread-self/schedstat", process_times);
+    case HostQuantity::temperature:
+      return sys_sensor<HostTemperature>(loop, std::move(sensor), [root = config.root, device] { return thermometer_file(root, device); },
+                                         1e-3, config.timeout);
+    case HostQuantity::frequency: break;
+  }
+  return sys_sensor<HostFrequency>(loop, std::move(sensor),
+                                   [path = frequency_file(config.root, device)] { return Result<std::string>(path); }, 1e3, config.timeout);
+}
+
+}  // namespace
+
+HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
+  const bool needs_device = config.what == HostQuantity::disk || config.what == HostQuantity::network;
+  if (needs_device && config.device.empty()) {
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, "it does not say which device",
+                      config.what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
+                                                        : "set `device`, such as eth0; /proc/net/dev lists them"});
+  }
+  *this = HostSensor(make(loop, std::move(sensor), std::move(config)));
+}
+
+std::vector<HostSensorInfo> available_host_sensors(const std::string& root) {
+  std::vector<HostSensorInfo> found;
+  const auto has = [&](const char* file) { return ::access((root + "/proc/" + file).c_str(), R_OK) == 0; };
+  if (has("stat")) found.push_back({HostQuantity::cpu, "", ""});
+  if (has("loadavg")) found.push_back({HostQuantity::load, "", ""});
+  if (has("meminfo")) found.push_back({HostQuantity::memory, "", ""});
+  if (has("stat")) found.push_back({HostQuantity::scheduler, "", ""});
+  if (has("thread-self/schedstat")) found.push_back({HostQuantity::process, "", ""});
+  for (const std::string& disk : names_in(root + "/sys/block")) {
+    if (!disk.starts_with("loop") && !disk.starts_with("ram")) found.push_back({HostQuantity::disk, disk, ""});
+  }
+  for (const std::string& interface : names_in(root + "/sys/class/net")) found.push_back({HostQuantity::network, interface, ""});
+  for (HostSensorInfo& info : thermometers(root)) found.push_back(std::move(info));
+  if (::access(frequency_file(root, "").c_str(), R_OK) == 0) found.push_back({HostQuantity::frequency, "cpu0", ""});
+  return found;
+}
+
+}  // namespace rtdata

@@ -1,0 +1,59 @@
+// Lines of text to payloads.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/sensors/serial_line.hpp"
+
+namespace rtdata::detail {
+
+/// Decodes one line at a time into a buffer of its own.
+class LineDecoder {
+ public:
+  /// SetupError (bad-argument, bad-description).
+  explicit LineDecoder(const SerialConfig& config);
+
+  const std::shared_ptr<const Description>& description() const noexcept { return description_; }
+  /// Whether there is nothing to be decoded in the line: it is empty or a comment.
+  bool is_skipped(std::string_view line) const noexcept;
+  /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when good.
+  Result<void> decode(std::string_view line);
+  std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
+
+  /// What the line's number says against the last one's.
+  struct Step {
+    bool is_repeated = false;
+    std::uint64_t lost = 0;
+  };
+  bool has_sequence() const noexcept { return sequence_ != nullptr; }
+  /// To be called for each good line.
+  Step step() noexcept;
+  /// The next line's number is the first.
+  void forget_sequence() noexcept { last_.reset(); }
+
+ private:
+  class JsonHandler;
+  Result<void> decode_csv(std::string_view line);
+  Result<void> decode_json(std::string_view line);
+  /// Puts the text of column or key `index` in its place.
+  Result<void> put(std::size_t index, std::string_view text);
+  std::string_view next_column(std::string_view& rest) const noexcept;
+  Error failure(Errc code, std::size_t index, std::string why) const;
+
+  std::vector<LineField> fields_;
+  std::vector<const Leaf*> leaves_;  // of each field; null: not kept
+  std::shared_ptr<const Description> description_;
+  LineFormat format_;
+  char separator_;
+  std::string comment_;
+  const Leaf* sequence_ = nullptr;
+  std::optional<std::uint64_t> last_;  // the bits of the number
+  std::vector<std::max_align_t> payload_;
+  std::vector<bool> seen_;
+};
+
+}  // namespace rtdata::detail

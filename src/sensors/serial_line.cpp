@@ -1,0 +1,215 @@
+#include "rtdata/sensors/serial_line.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include "io/tty.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "sensors/line_decoder.hpp"
+#include "sensors/source_node.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+// Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
+constexpr std::size_t most_read = 1024;
+
+}  // namespace
+
+class SerialLineNode final : public SourceNode {
+ public:
+  SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config, std::unique_ptr<LineDecoder> decoder)
+      : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description())),
+        config_(std::move(config)),
+        decoder_(std::move(decoder)),
+        retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }) {
+    line_.reserve(config_.max_line + most_read);
+    origin_.counts.lost_is_known = decoder_->has_sequence();
+  }
+
+  void start() override {
+    if (!is_open() || is_running_) return;
+    Result<int> fd = open_tty(config_.device, config_.serial);
+    if (!fd && config_.required) throw SetupError(std::move(fd).error());
+    is_running_ = true;
+    retry_delay_ = Duration{0};
+    decoder_->forget_sequence();
+    take(std::move(fd));
+  }
+  void stop() override {
+    if (!is_open()) return;
+    is_running_ = false;
+    retry_.stop();
+    drop_device();
+    origin_.topic.cancel(origin_);
+  }
+  void stop_schedule(MonotonicTime) override {
+    retry_.stop();
+    drop_device();
+  }
+  bool is_reading() const noexcept override { return false; }
+  void set_rate(Rate) override {
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes", "set the rate in the device"});
+  }
+  Rate rate() const noexcept override { return {}; }
+  bool is_running() const noexcept override { return is_running_; }
+  CallbackTimes callback_times() const noexcept override { return {}; }
+
+ private:
+  void take(Result<int> fd) {
+    if (fd) {
+      use(*fd);
+    } else {
+      lose_device(fd.error());
+    }
+  }
+  void use(int fd) {
+    fd_ = fd;
+    ++openings_;
+    line_.clear();
+    is_overlong_ = false;
+    is_first_ = config_.first_line == FirstLine::discard;
+    lines_to_skip_ = config_.skip_lines;
+    watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(), [this](const FdEvent& event) { on_ready(event); });
+  }
+  void drop_device() noexcept {
+    watch_.close();  // before the descriptor
+    if (fd_ >= 0) close_tty(fd_);
+    fd_ = -1;
+  }
+  /// Faulted, and tried again later.
+  void lose_device(const Error& error) {
+    drop_device();
+    retry_delay_ = retry_delay_ == Duration{0} ? config_.retry_first : std::min(2 * retry_delay_, std::max(config_.retry_longest, config_.retry_first));
+    retry_.start(retry_delay_);
+    Call call(*this);
+    report(error);
+    if (is_open() && is_running_) set_health(Health::faulted, &error);
+  }
+
+  void on_ready(const FdEvent& event) {
+    Call call(*this);
+    const std::size_t before = line_.size();
+    line_.resize(before + most_read);
+    const ssize_t got = ::read(fd_, line_.data() + before, most_read);
+    const int error_number = got < 0 ? errno : 0;
+    line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+    if (got > 0) {
+      time_ = loop()->runtime.event_time(loop()->now());
+      take_lines(before);
+    } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
+      constexpr const char* what = "lost the serial line";
+      constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
+      lose_device(got == 0 || error_number == EIO || error_number == EAGAIN
+                      ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
+                      : system_error(error_number, what, config_.device, advice));
+    }
+  }
+
+  /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
+  void take_lines(std::size_t from) {
+    std::size_t begin = 0;
+    // A callback may stop the sensor, and start it again.
+    const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+    while (is_same()) {
+      const auto end = line_.find('\n', std::max(begin, from));
+      if (end == std::string::npos) break;
+      const std::string_view line(line_.data() + begin, end - begin);
+      begin = end + 1;
+      if (std::exchange(is_first_, false)) {
+        is_overlong_ = false;
+      } else if (!std::exchange(is_overlong_, false)) {
+        take_line(line);
+      }
+    }
+    if (!is_same()) return;
+    line_.erase(0, begin);
+    if (line_.size() <= config_.max_line) return;
+    line_.clear();
+    if (!is_first_ && !std::exchange(is_overlong_, true)) fail_overlong();
+  }
+
+  void take_line(std::string_view line) {
+    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    if (lines_to_skip_ != 0) {
+      --lines_to_skip_;
+      return;
+    }
+    if (line.size() > config_.max_line) return fail_overlong();
+    if (decoder_->is_skipped(line)) return;
+    const Result<void> decoded = decoder_->decode(line);
+    if (!decoded) return fail(decoded.error());
+    retry_delay_ = Duration{0};
+    ++origin_.counts.received;
+    const LineDecoder::Step step = decoder_->step();
+    origin_.counts.lost += step.lost;
+    if (step.is_repeated) {
+      ++origin_.counts.repeated;
+    } else {
+      ++origin_.counts.published;
+      origin_.topic.publish(origin_, time_, decoder_->payload());
+    }
+    if (health() != Health::ok) set_health(Health::ok, nullptr);
+  }
+
+  void fail_overlong() {
+    if (lines_to_skip_ != 0) {
+      --lines_to_skip_;
+      return;
+    }
+    fail({Errc::does_not_fit, "cannot use a line", config_.device, "it is longer than " + std::to_string(config_.max_line) + " bytes",
+          "check `baud_rate`; `max_line` sets how long a line may be"});
+  }
+
+  void fail(const Error& error) {
+    ++origin_.counts.received;
+    ++origin_.counts.failed;
+    report(error);
+    if (is_open() && is_running_) set_health(Health::degraded, &error);
+  }
+
+  void on_close() noexcept override {
+    stop();
+    retry_.close();
+    leave();
+  }
+
+  const SerialConfig config_;
+  std::unique_ptr<LineDecoder> decoder_;
+  Timer retry_;
+  FdWatch watch_;
+  int fd_ = -1;
+  std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
+  Time time_{};       // of the last read
+  Duration retry_delay_{0};
+  unsigned openings_ = 0;
+  unsigned lines_to_skip_ = 0;
+  bool is_first_ = true;      // nothing but the rest of a line may have come yet
+  bool is_overlong_ = false;  // the rest of the line is thrown away
+  bool is_running_ = false;
+};
+
+}  // namespace detail
+
+SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig config) {
+  const auto refuse = [&](const char* why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot use this serial line", "sensor " + feed.name, why, advice});
+  };
+  if (config.device.empty()) refuse("it has no device", "set `device`, such as /dev/ttyUSB0; `ls /dev/serial/by-id` lists them");
+  if (config.max_line == 0) refuse("max_line is 0", "such as 4096");
+  if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
+  if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
+  const bool starts = config.start;
+  auto decoder = std::make_unique<detail::LineDecoder>(config);
+  auto* node = new detail::SerialLineNode(loop.core(), feed, std::move(config), std::move(decoder));
+  SerialLineSensor made(node);
+  if (starts) node->start();
+  *this = std::move(made);
+}
+
+}  // namespace rtdata

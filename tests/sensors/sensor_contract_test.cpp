@@ -1,0 +1,245 @@
+// What every shipped sensor keeps, run over each of them on a real loop. Events bring each step about; nothing sleeps.
+#include <doctest/doctest.h>
+
+#include <functional>
+#include <memory>
+
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/pty.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+TEST_SUITE_BEGIN("sensors");
+
+namespace {
+
+/// A device as the contract needs it: there or not, good or corrupt.
+class Fake {
+ public:
+  virtual ~Fake() = default;
+  virtual const char* kind() const = 0;
+  virtual void plug_in() = 0;
+  virtual void unplug() = 0;
+  enum class Content { good, corrupt };
+  virtual void set(Content content) = 0;
+  /// Called each millisecond: a device that speaks by itself does so.
+  virtual void speak() {}
+  virtual AnySensor make(Loop& loop, bool is_required) = 0;
+  virtual bool has_rate() const { return true; }
+  ScratchDirectory directory;
+};
+
+SensorConfig common(bool is_required) {
+  return {.name = "s", .topic = "t", .rate = 500_Hz, .retry_first = 2ms, .retry_longest = 4ms, .required = is_required};
+}
+
+class FakeFile : public Fake {
+ public:
+  FakeFile(std::string path, std::string good) : path_(directory.file(path)), good_(std::move(good)) {}
+  // By another name first: a reader finds it whole or not at all.
+  void plug_in() override { set(Content::good); }
+  void unplug() override { ::unlink(path_.c_str()); }
+  void set(Content content) override {
+    ScratchDirectory::write(directory.path() + "/new", content == Content::good ? good_ : "garbage\n");
+    ::rename((directory.path() + "/new").c_str(), path_.c_str());
+  }
+
+ protected:
+  std::string path_;
+  std::string good_;
+};
+
+class FakeAdc final : public FakeFile {
+ public:
+  FakeAdc() : FakeFile("adc0", "12\n") {}
+  const char* kind() const override { return "analog"; }
+  AnySensor make(Loop& loop, bool is_required) override { return AnalogSensor(loop, common(is_required), {.file = path_}); }
+};
+
+class FakeThermometer final : public FakeFile {
+ public:
+  FakeThermometer() : FakeFile("sys/class/thermal/thermal_zone0/temp", "41000\n") {}
+  const char* kind() const override { return "host temperature"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return HostSensor(loop, common(is_required), {.what = HostQuantity::temperature, .root = directory.path()});
+  }
+};
+
+class FakeProc final : public FakeFile {
+ public:
+  FakeProc() : FakeFile("proc/loadavg", "1.0 2.0 3.0 1/2 3\n") {}
+  const char* kind() const override { return "host load"; }
+  // What /proc has stays the same file, and never goes away while it is open.
+  void set(Content content) override { ScratchDirectory::write(path_, content == Content::good ? good_ : "garbage\n"); }
+  void unplug() override {
+    ScratchDirectory::write(path_, "");
+    ::unlink(path_.c_str());
+  }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return HostSensor(loop, common(is_required), {.what = HostQuantity::load, .root = directory.path()});
+  }
+};
+
+class FakeLine final : public Fake {
+ public:
+  FakeLine() : pty_(directory.file("tty")) {}
+  const char* kind() const override { return "serial line"; }
+  void plug_in() override { pty_.plug_in(); }
+  void unplug() override { pty_.unplug(); }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    if (pty_.master() >= 0) pty_.send(content_ == Content::good ? "1.5\n" : "garbage\n");
+  }
+  bool has_rate() const override { return false; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return SerialLineSensor(loop, {.name = "s", .topic = "t"}, {.device = pty_.path(), .fields = {{.name = "v"}}, .retry_first = 2ms,
+                                                               .retry_longest = 4ms, .required = is_required});
+  }
+
+ private:
+  Pty pty_;
+  Content content_ = Content::good;
+};
+
+std::vector<std::unique_ptr<Fake>> every_kind() {
+  std::vector<std::unique_ptr<Fake>> kinds;
+  kinds.push_back(std::make_unique<FakeAdc>());
+  kinds.push_back(std::make_unique<FakeThermometer>());
+  kinds.push_back(std::make_unique<FakeProc>());
+  kinds.push_back(std::make_unique<FakeLine>());
+  return kinds;
+}
+
+struct Stage {
+  explicit Stage(Fake& fake_) : fake(fake_) {
+    be_quiet(loop);
+    loop.on_error([](const ErrorReport&) {});
+    heard = loop.subscribe("#", [this](const EventView&) { ++events; });
+  }
+  /// Runs until it is so; a failed check after 10 s.
+  void until(const std::function<bool()>& is_so) {
+    Timer limit(loop, 10s, [&] { loop.stop(); });
+    bool done = false;
+    Ticker look(loop, 1ms, [&](const Tick&) {
+      fake.speak();
+      done = is_so();
+      if (done) loop.stop();
+    });
+    loop.run();
+    CHECK(done);
+  }
+  void until_events(std::uint64_t more) {
+    const std::uint64_t wanted = events + more;
+    until([&, wanted] { return events >= wanted; });
+  }
+  /// Lets the loop turn a number of times.
+  void turns(int count) {
+    until([&] { return --count < 0; });
+  }
+  Fake& fake;
+  Loop loop;
+  std::uint64_t events = 0;
+  Subscription heard;
+};
+
+}  // namespace
+
+TEST_CASE("US-7 US-9 US-8 every kind of sensor starts at once, stops for good, starts again, and is silent once closed") {
+  for (const auto& fake : every_kind()) {
+    CAPTURE(fake->kind());
+    Stage stage(*fake);
+    fake->plug_in();
+    stage.turns(1);  // the system runs already
+    AnySensor sensor = fake->make(stage.loop, false);
+    CHECK(sensor.is_running());
+    for (int round = 0; round < 3; ++round) {
+      stage.until_events(3);
+      sensor.stop();
+      CHECK(!sensor.is_running());
+      CHECK(sensor.counts().in_flight == 0);
+      CHECK(sensor.counts().balances());
+      const std::uint64_t before = stage.events;
+      stage.turns(10);
+      CHECK(stage.events == before);
+      sensor.stop();
+      sensor.start();
+      sensor.start();
+      CHECK(sensor.is_running());
+    }
+    stage.until_events(1);
+    sensor.close();
+    const std::uint64_t before = stage.events;
+    stage.turns(10);
+    CHECK(stage.events == before);
+    CHECK(stage.loop.runtime().balances());
+    sensor = fake->make(stage.loop, false);  // its name is free again
+    stage.until_events(2);
+    CHECK(sensor.counts().balances());
+  }
+}
+
+TEST_CASE("US-27 every kind of sensor is degraded or faulted by a corrupt or missing device, and comes back") {
+  for (const auto& fake : every_kind()) {
+    CAPTURE(fake->kind());
+    Stage stage(*fake);
+    AnySensor sensor = fake->make(stage.loop, false);  // absent at the start
+    CHECK(sensor.health() == Health::faulted);
+    CHECK(!sensor.status().reason.empty());
+    fake->plug_in();
+    for (int round = 0; round < 2; ++round) {
+      stage.until_events(2);
+      stage.until([&] { return sensor.health() == Health::ok; });
+      fake->set(Fake::Content::corrupt);
+      stage.until([&] { return sensor.health() != Health::ok; });
+      CHECK(sensor.counts().failed > 0);
+      fake->set(Fake::Content::good);
+      stage.until([&] { return sensor.health() == Health::ok; });
+      fake->unplug();
+      stage.until([&] { return sensor.health() == Health::faulted; });
+      fake->plug_in();
+    }
+    stage.until_events(2);
+    sensor.stop();
+    CHECK(sensor.counts().balances());
+    CHECK(stage.loop.runtime().balances());
+  }
+}
+
+TEST_CASE("US-27 every kind of sensor throws when its device is required and not there") {
+  for (const auto& fake : every_kind()) {
+    CAPTURE(fake->kind());
+    Stage stage(*fake);
+    CHECK_THROWS_AS(fake->make(stage.loop, true), SetupError);
+    fake->plug_in();
+    AnySensor sensor = fake->make(stage.loop, true);
+    stage.until_events(2);
+    CHECK(sensor.counts().balances());
+  }
+}
+
+TEST_CASE("US-5 every kind of sensor changes its rate while it runs, or says why it cannot") {
+  for (const auto& fake : every_kind()) {
+    CAPTURE(fake->kind());
+    Stage stage(*fake);
+    fake->plug_in();
+    AnySensor sensor = fake->make(stage.loop, false);
+    stage.until_events(2);
+    if (fake->has_rate()) {
+      sensor.set_rate(1_kHz);
+      CHECK(sensor.rate() == 1_kHz);
+      CHECK_THROWS_AS(sensor.set_rate(Rate{}), SetupError);
+    } else {
+      CHECK_THROWS_AS(sensor.set_rate(1_kHz), SetupError);
+    }
+    stage.until_events(5);
+    sensor.stop();
+    CHECK(sensor.counts().balances());
+  }
+}
+
+TEST_SUITE_END();

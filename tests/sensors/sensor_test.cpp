@@ -1,0 +1,230 @@
+#include "rtdata/sensors/sensor.hpp"
+
+#include <doctest/doctest.h>
+
+#include <stdexcept>
+#include <vector>
+
+#include "rtdata/loop/timer.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+TEST_SUITE_BEGIN("sensors");
+
+namespace {
+
+struct Number {
+  std::int64_t number = 0;
+  RTDATA_FIELDS(Number, (number))
+};
+struct Other {
+  double other = 0;
+  RTDATA_FIELDS(Other, (other))
+};
+
+}  // namespace
+
+TEST_CASE("US-27 a sensor that cannot be made leaves nothing behind on its loop") {
+  Loop loop{Loop::Manual{}};
+  Sensor<Number> first(loop, {.name = "a", .rate = 10_Hz}, [] { return Number{1}; });
+  CHECK_THROWS_AS(Sensor<Number>(loop, {.name = "a", .rate = 10_Hz}, [] { return Number{1}; }), SetupError);
+  CHECK_THROWS_AS(Sensor<Other>(loop, {.name = "b", .topic = "a", .rate = 10_Hz}, [] { return Other{1}; }), SetupError);
+  CHECK_THROWS_AS(Sensor<Number>(loop, {.name = "c"}, [] { return Number{1}; }), SetupError);
+  loop.advance(1s);
+  CHECK(first.counts().published == 11);
+}
+
+TEST_CASE("US-27 a faulty sensor is tried again after delays that double, and is ok at once when it answers") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  bool is_broken = true;
+  std::vector<std::int64_t> tried;  // ms
+  struct Device {
+    Loop& loop;
+    bool& is_broken;
+    std::vector<std::int64_t>& tried;
+    Result<void> open() {
+      tried.push_back(loop.now().time_since_epoch() / 1ms);
+      if (is_broken) return Error{Errc::not_found, "no device", "", "", ""};
+      return {};
+    }
+    Result<Number> read() {
+      if (is_broken) return Error{Errc::io_failed, "no answer", "", "", ""};
+      return Number{1};
+    }
+  };
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 1_kHz, .retry_first = 100ms, .retry_longest = 400ms}, Device{loop, is_broken, tried});
+  CHECK(sensor.health() == Health::faulted);
+  loop.advance(2s - 1us);
+  REQUIRE(tried.size() >= 5);
+  std::vector<std::int64_t> delays;
+  for (std::size_t i = 1; i < tried.size(); ++i) delays.push_back(tried[i] - tried[i - 1]);
+  for (std::size_t i = 0; i < delays.size(); ++i) {
+    const std::int64_t whole = std::min<std::int64_t>(400, 100 << std::min<std::size_t>(i, 4));
+    CHECK(delays[i] <= whole + 1);
+    CHECK(delays[i] >= whole * 3 / 4);
+  }
+  CHECK(sensor.counts().failed == 2000);
+  CHECK(sensor.counts().scheduled == 2000);
+  CHECK(sensor.counts().balances());
+  is_broken = false;
+  loop.advance(500ms);
+  CHECK(sensor.health() == Health::ok);
+  CHECK(sensor.counts().published > 0);
+  CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("US-27 failures in a row make a sensor degraded, then faulted; one good reading makes it ok") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  int bad = 0;
+  std::vector<std::string> errors;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Result<Number> {
+    if (bad != 0) return Error{Errc::io_failed, "no answer", "", "", ""};
+    return Number{1};
+  });
+  sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
+  loop.advance(150ms);
+  bad = 1;
+  loop.advance(100ms);
+  CHECK(sensor.health() == Health::degraded);
+  bad = 0;
+  loop.advance(100ms);
+  CHECK(sensor.health() == Health::ok);
+  bad = 1;
+  loop.advance(300ms);
+  CHECK(sensor.health() == Health::faulted);
+  CHECK(errors.size() == 4);
+  bad = 0;
+  loop.advance(200ms);
+  CHECK(sensor.health() == Health::ok);
+  CHECK(sensor.status().reason.empty());
+  CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("US-27 a read that throws is a failure like any other") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  std::vector<std::string> errors;
+  int reads = 0;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 100}, [&]() -> Number {
+    if (++reads % 2 == 0) throw std::runtime_error("odd");
+    if (reads == 5) throw 5;
+    return Number{reads};
+  });
+  sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.why); });
+  loop.advance(550ms);
+  CHECK(errors == std::vector<std::string>{"odd", "odd", "an exception that is no std::exception", "odd"});
+  CHECK(sensor.counts().taken == 2);
+  CHECK(sensor.counts().failed == 4);
+  CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("US-5 ticks that pass while the loop is held are missed, not caught up") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  std::vector<std::int64_t> read_at;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 100_Hz}, [&] {
+    read_at.push_back(loop.now().time_since_epoch() / 1ms);
+    return Number{1};
+  });
+  Timer hog(loop, 25ms, [&] { loop.manual_clock().pass(50ms); });  // holds the loop until 75 ms
+  loop.advance(100ms);
+  CHECK(read_at == std::vector<std::int64_t>{0, 10, 20, 75, 80, 90, 100});
+  CHECK(sensor.counts().scheduled == 11);
+  CHECK(sensor.counts().missed == 4);  // 30, 40, 50, 60; the one of 70 was taken late
+  CHECK(sensor.counts().taken == 7);
+  CHECK(sensor.counts().late == 1);
+  CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("US-5 a reading is late beyond the larger of 1 ms and a tenth of the period, or beyond what is set") {
+  for (const auto& [late_after, expected] : {std::pair<std::optional<Duration>, std::uint64_t>{std::nullopt, 0}, {1ms, 1}}) {
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .late_after = late_after}, [] { return Number{1}; });
+    Timer hog(loop, 95ms, [&] { loop.manual_clock().pass(12ms); });
+    loop.advance(300ms);
+    CHECK(sensor.counts().late == expected);
+    CHECK(sensor.counts().taken == 4);
+    CHECK(sensor.counts().balances());
+  }
+}
+
+TEST_CASE("US-9 a sensor may stop, start, close and re-rate itself from within read") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  int reads = 0;
+  Sensor<Number> stops;
+  std::vector<std::int64_t> heard;
+  auto s = loop.topic<Number>("stops").subscribe(loop, [&](const Event<Number>& e) { heard.push_back(e->number); });
+  stops = Sensor<Number>(loop, {.name = "stops", .rate = 10_Hz}, [&] {
+    if (++reads == 3) stops.stop();
+    return Number{reads};
+  });
+  loop.advance(1s);
+  CHECK(reads == 3);
+  CHECK(heard == std::vector<std::int64_t>{1, 2});
+  CHECK(stops.counts().balances());
+  CHECK(stops.counts().scheduled == 3);
+  stops.start();
+  loop.advance(150ms);
+  CHECK(heard == std::vector<std::int64_t>{1, 2, 4, 5});
+  CHECK(stops.counts().balances());
+
+  Sensor<Number> rates;
+  int rated = 0;
+  rates = Sensor<Number>(loop, {.name = "rates", .rate = 10_Hz}, [&] {
+    if (++rated == 2) rates.set_rate(100_Hz);
+    return Number{rated};
+  });
+  loop.advance(195ms);  // at 0, 100, then every 10 ms from there on
+  CHECK(rates.rate() == 100_Hz);
+  CHECK(rated >= 11);
+  CHECK(rates.counts().published == static_cast<std::uint64_t>(rated));
+  CHECK(rates.counts().balances());
+
+  Sensor<Number> closes;
+  int closed = 0;
+  closes = Sensor<Number>(loop, {.name = "closes", .rate = 10_Hz}, [&] {
+    if (++closed == 2) closes.close();
+    return Number{closed};
+  });
+  loop.advance(1s);
+  CHECK(closed == 2);
+  CHECK(loop.runtime().balances());
+}
+
+TEST_CASE("US-27 nothing new is counted as repeated; an equal value is data") {
+  Loop loop{Loop::Manual{}};
+  int reads = 0;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Reading<Number> {
+    if (++reads % 3 == 0) return nothing_new;
+    return Number{7};
+  });
+  Sensor<Number> optional(loop, {.name = "o", .rate = 10_Hz}, [&]() -> std::optional<Number> { return std::nullopt; });
+  loop.advance(850ms);
+  CHECK(sensor.counts().taken == 9);
+  CHECK(sensor.counts().published == 6);
+  CHECK(sensor.counts().repeated == 3);
+  CHECK(sensor.counts().balances());
+  CHECK(optional.counts().repeated == 9);
+  CHECK(optional.counts().balances());
+}
+
+TEST_CASE("US-5 sampling at a new rate begins at once, and an impossible one is refused") {
+  Loop loop{Loop::Manual{}};
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 1_Hz}, [] { return Number{1}; });
+  loop.advance(500ms);
+  sensor.set_rate(100_Hz);
+  loop.advance(95ms);
+  CHECK(sensor.counts().published == 11);
+  CHECK_THROWS_AS(sensor.set_rate(Rate{}), SetupError);
+  CHECK_THROWS_AS(sensor.set_rate(Rate::from_period(10ns)), SetupError);
+  CHECK(sensor.rate() == 100_Hz);
+  CHECK(sensor.counts().balances());
+}
+
+TEST_SUITE_END();

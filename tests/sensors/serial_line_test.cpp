@@ -1,0 +1,360 @@
+#include "rtdata/sensors/serial_line.hpp"
+
+#include <doctest/doctest.h>
+
+#include <concepts>
+#include <cstdlib>
+#include <fstream>
+#include <sstream>
+
+#include "io/tty.hpp"
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/read.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/line_decoder.hpp"
+#include "sensors/pty.hpp"
+#include "sensors/termios2.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+TEST_SUITE_BEGIN("sensors");
+
+namespace {
+
+/// A loop with a serial sensor at the end of a pty, and what comes out.
+struct Bench {
+  explicit Bench(SerialConfig config = {}) : pty(directory.file("tty")) {
+    be_quiet(loop);
+    pty.plug_in();
+    make(std::move(config));
+  }
+  explicit Bench(std::nullptr_t) : pty(directory.file("tty")) { be_quiet(loop); }
+  void make(SerialConfig config) {
+    config.device = pty.path();
+    if (config.fields.empty()) config.fields = {{.name = "value"}};
+    config.retry_first = config.retry_longest = 2ms;
+    heard = loop.subscribe("line", [this](const EventView& event) {
+      std::string text;
+      for (const Leaf& leaf : event.description().leaves()) text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+      events.push_back(text);
+      times.push_back(event.time());
+    });
+    sensor = SerialLineSensor(loop, {.name = "line"}, std::move(config));
+    sensor.on_error([this](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
+  }
+  /// Sends it all, running the loop, until `done`; gives up when nothing more happens for 10 s.
+  template <std::predicate Done>
+  void run(std::string_view text, Done done) {
+    std::size_t sent = 0;
+    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Ticker feeder(loop, 1ms, [&](const Tick&) {
+      while (sent < text.size()) {
+        const std::size_t now = pty.send(text.substr(sent, 4096));
+        if (now == 0) break;
+        sent += now;
+        limit.start(10s);
+      }
+      if (sent == text.size() && done()) loop.stop();
+    });
+    loop.run();
+  }
+  void run(std::string_view text, std::uint64_t received) {
+    run(text, [&] { return sensor.counts().received >= received; });
+    loop.poll();
+  }
+
+  ScratchDirectory directory;
+  Pty pty;
+  Loop loop;
+  Subscription heard;
+  SerialLineSensor sensor;
+  std::vector<std::string> events;
+  std::vector<Time> times;
+  std::vector<std::string> errors;
+};
+
+using Texts = std::vector<std::string>;
+
+std::string id_of(detail::LineDecoder& decoder, std::string_view line) {
+  const Result<void> done = decoder.decode(line);
+  return done ? "ok" : std::string(done.error().id());
+}
+
+}  // namespace
+
+TEST_CASE("US-17 a CSV line is decoded by its fields, and says what is wrong with it") {
+  detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::i16}, {}, {.name = "b", .scale = 0.5}, {.name = "t", .type = Kind::text, .length = 4},
+                                          {.name = "on", .type = Kind::boolean}}});
+  REQUIRE(decoder.decode("-5, ignored ,+3, \"a,b\",1"));
+  const auto value = [&](const char* path) { return to_string(read(*decoder.description()->find(path), decoder.payload())); };
+  CHECK(value("a") == "-5");
+  CHECK(value("b") == "1.5");
+  CHECK(value("t") == "a,b");
+  CHECK(value("on") == "true");
+  CHECK(id_of(decoder, "40000,x,1,t,0") == "out-of-range");
+  CHECK(id_of(decoder, "1,x,abc,t,0") == "not-a-number");
+  CHECK(id_of(decoder, "1.5,x,1,t,0") == "not-a-number");
+  CHECK(id_of(decoder, "1,x,1e999,t,0") == "out-of-range");
+  CHECK(id_of(decoder, "1,x,,t,0") == "not-a-number");
+  CHECK(id_of(decoder, "1,x,1,texts,0") == "does-not-fit");
+  CHECK(id_of(decoder, "1,x,1,t,2") == "bad-data");
+  CHECK(id_of(decoder, "1,x,1,t") == "bad-data");
+  CHECK(id_of(decoder, "1,x,1,t,0,") == "bad-data");
+  CHECK(id_of(decoder, std::string_view("1,\0,1,t,0", 9)) == "ok");
+  CHECK(decoder.is_skipped("  \t"));
+  CHECK(decoder.is_skipped("# comment"));
+}
+
+TEST_CASE("US-17 columns may be separated by blanks") {
+  detail::LineDecoder decoder({.fields = {{.name = "a"}, {.name = "b"}}, .separator = ' '});
+  REQUIRE(decoder.decode("  1    2.5  "));
+  CHECK(to_string(read(*decoder.description()->find("b"), decoder.payload())) == "2.5");
+  CHECK(id_of(decoder, "1 2 3") == "bad-data");
+}
+
+TEST_CASE("US-17 a JSON line is decoded by keys, nested ones too, and says what is wrong with it") {
+  detail::LineDecoder decoder({.format = LineFormat::json,
+                               .fields = {{.name = "ax", .key = "imu.ax"}, {.name = "n", .type = Kind::u8}, {.name = "s", .type = Kind::text}, {.name = "on", .type = Kind::boolean}}});
+  REQUIRE(decoder.decode(R"({"x":[1,{"n":9},[2]],"s":"h\u00e9","imu":{"ay":1,"ax":-1.25e1},"n":255,"on":true,"more":{"n":3}})"));
+  const auto value = [&](const char* path) { return to_string(read(*decoder.description()->find(path), decoder.payload())); };
+  CHECK(value("ax") == "-12.5");
+  CHECK(value("n") == "255");
+  CHECK(value("s") == "h\u00e9");
+  CHECK(value("on") == "true");
+  for (const char* bad : {"", "5", "null", "[1]", "{", "{}", "{]", R"({"imu":1,"n":1,"s":"","on":true})", R"({"imu":{"ax":1},"n":1,"s":"","on":true} x)",
+                          R"({"imu":{"ax":1},"n":1,"n":1,"s":"","on":true})", R"({"imu":{"ax":1},"n":1,"s":5,"on":true})"}) {
+    CAPTURE(bad);
+    CHECK(id_of(decoder, bad) == "bad-data");
+  }
+  CHECK(id_of(decoder, R"({"imu":{"ax":1},"n":256,"s":"","on":true})") == "out-of-range");
+  CHECK(id_of(decoder, R"({"imu":{"ax":"1"},"n":1,"s":"","on":true})") == "not-a-number");
+  CHECK(id_of(decoder, R"({"imu":{"ax":null},"n":1,"s":"","on":true})") == "not-a-number");
+  CHECK(id_of(decoder, std::string(5000, '[')) == "bad-data");
+  CHECK(id_of(decoder, "{\"a\":\"\xff\xfe\"}") == "bad-data");
+}
+
+TEST_CASE("US-17 numbers of lines tell what was lost and what was repeated") {
+  const auto steps = [](Kind kind, std::initializer_list<const char*> lines) {
+    detail::LineDecoder decoder({.fields = {{.name = "n", .type = kind}}, .sequence_field = "n"});
+    std::string text;
+    for (const char* line : lines) {
+      REQUIRE(decoder.decode(line));
+      const auto step = decoder.step();
+      text += step.is_repeated ? "r " : std::to_string(step.lost) + " ";
+    }
+    return text;
+  };
+  CHECK(steps(Kind::u32, {"7", "8", "8", "12", "13"}) == "0 0 r 3 0 ");
+  CHECK(steps(Kind::u8, {"254", "255", "0", "2"}) == "0 0 0 1 ");
+  CHECK(steps(Kind::u32, {"5000000", "0", "1"}) == "0 0 0 ");      // started again
+  CHECK(steps(Kind::u32, {"4294967290", "0", "1"}) == "0 5 0 ");
+  CHECK(steps(Kind::i32, {"-2", "-1", "0", "3"}) == "0 0 0 2 ");
+  CHECK(steps(Kind::i32, {"100", "0"}) == "0 0 ");
+  CHECK(steps(Kind::u64, {"18446744073709551615", "0"}) == "0 0 ");
+}
+
+TEST_CASE("US-17 fields and settings that cannot work are refused") {
+  Loop loop{Loop::Manual{}};
+  const auto refuses = [&](SerialConfig config) { CHECK_THROWS_AS(SerialLineSensor(loop, {.name = "bad"}, std::move(config)), SetupError); };
+  refuses({.fields = {{.name = "a"}}});
+  refuses({.device = "/dev/x"});
+  refuses({.device = "/dev/x", .fields = {{}}});
+  refuses({.device = "/dev/x", .fields = {{.name = "a"}, {.name = "A"}}});
+  refuses({.device = "/dev/x", .fields = {{.name = "time"}}});
+  refuses({.device = "/dev/x", .fields = {{.name = "a", .type = Kind::record}}});
+  refuses({.device = "/dev/x", .fields = {{.name = "a", .type = Kind::i32, .scale = 2}}});
+  refuses({.device = "/dev/x", .fields = {{.name = "a"}}, .sequence_field = "a"});
+  refuses({.device = "/dev/x", .fields = {{.name = "a"}}, .sequence_field = "b"});
+  refuses({.device = "/dev/x", .serial = {.character_size = 4}, .fields = {{.name = "a"}}});
+  refuses({.device = "/nowhere/tty", .fields = {{.name = "a"}}, .required = true});
+}
+
+TEST_CASE("US-13 the line is raw, at any speed, and this program's alone") {
+  for (const unsigned speed : {9600u, 115200u, 250000u, 74880u}) {
+    CAPTURE(speed);
+    Bench bench({.serial = {.baud_rate = speed}});
+    const TerminalSettings settings = terminal_settings(bench.pty.device());
+    CHECK(settings.output_speed == speed);
+    CHECK(settings.input_speed == speed);
+    CHECK(settings.local_flags == 0);
+    CHECK(settings.is_exclusive);
+    const auto second = detail::open_tty(bench.pty.path(), {});
+    REQUIRE(!second);
+    CHECK(second.error().code == Errc::busy);
+    bench.sensor.stop();
+    CHECK(!terminal_settings(bench.pty.device()).is_exclusive);
+    const auto third = detail::open_tty(bench.pty.path(), {});
+    REQUIRE(third);
+    detail::close_tty(*third);
+  }
+}
+
+TEST_CASE("US-5 lines come out as events, the half line at the start does not") {
+  Bench bench;
+  bench.run("alf\n1.5\r\n\n# comment\n-2\n3", 2);
+  CHECK(bench.events == Texts{"1.5", "-2"});
+  bench.run("5\n", 3);
+  CHECK(bench.events == Texts{"1.5", "-2", "35"});
+  CHECK(bench.errors.empty());
+  CHECK(bench.sensor.counts().received == 3);
+  CHECK(bench.sensor.counts().published == 3);
+  CHECK(!bench.sensor.counts().lost_is_known);
+  CHECK(bench.sensor.counts().balances());
+  CHECK(std::is_sorted(bench.times.begin(), bench.times.end()));
+}
+
+TEST_CASE("US-5 the first lines can be kept, or skipped as a heading") {
+  Bench keep({.first_line = FirstLine::keep});
+  keep.run("1\n2\n", 2);
+  CHECK(keep.events == Texts{"1", "2"});
+  Bench skip({.skip_lines = 2, .first_line = FirstLine::keep});
+  skip.run("value\nvolts\n3\n", 1);
+  CHECK(skip.events == Texts{"3"});
+}
+
+TEST_CASE("US-5 bad lines are counted and reported, and cost no other line anything") {
+  Bench bench({.first_line = FirstLine::keep, .max_line = 64});
+  bench.run("1\ngarbage\n2\n1,2\n\xff\xfe\n1e999\n3\n" + std::string(65, '1') + "\n" + std::string(64, '0') + "\n", 9);
+  CHECK(bench.events == Texts{"1", "2", "3", "0"});
+  CHECK(bench.errors == Texts{"not-a-number", "bad-data", "not-a-number", "out-of-range", "does-not-fit"});
+  CHECK(bench.sensor.counts().failed == 5);
+  CHECK(bench.sensor.counts().balances());
+  CHECK(bench.sensor.health() == Health::ok);
+}
+
+TEST_CASE("US-5 a line of a megabyte is one error") {
+  Bench bench({.first_line = FirstLine::keep});
+  bench.run("1\n" + std::string(1 << 20, 'x') + "\n2\n", 3);
+  CHECK(bench.events == Texts{"1", "2"});
+  CHECK(bench.errors == Texts{"does-not-fit"});
+  CHECK(bench.sensor.counts().received == 3);
+  CHECK(bench.sensor.counts().balances());
+}
+
+TEST_CASE("US-5 the device's own numbers say what was lost") {
+  Bench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}}, .first_line = FirstLine::keep, .sequence_field = "n"});
+  bench.run("1,1\n2,2\n2,2\n6,6\n", 4);
+  CHECK(bench.events == Texts{"1 1", "2 2", "6 6"});
+  CHECK(bench.sensor.counts().lost == 3);
+  CHECK(bench.sensor.counts().lost_is_known);
+  CHECK(bench.sensor.counts().repeated == 1);
+  CHECK(bench.sensor.counts().balances());
+}
+
+TEST_CASE("NFR-1 an unplugged line is faulted, and goes on when it is plugged in again") {
+  Bench bench({.first_line = FirstLine::keep});
+  for (int round = 1; round <= 3; ++round) {
+    CAPTURE(round);
+    bench.run("1\n2\n", static_cast<std::uint64_t>(2 * round));
+    CHECK(bench.sensor.health() == Health::ok);
+    bench.pty.unplug();
+    bench.errors.clear();
+    bench.run("", [&] { return bench.errors.size() >= 3; });
+    CHECK(bench.sensor.health() == Health::faulted);
+    CHECK(bench.errors[0] == "disconnected");
+    CHECK(bench.errors[2] == "not-found");
+    bench.pty.plug_in();
+    // What is sent before the sensor has opened the line waits in the kernel.
+  }
+  bench.run("7\n", 7);
+  CHECK(bench.events.size() == 7);
+  CHECK(bench.sensor.counts().failed == 0);
+  CHECK(bench.sensor.counts().balances());
+}
+
+TEST_CASE("US-7 a line that is not there at the start is opened when it is") {
+  Bench bench(nullptr);
+  bench.make({.first_line = FirstLine::keep});
+  CHECK(bench.sensor.health() == Health::faulted);
+  bench.run("", [&] { return bench.errors.size() >= 2; });
+  bench.pty.plug_in();
+  bench.run("4\n", 1);
+  CHECK(bench.events == Texts{"4"});
+  CHECK(bench.sensor.health() == Health::ok);
+}
+
+TEST_CASE("US-9 stopping and closing from its own callbacks is possible, and nothing comes afterwards") {
+  Bench bench({.first_line = FirstLine::keep});
+  bench.sensor.on_error([&](const ErrorReport&) { bench.sensor.stop(); });
+  bench.run("1\nx\n3\n", [&] { return !bench.sensor.is_running(); });
+  bench.loop.poll();
+  CHECK(bench.events.empty());  // "1" was queued, and is cancelled
+  CHECK(bench.sensor.counts().received == 2);
+  bench.sensor.start();
+  bench.run("5\n", 3);
+  CHECK(bench.events == Texts{"5"});
+  bench.sensor.on_error([&](const ErrorReport&) { bench.sensor.close(); });
+  bench.run("x\n6\n", [&] { return !bench.sensor.is_open(); });
+  bench.loop.poll();
+  CHECK(bench.events == Texts{"5"});
+  CHECK(bench.loop.runtime().balances());
+}
+
+TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
+  const ConfigItem item = parse_config(R"({
+    "device": "/dev/ttyUSB0", "baud_rate": 250000, "character_size": 7, "parity": "mark", "stop_bits": 2, "format": "json",
+    "fields": [{"name": "a", "type": "uint32", "key": "x.a"}, {"name": "b", "unit": "V", "scale": 0.1}, {"name": "c", "type": "text", "length": 9}],
+    "separator": ";", "comment": "//", "skip_lines": 3, "first_line": "keep", "max_line": 128, "sequence_field": "a",
+    "retry_first": "1 s", "retry_longest": "1 min", "required": true, "start": false})").root;
+  const auto config = read_config<SerialConfig>(item);
+  CHECK(config.device == "/dev/ttyUSB0");
+  CHECK(config.serial.baud_rate == 250000);
+  CHECK(config.serial.character_size == 7);
+  CHECK(config.serial.parity == Parity::mark);
+  CHECK(config.serial.stop_bits == 2);
+  CHECK(config.format == LineFormat::json);
+  REQUIRE(config.fields.size() == 3);
+  CHECK(config.fields[0].type == Kind::u32);
+  CHECK(config.fields[0].key == "x.a");
+  CHECK(config.fields[1].scale == 0.1);
+  CHECK(config.fields[2].length == 9);
+  CHECK(config.separator == ';');
+  CHECK(config.comment == "//");
+  CHECK(config.skip_lines == 3);
+  CHECK(config.first_line == FirstLine::keep);
+  CHECK(config.max_line == 128);
+  CHECK(config.sequence_field == "a");
+  CHECK(config.retry_first == 1s);
+  CHECK(config.retry_longest == 1min);
+  CHECK(config.required);
+  CHECK(!config.start);
+  CHECK(parameters_of<SerialConfig>().size() == 17);
+}
+
+TEST_CASE("US-5 every row of a real flight comes out of the line") {
+  const char* const from_outside = std::getenv("RTDATA_TEST_DATA");
+  const std::string folder = from_outside != nullptr ? from_outside : RTDATA_SOURCE_DIR "/../shared/data";
+  std::ifstream file(folder + "/flight/tars_barometer.csv");
+  if (!file) {
+    MESSAGE("skipped: no flight data in " << folder << " (RTDATA_TEST_DATA names another folder)");
+    return;
+  }
+  std::string text;
+  Texts rows;
+  for (std::string line; std::getline(file, line); text += line + "\n") rows.push_back(line);
+  rows.erase(rows.begin());  // the heading, thrown away as the half line that it could be
+  Bench bench({.serial = {.baud_rate = 115200},
+               .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"}, {.name = "has_data", .type = Kind::boolean},
+                          {.name = "temperature", .unit = "Cel"}, {.name = "altitude", .unit = "m"}, {.name = "pressure", .unit = "hPa"}}});
+  bench.run(text, rows.size());
+  REQUIRE(bench.events.size() == rows.size());
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const auto column = [&](std::size_t number) {
+      std::size_t begin = 0;
+      while (number-- != 0) begin = rows[i].find(',', begin) + 1;
+      return std::strtod(rows[i].c_str() + begin, nullptr);
+    };
+    std::istringstream event(bench.events[i]);
+    double stamp = 0, temperature = 0, altitude = 0, pressure = 0;
+    std::string has_data;
+    event >> stamp >> has_data >> temperature >> altitude >> pressure;
+    if (stamp == column(0) && temperature == column(2) && altitude == column(3) && pressure == column(4)) continue;
+    FAIL_CHECK("row " << i << ": " << rows[i] << " came out as " << bench.events[i]);
+  }
+  CHECK(bench.sensor.counts().failed == 0);
+  CHECK(bench.sensor.counts().balances());
+}
+
+TEST_SUITE_END();

@@ -1,0 +1,44 @@
+#include "io/tty.hpp"
+
+#include <asm/ioctls.h>
+#include <asm/termbits.h>
+#include <doctest/doctest.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include "sensors/termios2.hpp"
+
+using namespace rtdata;
+
+TerminalSettings terminal_settings(int fd) {
+  struct termios2 tty {};
+  ::ioctl(fd, TCGETS2, &tty);
+  int exclusive = 0;
+  ::ioctl(fd, TIOCGEXCL, &exclusive);
+  return {tty.c_ispeed, tty.c_ospeed, tty.c_cflag, tty.c_lflag, exclusive != 0};
+}
+
+TEST_SUITE_BEGIN("sensors");
+
+TEST_CASE("US-13 every character size, parity and number of stop bits becomes the kernel's flags") {
+  const auto flags = [](unsigned size, Parity parity, unsigned stop_bits) {
+    return detail::control_flags({9600, size, parity, stop_bits}).value() & (CSIZE | PARENB | PARODD | CMSPAR | CSTOPB);
+  };
+  CHECK(flags(8, Parity::none, 1) == CS8);
+  CHECK(flags(7, Parity::even, 1) == (CS7 | PARENB));
+  CHECK(flags(6, Parity::odd, 2) == (CS6 | PARENB | PARODD | CSTOPB));
+  CHECK(flags(5, Parity::mark, 1) == (CS5 | PARENB | PARODD | CMSPAR));
+  CHECK(flags(8, Parity::space, 2) == (CS8 | PARENB | CMSPAR | CSTOPB));
+  CHECK(!detail::control_flags({0, 8, Parity::none, 1}));
+  CHECK(!detail::control_flags({9600, 4, Parity::none, 1}));
+  CHECK(!detail::control_flags({9600, 9, Parity::none, 1}));
+  CHECK(!detail::control_flags({9600, 8, Parity::none, 3}));
+  CHECK(!detail::control_flags({9600, 8, Parity::none, 0}));
+}
+
+TEST_CASE("US-13 what is no serial line is told") {
+  CHECK(detail::open_tty("/dev/null", {}).error().code == Errc::bad_argument);
+  CHECK(detail::open_tty("/nowhere/tty", {}).error().code == Errc::not_found);
+}
+
+TEST_SUITE_END();
