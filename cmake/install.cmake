@@ -1,1 +1,25 @@
+# The installed package: headers, libraries, CMake package, pkg-config files, the program.
+set(RTDATA_CMAKE_DIR ${CMAKE_INSTALL_LIBDIR}/cmake/rtdata)
 install(DIRECTORY include/rtdata DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+set(RTDATA_TARGETS rtdata)
+foreach(optional rtdata_sqlite rtdata_program)
+  if(TARGET ${optional})
+    list(APPEND RTDATA_TARGETS ${optional})
+  endif()
+endforeach()
+install(TARGETS ${RTDATA_TARGETS} EXPORT rtdata-targets
+  LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+install(EXPORT rtdata-targets NAMESPACE rtdata:: DESTINATION ${RTDATA_CMAKE_DIR})
+if(TARGET rtdata_app)
+  install(TARGETS rtdata_app RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+endif()
+
+configure_package_config_file(cmake/rtdata-config.cmake.in rtdata-config.cmake INSTALL_DESTINATION ${RTDATA_CMAKE_DIR})
+write_basic_package_version_file(rtdata-config-version.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config.cmake ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config-version.cmake
+  DESTINATION ${RTDATA_CMAKE_DIR})
+
+foreach(module rtdata rtdata-sqlite)
+  configure_file(cmake/${module}.pc.in ${module}.pc @ONLY)
+  install(FILES ${CMAKE_CURRENT_BINARY_DIR}/${module}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+endforeach()

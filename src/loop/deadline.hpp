@@ -1,12 +1,18 @@
 // Deadlines: one ordered set of instants, in an intrusive binary heap. Equal instants come in order of creation.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {
+
+/// `span` after `at`, or as late as can be said.
+inline MonotonicTime later(MonotonicTime at, Duration span) noexcept {
+  return span > MonotonicTime::max() - std::max(at, MonotonicTime{}) ? MonotonicTime::max() : at + span;
+}
 
 class Deadline {
  public:
@@ -17,6 +23,7 @@ class Deadline {
   std::uint64_t order = 0;
   std::size_t heap_index = npos;
   static constexpr std::size_t npos = static_cast<std::size_t>(-1);
+  static constexpr std::size_t waiting = npos - 1;  ///< for the loop's next round
   bool is_listed() const noexcept { return heap_index != npos; }
 
  protected:

@@ -11,9 +11,14 @@ namespace {
 class Drain : public std::enable_shared_from_this<Drain> {
  public:
   Drain(Loop& loop, Duration deadline, Callback<void(std::uint64_t)> done)
-      : loop_(loop), runtime_(loop.core().runtime), deadline_(loop.now() + deadline), done_(std::move(done)) {}
+      : loop_(loop), runtime_(loop.core().runtime), deadline_(detail::later(loop.now(), deadline)), done_(std::move(done)) {}
 
+  /// Not from within a callback of a deadline or a delivery, whose tick is not fully counted.
   void begin() {
+    if (loop_.core().is_in_callback()) {
+      loop_.post([self = shared_from_this()] { self->begin(); });
+      return;
+    }
     loop_.core().run_due();
     for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop_schedule(loop_.core().handled_until());
     wait_for_reads();
@@ -32,8 +37,10 @@ class Drain : public std::enable_shared_from_this<Drain> {
       timer_ = Timer(loop_, std::chrono::milliseconds{2}, [self = shared_from_this()] { self->wait_for_reads(); });
       return;
     }
+    loop_.core().deliver_all();  // what stopping would cancel
     for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop();
-    loop_.core().deliver_all();
+    runtime_.flush_repeats(detail::RuntimeCore::Repeats::all);
+    runtime_.look_at_clock("end");
     pending_ = runtime_.recorders.size() + 1;
     for (detail::Recorder* recorder : copy(runtime_.recorders)) {
       recorder->drain(deadline_, [self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
@@ -45,7 +52,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     lost_ += lost;
     if (--pending_ != 0) return;
     timer_.close();  // its callback holds this object
-    done_(lost_);
+    loop_.core().call_user("handler of drain", [&] { done_(lost_); });
   }
 
   Loop& loop_;
@@ -68,19 +75,34 @@ std::uint64_t Loop::close(Duration deadline) {
     throw SetupError({Errc::bad_argument, "cannot close", "loop " + config().name, "it is attached: only the program can run it",
                       "use drain(deadline, done)"});
   }
-  bool is_done = false;
-  bool is_running = false;
-  std::uint64_t lost = 0;
+  if (core_->is_running()) {
+    throw SetupError({Errc::busy, "cannot close", "loop " + config().name, "it is running, and this is one of its callbacks",
+                      "use drain(deadline, done), or close it after run() has returned"});
+  }
+  // Shared: when stop() ends the wait, the drain goes on without it.
+  struct State {
+    bool is_done = false;
+    bool is_running = false;
+    std::uint64_t lost = 0;
+  };
+  const auto state = std::make_shared<State>();
+  core_->forget_stop();
   core_->hold();
-  drain(deadline, [&](std::uint64_t count) {
-    lost = count;
-    is_done = true;
-    if (is_running) stop();
+  drain(deadline, [this, state](std::uint64_t count) {
+    state->lost = count;
+    state->is_done = true;
+    if (state->is_running) stop();
   });
-  is_running = true;
-  if (!is_done) run();
+  if (!state->is_done) {
+    state->is_running = true;
+    run();
+    state->is_running = false;
+  }
   core_->unhold();
-  return lost;
+  if (state->is_done) return state->lost;
+  std::uint64_t queued = 0;
+  for (const detail::Recorder* recorder : core_->runtime.recorders) queued += recorder->status().counts.queued;
+  return queued;
 }
 
 }  // namespace rtdata

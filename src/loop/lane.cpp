@@ -1,14 +1,15 @@
 #include "rtdata/loop/lane.hpp"
 
 #include <pthread.h>
+#include <semaphore.h>
 #include <uv.h>
 
 #include <algorithm>
 #include <array>
 #include <csignal>
+#include <condition_variable>
 #include <deque>
 #include <mutex>
-#include <semaphore>
 #include <thread>
 #include <vector>
 
@@ -22,23 +23,36 @@ struct Lane::Worker {
   std::array<std::shared_ptr<LaneJob>, capacity> ring;  // one producer (the loop), one consumer (the thread)
   std::atomic<std::size_t> head{0};
   std::atomic<std::size_t> tail{0};
-  std::counting_semaphore<> wake{0};
+  sem_t wake;  // not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers
   std::atomic<bool> quit{false};
   std::atomic<bool> ended{false};
-  std::binary_semaphore ended_signal{0};
-  std::mutex loop_mutex;
-  uv_async_t* loop_wake = nullptr;  // null once the lane is gone
+  std::mutex mutex;
+  std::condition_variable ended_signal;
+  uv_async_t* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
+
+  Worker() { ::sem_init(&wake, 0, 0); }
+  ~Worker() { ::sem_destroy(&wake); }
 
   void push(std::shared_ptr<LaneJob> job) {
     const std::size_t at = head.load(std::memory_order_relaxed);
     ring[at % capacity] = std::move(job);
     head.store(at + 1, std::memory_order_release);
-    wake.release();
+    ::sem_post(&wake);
+  }
+
+  void end() noexcept {
+    quit.store(true, std::memory_order_release);
+    ::sem_post(&wake);
+  }
+  void stop_listening() noexcept {
+    const std::lock_guard lock(mutex);
+    loop_wake = nullptr;
   }
 
   void run() {
     for (;;) {
-      wake.acquire();
+      while (::sem_wait(&wake) != 0) {
+      }
       if (quit.load(std::memory_order_acquire)) break;
       const std::size_t at = tail.load(std::memory_order_relaxed);
       if (at == head.load(std::memory_order_acquire)) continue;
@@ -50,11 +64,12 @@ struct Lane::Worker {
       job->began_.store(std::chrono::steady_clock::now().time_since_epoch().count(), std::memory_order_relaxed);
       job->run();
       job->state_.store(LaneJob::finished, std::memory_order_release);
-      const std::lock_guard lock(loop_mutex);
+      const std::lock_guard lock(mutex);
       if (loop_wake != nullptr) uv_async_send(loop_wake);
     }
+    const std::lock_guard lock(mutex);
     ended.store(true, std::memory_order_release);
-    ended_signal.release();
+    ended_signal.notify_all();
   }
 };
 
@@ -67,18 +82,23 @@ struct Lane::Watchdog final : Deadline {
 
 /// On a manual loop: completes the first outstanding job.
 struct Lane::Delayed final : Deadline {
+  struct Completion {
+    MonotonicTime at;
+    LaneJob::Outcome outcome;
+  };
   explicit Delayed(Lane& lane_) : lane(lane_) {}
   void fire(MonotonicTime) override {
     lane.loop_.remove(*this);
-    if (!completions.empty()) completions.pop_front();
+    const LaneJob::Outcome outcome = completions.front().outcome;
+    completions.pop_front();
     if (!completions.empty()) {
-      due = completions.front();
+      due = completions.front().at;
       lane.loop_.insert(*this);
     }
-    if (!lane.outstanding_.empty()) lane.finish(0, LaneJob::Outcome::finished);
+    lane.finish(0, outcome);
   }
   Lane& lane;
-  std::deque<MonotonicTime> completions;
+  std::deque<Completion> completions;  // of the outstanding jobs, in order
 };
 
 Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
@@ -94,41 +114,41 @@ Lane::~Lane() {
   loop_.remove(*watchdog_);
   loop_.remove(*delayed_);
   if (worker_ != nullptr) {
-    worker_->quit.store(true, std::memory_order_release);
-    worker_->wake.release();
-    [[maybe_unused]] const bool in_time = worker_->ended_signal.try_acquire_for(give_up_after_);
-    const std::lock_guard lock(worker_->loop_mutex);
+    worker_->end();
+    std::unique_lock lock(worker_->mutex);
+    worker_->ended_signal.wait_for(lock, give_up_after_, [this] { return worker_->ended.load(std::memory_order_relaxed); });
     worker_->loop_wake = nullptr;
   }
-  for (auto& job : outstanding_) {
+  const auto unfinished = std::move(outstanding_);
+  outstanding_.clear();
+  for (const auto& job : unfinished) {
     loop_.unhold();
     const bool is_finished = job->state_.load(std::memory_order_acquire) == LaneJob::finished;
     job->done(is_finished ? LaneJob::Outcome::finished : LaneJob::Outcome::cancelled);
   }
 }
 
-bool Lane::is_stuck() noexcept {
-  // A job that was given up may have come back since, and its thread with it.
+std::size_t Lane::left_behind() const noexcept {
   std::erase_if(behind_, [](const auto& worker) { return worker->ended.load(std::memory_order_acquire); });
-  return worker_ == nullptr && behind_.size() >= most_left_behind;
+  return behind_.size();
 }
 
-void Lane::start_worker() {
-  worker_ = std::make_shared<Worker>();
-  worker_->loop_wake = loop_.wake_handle();
+bool Lane::start_worker() noexcept {
+  if (left_behind() >= most_left_behind) return false;
   sigset_t all;
   sigset_t before;
   ::sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // signals are the program's; a worker takes none
   try {
-    // Detached, since it may have to be left behind; ended_signal stands for joining.
+    worker_ = std::make_shared<Worker>();
+    worker_->loop_wake = loop_.wake_handle();
+    // Detached, since it may have to be left behind; `ended` stands for joining.
     std::thread([worker = worker_] { worker->run(); }).detach();
   } catch (...) {
-    ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
     worker_ = nullptr;
-    throw;
   }
   ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  return worker_ != nullptr;
 }
 
 bool Lane::submit(std::shared_ptr<LaneJob> job) {
@@ -137,18 +157,20 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
     job->run();
     outstanding_.push_back(std::move(job));
     loop_.hold();
-    const MonotonicTime from = delayed_->completions.empty() ? loop_.now() : std::max(delayed_->completions.back(), loop_.now());
-    delayed_->completions.push_back(from + loop_.lane_duration);
+    const MonotonicTime from =
+        delayed_->completions.empty() ? loop_.now() : std::max(delayed_->completions.back().at, loop_.now());
+    if (loop_.lane_duration > give_up_after_) {
+      delayed_->completions.push_back({from + give_up_after_, LaneJob::Outcome::given_up});
+    } else {
+      delayed_->completions.push_back({from + loop_.lane_duration, LaneJob::Outcome::finished});
+    }
     if (!delayed_->is_listed()) {
-      delayed_->due = delayed_->completions.front();
+      delayed_->due = delayed_->completions.front().at;
       loop_.insert(*delayed_);
     }
     return true;
   }
-  if (worker_ == nullptr) {
-    if (is_stuck()) return false;
-    start_worker();
-  }
+  if (worker_ == nullptr && !start_worker()) return false;
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
   loop_.hold();
   outstanding_.push_back(job);
@@ -194,21 +216,17 @@ void Lane::check_limit() {
 }
 
 void Lane::give_up() {
+  if (worker_ == nullptr) return;
+  collect();
   if (worker_ == nullptr || outstanding_.empty()) return;
-  worker_->quit.store(true, std::memory_order_release);
-  worker_->wake.release();
-  {
-    const std::lock_guard lock(worker_->loop_mutex);
-    worker_->loop_wake = nullptr;
-  }
-  behind_.push_back(std::move(worker_));
-  worker_ = nullptr;
-  if (!is_stuck()) {
-    start_worker();
+  worker_->end();
+  worker_->stop_listening();
+  behind_.push_back(std::exchange(worker_, nullptr));
+  if (start_worker()) {
     for (std::size_t i = 1; i < outstanding_.size(); ++i) worker_->push(outstanding_[i]);
     finish(0, LaneJob::Outcome::given_up);
   } else {
-    while (!outstanding_.empty()) finish(0, LaneJob::Outcome::given_up);
+    for (std::size_t left = outstanding_.size(); left > 0; --left) finish(0, LaneJob::Outcome::given_up);
   }
 }
 

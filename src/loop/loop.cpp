@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cerrno>
+#include <limits>
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
@@ -24,15 +25,21 @@ struct LoopCore::UvSide {
   uv_check_t check{};
   uv_idle_t idle{};
   uv_async_t wake{};
-  int open_handles = 4;
+  int clock_fd = -1;
+  uv_poll_t clock{};
+  int open_handles = 0;
+  bool* closed = nullptr;  // told when the last handle is closed
 
   template <class UvHandle>
   void close(UvHandle& handle) {
     handle.data = this;
-    uv_close(reinterpret_cast<uv_handle_t*>(&handle), [](uv_handle_t* closed) {
-      auto* side = static_cast<UvSide*>(closed->data);
+    ++open_handles;
+    uv_close(reinterpret_cast<uv_handle_t*>(&handle), [](uv_handle_t* ended) {
+      auto* side = static_cast<UvSide*>(ended->data);
       if (--side->open_handles > 0) return;
       ::close(side->timer_fd);
+      if (side->clock_fd >= 0) ::close(side->clock_fd);
+      if (side->closed != nullptr) *side->closed = true;
       delete side;
     });
   }
@@ -61,17 +68,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
     check_uv(uv_loop_init(&own_loop_), "cannot make a loop");
     uv_loop_ = &own_loop_;
   }
-  auto side = std::make_unique<UvSide>();
-  side->core = this;
-  side->timer_fd = ::timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
-  if (side->timer_fd < 0) throw SetupError(system_error(errno, "cannot make a loop", "timerfd_create"));
-  check_uv(uv_poll_init(uv_loop_, &side->timer, side->timer_fd), "cannot watch the timer");
-  side_ = side.release();
-  uv_check_init(uv_loop_, &side_->check);
-  uv_idle_init(uv_loop_, &side_->idle);
-  check_uv(uv_async_init(uv_loop_, &side_->wake, [](uv_async_t* handle) { static_cast<UvSide*>(handle->data)->core->run_posted(); }),
-           "cannot make a wake-up");
-  side_->timer.data = side_->check.data = side_->idle.data = side_->wake.data = side_;
+  make_side();
   uv_poll_start(&side_->timer, UV_READABLE, [](uv_poll_t* handle, int, int) {
     static_cast<UvSide*>(handle->data)->core->run_due();
   });
@@ -80,38 +77,109 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
                        reinterpret_cast<uv_handle_t*>(&side_->wake)}) {
     uv_unref(handle);
   }
+  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.loops.empty()) watch_clock();
   handled_until_ = now();
   runtime.loops.push_back(this);
 }
 
+void LoopCore::make_side() {
+  auto side = std::make_unique<UvSide>();
+  side->core = this;
+  side->timer_fd = ::timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
+  const int failure = errno;
+  const auto give_up = [&] {
+    if (side->timer_fd >= 0) ::close(side->timer_fd);
+    if (!attached_) uv_loop_close(&own_loop_);
+  };
+  if (side->timer_fd < 0) {
+    give_up();
+    throw SetupError(system_error(failure, "cannot make a loop", "timerfd_create"));
+  }
+  const auto on_wake = [](uv_async_t* handle) {
+    LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
+    core.run_posted();
+    if (!core.attached_ && core.stop_requested_.load(std::memory_order_relaxed)) uv_stop(core.uv_loop_);
+  };
+  int status = uv_async_init(uv_loop_, &side->wake, on_wake);
+  if (status != 0) {
+    give_up();
+    throw_uv(status, "cannot make a wake-up");
+  }
+  status = uv_poll_init(uv_loop_, &side->timer, side->timer_fd);
+  if (status != 0) {
+    UvSide* abandoned = side.release();
+    abandoned->close(abandoned->wake);
+    if (!attached_) {
+      uv_run(&own_loop_, UV_RUN_NOWAIT);
+      uv_loop_close(&own_loop_);
+    }
+    throw_uv(status, "cannot watch the timer");
+  }
+  side_ = side.release();
+  uv_check_init(uv_loop_, &side_->check);
+  uv_idle_init(uv_loop_, &side_->idle);
+  side_->timer.data = side_->check.data = side_->idle.data = side_->wake.data = side_;
+}
+
+void LoopCore::watch_clock() {
+  // The kernel tells of a clock that is set by cancelling timers on it. Where it cannot, steps go unnoticed until the end.
+  const int fd = ::timerfd_create(CLOCK_REALTIME, TFD_NONBLOCK | TFD_CLOEXEC);
+  if (fd < 0) return;
+  if (uv_poll_init(uv_loop_, &side_->clock, fd) != 0) {
+    ::close(fd);
+    return;
+  }
+  side_->clock_fd = fd;
+  side_->clock.data = side_;
+  arm_clock();
+  uv_poll_start(&side_->clock, UV_READABLE, [](uv_poll_t* handle, int, int) {
+    LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
+    std::uint64_t expirations = 0;
+    [[maybe_unused]] const auto got = ::read(core.side_->clock_fd, &expirations, sizeof expirations);  // fails: cancelled
+    core.arm_clock();
+    core.runtime.look_at_clock();
+  });
+  uv_unref(reinterpret_cast<uv_handle_t*>(&side_->clock));
+}
+
+void LoopCore::arm_clock() noexcept {
+  itimerspec never{};
+  never.it_value.tv_sec = std::numeric_limits<std::int32_t>::max();
+  ::timerfd_settime(side_->clock_fd, TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET, &never, nullptr);
+}
+
 LoopCore::~LoopCore() {
+  runtime.flush_repeats(RuntimeCore::Repeats::all);
   while (nodes_ != nullptr) {
     nodes_->retain();
     Node* node = nodes_;
     node->close();
     node->release();
   }
-  lanes_.clear();
-  for (TopicCore* topic = ready_first_; topic != nullptr;) {
-    TopicCore* next = topic->next_ready;
-    topic->abandon();
-    topic = next;
+  while (!lanes_.empty()) {  // one by one: a job's `done` may ask for lanes
+    const auto last = std::move(lanes_.back().second);
+    lanes_.pop_back();
   }
-  for (const auto& topic : runtime.topics()) topic->abandon();
+  for (const auto& topic : runtime.topics()) topic->abandon(*this);
   std::erase(runtime.loops, this);
+  std::vector<Callback<void()>> unrun;
   {
     const std::lock_guard lock(posted_mutex_);
-    posted_.clear();
+    unrun.swap(posted_);
   }
+  unrun.clear();  // outside the lock: captures may post
+  remove(flusher_);
   side_->core = nullptr;
   uv_poll_stop(&side_->timer);
   side_->close(side_->timer);
   side_->close(side_->check);
   side_->close(side_->idle);
   side_->close(side_->wake);
+  if (side_->clock_fd >= 0) side_->close(side_->clock);
   if (!attached_) {
-    while (uv_run(&own_loop_, UV_RUN_NOWAIT) != 0) {
-    }
+    bool is_closed = false;
+    side_->closed = &is_closed;
+    while (!is_closed) uv_run(&own_loop_, UV_RUN_NOWAIT);
     [[maybe_unused]] const int status = uv_loop_close(&own_loop_);
     assert(status == 0);
   }
@@ -158,13 +226,31 @@ void LoopCore::unlink(Node& node) noexcept {
 // ---- deadlines
 
 void LoopCore::insert(Deadline& deadline) {
+  assert_thread();
+  if (firing_ && deadline.due <= firing_until_) {  // in the next round, so that one round ends
+    deadline.heap_index = Deadline::waiting;
+    next_round_.push_back(&deadline);
+    return;
+  }
   deadlines_.insert(deadline);
   if (!firing_ && deadlines_.top() == &deadline) arm();
 }
 
-void LoopCore::remove(Deadline& deadline) noexcept { deadlines_.remove(deadline); }
+void LoopCore::remove(Deadline& deadline) noexcept {
+  if (deadline.heap_index == Deadline::waiting) {
+    std::erase(next_round_, &deadline);
+    deadline.heap_index = Deadline::npos;
+    return;
+  }
+  deadlines_.remove(deadline);
+}
 
-void LoopCore::moved(Deadline& deadline) noexcept {
+void LoopCore::moved(Deadline& deadline) {
+  if (deadline.heap_index == Deadline::waiting || (firing_ && deadline.due <= firing_until_)) {
+    remove(deadline);
+    insert(deadline);
+    return;
+  }
   deadlines_.moved(deadline);
   if (!firing_) arm();
 }
@@ -180,8 +266,10 @@ void LoopCore::arm() {
 }
 
 MonotonicTime LoopCore::turn_start() noexcept {
-  if (!turn_is_open_) {
-    turn_start_ = now();
+  const MonotonicTime current = now();
+  // Before the loop runs, a turn may be long: what is made much later starts later.
+  if (!turn_is_open_ || current - turn_start_ > config.hold_limit) {
+    turn_start_ = current;
     turn_is_open_ = true;
     start_idle();  // so that the turn ends
   }
@@ -190,6 +278,8 @@ MonotonicTime LoopCore::turn_start() noexcept {
 
 void LoopCore::run_due() {
   constexpr int rounds = 4;  // what comes due meanwhile is done at once rather than armed for, but I/O gets its turn
+  if (firing_) return;       // asked for by a callback of a deadline
+  schedule_.begin_waiting();
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {
     const MonotonicTime until = now();
@@ -197,10 +287,15 @@ void LoopCore::run_due() {
       handled_until_ = std::max(handled_until_, until);
       break;
     }
+    firing_until_ = until;
+    MonotonicTime begin = until;
     while (Deadline* top = deadlines_.top()) {
       if (top->due > until) break;
-      top->fire(until);
+      top->fire(begin);
+      begin = now();
     }
+    for (Deadline* deadline : next_round_) deadlines_.insert(*deadline);
+    next_round_.clear();
     handled_until_ = std::max(handled_until_, until);
   }
   firing_ = false;
@@ -210,6 +305,7 @@ void LoopCore::run_due() {
 // ---- deliveries
 
 void LoopCore::add_ready(TopicCore& topic) {
+  assert_thread();
   topic.is_ready = true;
   topic.next_ready = nullptr;
   if (ready_last_ == nullptr) {
@@ -254,6 +350,8 @@ void LoopCore::deliver_all() { deliver(Budget::none); }
 
 void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
+  schedule_.begin_waiting();
+  if (runtime.has_injected_clock()) runtime.look_at_clock();
   deliver(Budget::limited);
   if (ready_first_ == nullptr && !turn_is_open_) uv_idle_stop(&side_->idle);
 }
@@ -288,12 +386,26 @@ void LoopCore::run_posted() {
     account(times, from, now(), [] { return std::string("posted function"); });
   }
   running_posted_.clear();
-  if (stop_requested_.load(std::memory_order_relaxed) && !attached_) uv_stop(uv_loop_);
 }
 
 void LoopCore::request_stop() noexcept {
+  if (attached_) return;
   stop_requested_.store(true, std::memory_order_relaxed);
   uv_async_send(&side_->wake);
+}
+
+LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
+  if (core.is_running_) {
+    throw SetupError({Errc::busy, what, "loop " + core.config.name, "it is running, and this is one of its callbacks",
+                      "return from the callback; use stop(), post() or drain() there"});
+  }
+  core.is_running_ = true;
+  core.thread_.store(std::this_thread::get_id(), std::memory_order_relaxed);
+}
+
+LoopCore::Running::~Running() {
+  core_.is_running_ = false;
+  core_.thread_.store(std::thread::id{}, std::memory_order_relaxed);
 }
 
 void LoopCore::run() {
@@ -301,24 +413,22 @@ void LoopCore::run() {
     throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name, "it is attached to the program's own loop",
                       "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
   }
-  thread_.store(std::this_thread::get_id(), std::memory_order_relaxed);
+  const Running running(*this, "cannot run");
   if (manual_ != nullptr) {
-    poll();
-    while (!stop_requested_.load(std::memory_order_relaxed) && holds_ > 0 && deadlines_.top() != nullptr) {
-      advance_to(deadlines_.top()->due);
-    }
+    if (!is_stopping()) settle();
+    while (!is_stopping() && holds_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
   } else {
     const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
-    run_due();
-    do {
+    if (!is_stopping()) run_due();
+    while (!is_stopping()) {
       run_posted();  // libuv does not look at them when nothing else keeps the loop alive
-      if (!stop_requested_.load(std::memory_order_relaxed)) uv_run(uv_loop_, UV_RUN_DEFAULT);
-    } while (!stop_requested_.load(std::memory_order_relaxed) && has_posted());
+      if (!is_stopping()) uv_run(uv_loop_, UV_RUN_DEFAULT);
+      if (!has_posted()) break;
+    }
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(slack));
   }
-  stop_requested_.store(false, std::memory_order_relaxed);
-  thread_.store(std::thread::id{}, std::memory_order_relaxed);
+  forget_stop();
 }
 
 void LoopCore::run_for(Duration duration) {
@@ -326,11 +436,17 @@ void LoopCore::run_for(Duration duration) {
     advance(duration);
     return;
   }
-  const MonotonicTime end = now() + duration;
-  Timer timer(face, [this] { request_stop(); });
+  const MonotonicTime end = later(now(), duration);
+  bool is_over = false;
+  Timer timer(face, [this, &is_over] {
+    is_over = true;
+    request_stop();
+  });
   timer.start_at(end);
   run();
-  if (now() >= end) run_due();
+  if (!is_over) return;  // stopped before
+  const Running running(*this, "cannot run");
+  run_due();
   deliver_all();
 }
 
@@ -340,9 +456,14 @@ void LoopCore::poll() {
     deliver_all();
     return;
   }
-  if (manual_ == nullptr) run_due();
+  const Running running(*this, "cannot poll");
+  if (manual_ != nullptr) {
+    settle();
+    return;
+  }
+  run_due();
+  run_posted();
   uv_run(uv_loop_, UV_RUN_NOWAIT);
-  if (manual_ != nullptr && deadlines_.top() != nullptr && deadlines_.top()->due <= now()) run_due();
   deliver_all();
 }
 
@@ -351,20 +472,39 @@ void LoopCore::advance(Duration duration) {
     throw SetupError({Errc::bad_argument, "cannot advance", "loop " + config.name, "it runs in real time",
                       "make it with rtdata::Loop::Manual{}"});
   }
-  const MonotonicTime target = now() + duration;
-  poll();
-  while (!stop_requested_.load(std::memory_order_relaxed) && deadlines_.top() != nullptr && deadlines_.top()->due <= target) {
-    advance_to(deadlines_.top()->due);
-  }
-  if (!stop_requested_.exchange(false, std::memory_order_relaxed)) advance_to(target);
+  const Running running(*this, "cannot advance");
+  const MonotonicTime target = later(now(), duration);
+  if (!is_stopping()) settle();
+  while (!is_stopping() && deadlines_.top() != nullptr && deadlines_.top()->due <= target) advance_to(deadlines_.top()->due);
+  if (!is_stopping()) advance_to(target);
+  forget_stop();
 }
 
 void LoopCore::advance_to(MonotonicTime target) {
   if (target > now()) manual_->pass(target - now());
-  run_due();
-  deliver_all();
-  uv_run(uv_loop_, UV_RUN_NOWAIT);
-  deliver_all();
+  settle();
+}
+
+void LoopCore::settle() {
+  // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
+  do {
+    runtime.look_at_clock();
+    run_due();
+    run_posted();
+    uv_run(uv_loop_, UV_RUN_NOWAIT);
+    deliver(Budget::limited);
+  } while (ready_first_ != nullptr && !is_stopping());
+}
+
+void LoopCore::Flusher::fire(MonotonicTime) {
+  core.remove(*this);
+  core.runtime.flush_repeats(RuntimeCore::Repeats::old);
+}
+
+void LoopCore::flush_repeats_at(MonotonicTime due) {
+  if (flusher_.is_listed()) return;
+  flusher_.due = due;
+  insert(flusher_);
 }
 
 Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
@@ -392,7 +532,7 @@ void LoopCore::report_exception(std::string_view name, const char* what) noexcep
 
 Node::Node(LoopCore& loop) : loop_(&loop) { loop.link(*this); }
 Node::~Node() {
-  if (loop_ != nullptr) loop_->unlink(*this);  // a constructor of the derived class threw: it was never open
+  if (loop_ != nullptr) loop_->unlink(*this);  // a constructor of a derived class threw
 }
 
 void Node::close() noexcept {

@@ -32,6 +32,9 @@ class LoopCore {
   MonotonicTime now() noexcept;
   bool is_manual() const noexcept { return manual_ != nullptr; }
   bool is_attached() const noexcept { return attached_; }
+  bool is_running() const noexcept { return is_running_; }
+  /// A callback of a deadline or a delivery is on the stack.
+  bool is_in_callback() const noexcept { return firing_ || delivering_; }
   ManualClock* manual_clock() noexcept { return manual_; }
   uv_loop_t* uv() noexcept { return uv_loop_; }
 
@@ -42,17 +45,24 @@ class LoopCore {
   void request_stop() noexcept;
   void advance(Duration duration);
   void post(Callback<void()> function);
+  void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
 
   // Deadlines
   void insert(Deadline& deadline);
   void remove(Deadline& deadline) noexcept;
-  void moved(Deadline& deadline) noexcept;
+  void moved(Deadline& deadline);
   Schedule& schedule() noexcept { return schedule_; }
+  /// Between the begin and the end of running. An attached loop cannot know: it is never turning.
+  bool is_turning() const noexcept { return is_running_; }
+  /// Schedules wait: on an attached loop, makes sure that a turn comes.
+  void wake_for_waiting() noexcept {
+    if (attached_) start_idle();
+  }
   /// The instant at which what is started in this turn begins.
   MonotonicTime turn_start() noexcept;
   /// Up to here every due tick has been fired or counted.
   MonotonicTime handled_until() const noexcept { return handled_until_; }
-  /// Fires all that is due now.
+  /// Fires all that is due now. Within a callback of a deadline: nothing.
   void run_due();
 
   // Deliveries
@@ -72,6 +82,8 @@ class LoopCore {
     if (took > times.max) times.max = took;
     if (took > config.hold_limit) [[unlikely]] report_hold(name(), took);
   }
+  /// Reports that were held back are written at `due`.
+  void flush_repeats_at(MonotonicTime due);
   void report_hold(const std::string& name, Duration took);
   void report_exception(std::string_view name, const char* what) noexcept;
   /// Calls user code: an exception is reported under the name and goes no further.
@@ -100,6 +112,27 @@ class LoopCore {
  private:
   struct UvSide;  // what libuv keeps until its close callbacks have run
   enum class Budget { limited, none };
+  /// Brackets the time in which this thread runs the loop. SetupError when it runs already.
+  class Running {
+   public:
+    Running(LoopCore& core, const char* what);
+    Running(const Running&) = delete;
+    Running& operator=(const Running&) = delete;
+    ~Running();
+
+   private:
+    LoopCore& core_;
+  };
+  struct Flusher final : Deadline {
+    explicit Flusher(LoopCore& core_) : core(core_) {}
+    void fire(MonotonicTime now) override;
+    LoopCore& core;
+  };
+  void make_side();
+  void watch_clock();
+  void arm_clock() noexcept;
+  void settle();
+  bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
   void deliver(Budget budget);
   void arm();
   void run_posted();
@@ -120,6 +153,10 @@ class LoopCore {
   MonotonicTime handled_until_{};
   bool turn_is_open_ = false;
   bool firing_ = false;
+  MonotonicTime firing_until_{};
+  std::vector<Deadline*> next_round_;  // inserted while firing and due already
+  Flusher flusher_{*this};
+  bool is_running_ = false;
   std::size_t holds_ = 0;
 
   // topics with pending deliveries, first to last

@@ -74,6 +74,14 @@ bool topic_matches(std::string_view pattern, std::string_view name) noexcept {
 
 namespace detail {
 
+std::string payload_name(const PayloadType& type) {
+  if (type.description != nullptr) return "\"" + type.description->name() + "\"";
+  // "... payload_type() [with T = NAME]" or "[T = NAME]"
+  const std::string_view text = type.type_name;
+  const auto begin = text.find("T = ");
+  return std::string(begin == text.npos ? text : text.substr(begin + 4, text.find_last_of(']') - begin - 4));
+}
+
 RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_) : face(face_), config(std::move(config_)) {
   use_clock(config.clock != nullptr ? *config.clock : system_clock_);
 }
@@ -115,7 +123,7 @@ TopicCore& RuntimeCore::topic(std::string_view name, PayloadType type) {
     if ((have.description != nullptr) != (type.description != nullptr) ||
         (have.description == nullptr && have.type_key != type.type_key)) {
       throw SetupError({Errc::description_differs, "cannot use topic", std::string(name),
-                        "it carries another type of payload", "use one type a topic"});
+                        "it carries " + payload_name(have) + ", here " + payload_name(type) + " is meant", "use one type a topic"});
     }
     if (have.description != nullptr && have.description != type.description) {
       if (!have.description->same_meaning(*type.description)) {
@@ -144,12 +152,19 @@ TopicCore& RuntimeCore::topic(std::string_view name, PayloadType type) {
   topics_.push_back(std::make_unique<TopicCore>(*this, std::string(name), std::move(type)));
   TopicCore& made = *topics_.back();
   topic_by_name_.emplace(made.name, &made);
-  const auto offered = patterns;  // a handler's accept may not add to the list, but a report may run user code
-  for (SubscriptionNode* node : offered) {
-    if (!node->is_open() || !topic_matches(node->pattern(), made.name)) continue;
-    if (auto linked = made.link(*node->loop(), *node); !linked) report(node->loop(), node->name, linked.error());
+  struct Refusal {
+    LoopCore* loop;
+    std::string handler;
+    Error error;
+  };
+  std::vector<Refusal> refused;  // told of at the end, since a report may run user code
+  for (SubscriptionNode* node : patterns) {
+    if (!topic_matches(node->pattern(), made.name)) continue;
+    if (auto linked = made.link(*node->loop(), *node); !linked) refused.push_back({node->loop(), node->name, std::move(linked).error()});
   }
-  for (Recorder* recorder : recorders) recorder->on_topic(made);
+  const auto told = recorders;
+  for (Recorder* recorder : told) recorder->on_topic(made);
+  for (const Refusal& refusal : refused) report(refusal.loop, refusal.handler, refusal.error);
   return made;
 }
 
@@ -182,9 +197,8 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
 
 OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
   // One for each topic: a sequence belongs to one topic.
-  const std::string name = "program:" + topic.name;
-  const auto found = origins_.find(name);
-  return found != origins_.end() ? *found->second : claim_origin(name, topic);
+  if (topic.program_origin == nullptr) topic.program_origin = &claim_origin("program:" + topic.name, topic);
+  return *topic.program_origin;
 }
 
 void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) {
@@ -202,7 +216,7 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
   for (Repeat& repeat : repeats_) {
     if (repeat.object != object || repeat.error.code != error.code) continue;
     if (now - repeat.last_written < std::chrono::seconds{1}) {
-      ++repeat.held_back;
+      if (repeat.held_back++ == 0 && loop != nullptr) loop->flush_repeats_at(repeat.last_written + std::chrono::seconds{1});
       return;
     }
     const std::uint64_t count = repeat.held_back + 1;
@@ -212,17 +226,19 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
     return;
   }
   if (repeats_.size() >= most_remembered) {
-    flush_repeats(true);
+    flush_repeats(Repeats::all);
     repeats_.clear();
   }
   repeats_.push_back({std::string(object), error, now, 0});
   write(loop, object, error, 1);
 }
 
-void RuntimeCore::flush_repeats(bool all) {
+void RuntimeCore::flush_repeats(Repeats which) {
   const MonotonicTime now = clock_->monotonic();
   for (std::size_t i = 0; i < repeats_.size(); ++i) {
-    if (repeats_[i].held_back == 0 || (!all && now - repeats_[i].last_written < std::chrono::seconds{1})) continue;
+    if (repeats_[i].held_back == 0 || (which == Repeats::old && now - repeats_[i].last_written < std::chrono::seconds{1})) {
+      continue;
+    }
     const Repeat repeat = repeats_[i];
     repeats_[i].held_back = 0;
     repeats_[i].last_written = now;
@@ -230,17 +246,25 @@ void RuntimeCore::flush_repeats(bool all) {
   }
 }
 
-void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) {
+void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept try {
   const Time time = event_time(clock_->monotonic());
   for (Recorder* recorder : recorders) recorder->on_error(time, object, error, count);
   if (loop == nullptr && !loops.empty()) loop = loops.front();
   if (loop != nullptr && loop->on_error) {
-    loop->on_error({object, error, count});
+    // Taken out for the call: it may set another, and an error met in it goes to the log rather than round in a circle.
+    Callback<void(const ErrorReport&)> handler = std::move(loop->on_error);
+    try {
+      handler({object, error, count});
+    } catch (...) {
+      log(LogLevel::error, object, error.text() + " (and the handler of errors threw)", error.id());
+    }
+    if (!loop->on_error) loop->on_error = std::move(handler);
     return;
   }
   std::string text = error.text();
   if (count > 1) text += " (" + std::to_string(count) + " times)";
   log(LogLevel::error, object, text, error.id());
+} catch (...) {  // out of memory, or the handler of log records threw: nothing is left to tell it to
 }
 
 }  // namespace detail

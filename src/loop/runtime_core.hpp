@@ -41,6 +41,9 @@ class SensorEntry {
   ~SensorEntry() = default;
 };
 
+/// How a payload reads in errors: the name of its description, or that of its C++ type.
+std::string payload_name(const PayloadType& type);
+
 class RuntimeCore {
  public:
   RuntimeCore(Runtime& face, Runtime::Config config);
@@ -61,6 +64,7 @@ class RuntimeCore {
   /// always when asked for. Returns whether it did.
   bool look_at_clock(const char* always_source = nullptr);
 
+  /// SetupError: bad-name, description-differs.
   TopicCore& topic(std::string_view name, PayloadType type);
   TopicCore* find_topic(std::string_view name) noexcept;
   const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
@@ -80,8 +84,9 @@ class RuntimeCore {
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
   /// the same object within a second are joined.
   void report(LoopCore* loop, std::string_view object, const Error& error);
-  /// Writes out the repeats that were joined longer than a second ago, or all.
-  void flush_repeats(bool all);
+  enum class Repeats { old, all };
+  /// Writes out the repeats that were held back for a second, or all.
+  void flush_repeats(Repeats which);
   Callback<void(const LogRecord&)> on_log;
 
  private:
@@ -91,7 +96,7 @@ class RuntimeCore {
     MonotonicTime last_written{};
     std::uint64_t held_back = 0;
   };
-  void write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count);
+  void write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept;
 
   SystemClock system_clock_;
   ManualClock manual_clock_;

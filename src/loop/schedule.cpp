@@ -1,6 +1,7 @@
 #include "loop/schedule.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "loop/loop_core.hpp"
 
@@ -11,7 +12,7 @@ MonotonicTime RateMember::next_due() const noexcept { return group_ == nullptr ?
 MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
   if (!firing_) return std::max(due, member.first_due_);
   for (std::size_t i = position_; i < members_.size(); ++i) {
-    if (members_[i] == &member) return std::max(firing_due_, member.first_due_);
+    if (members_[i] == &member) return std::max(first_missed_, member.first_due_);
   }
   return std::max(firing_due_ + period_, member.first_due_);
 }
@@ -19,7 +20,7 @@ MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
 void RateGroup::fire(MonotonicTime now) {
   // What is late by a period or more is skipped: the latest tick that has come due is taken.
   const auto behind = (now - due) / period_;
-  const MonotonicTime first_missed = due;
+  first_missed_ = due;
   firing_due_ = due + behind * period_;
   due = firing_due_ + period_;
   loop_.moved(*this);
@@ -34,9 +35,11 @@ void RateGroup::fire(MonotonicTime now) {
     tick.due = firing_due_;
     tick.now = from;
     if (behind > 0) [[unlikely]] {
-      tick.missed = static_cast<std::uint64_t>((firing_due_ - std::max(first_missed, member->first_due_)) / period_);
+      tick.missed = static_cast<std::uint64_t>((firing_due_ - std::max(first_missed_, member->first_due_)) / period_);
     }
+    loop_.schedule().ticking_ = member;
     member->tick(tick);
+    loop_.schedule().ticking_ = nullptr;
     const MonotonicTime to = loop_.now();
     // A member that removed itself may be gone.
     if (members_[position_ - 1] == member) loop_.account(member->times, from, to, [&] { return member->blame_name(); });
@@ -51,34 +54,56 @@ void RateGroup::compact() {
   if (members_.empty()) loop_.schedule().discard(*this);
 }
 
-void Schedule::add(RateMember& member, MonotonicTime start, Duration period, Duration phase) {
-  const Duration grid = loop_.config.phase_grid;
-  Duration first = start.time_since_epoch();
-  if (grid.count() > 0) first = (first + grid - Duration{1}) / grid * grid;
-  first += phase;
-  const auto key = std::pair{period, first % period};
-  auto& group = groups_[key];
-  member.first_due_ = MonotonicTime{first};
-  if (group == nullptr) {
-    group = std::make_unique<RateGroup>(loop_, period);
-    group->due = member.first_due_;
-    loop_.insert(*group);
-  } else if (member.first_due_ < group->due) {
-    // The group is due later: it has just had this tick, or its members all start later. Due instants are congruent, so
-    // it can go back, unless this tick has been fired already, in this very turn.
-    if (group->firing_ || group->firing_due_ >= member.first_due_) {
-      member.first_due_ = group->due;
-    } else {
-      group->due = member.first_due_;
-      loop_.moved(*group);
+void Schedule::add(RateMember& member, Duration period, Duration phase) {
+  if (loop_.is_turning()) return place(member, period, phase);
+  waiting_.push_back({&member, period, phase});
+  member.is_waiting_ = true;
+  loop_.wake_for_waiting();
+}
+
+void Schedule::begin_waiting() {
+  while (!waiting_.empty()) {
+    auto begun = std::exchange(waiting_, {});
+    for (const Waiting& one : begun) {
+      one.member->is_waiting_ = false;
+      place(*one.member, one.period, one.phase);
     }
   }
-  member.group_ = group.get();
+}
+
+void Schedule::place(RateMember& member, Duration period, Duration phase) {
+  const Duration grid = loop_.config.phase_grid;
+  Duration first = loop_.turn_start().time_since_epoch();
+  if (grid.count() > 0) first = (first + grid - Duration{1}) / grid * grid;
+  first += phase;
+  if (&member == ticking_) first += period;
+  const Key key{period, first % period};
+  member.first_due_ = MonotonicTime{first};
+  RateGroup* group = nullptr;
+  const auto [begin, end] = groups_.equal_range(key);
+  for (auto at = begin; at != end && group == nullptr; ++at) {
+    if (at->second->firing_due_ < member.first_due_) group = at->second.get();
+  }
+  if (group == nullptr) {
+    // A group that has had this tick already cannot have it again for the newcomer.
+    group = groups_.emplace(key, std::make_unique<RateGroup>(loop_, period))->second.get();
+    group->due = member.first_due_;
+    loop_.insert(*group);
+  } else if (member.first_due_ < group->due) {  // its members all start later
+    group->due = member.first_due_;
+    loop_.moved(*group);
+  }
+  member.group_ = group;
   group->members_.push_back(&member);
   ++group->live_;
+  member.schedule_began();
 }
 
 void Schedule::remove(RateMember& member) noexcept {
+  if (std::exchange(member.is_waiting_, false)) {
+    std::erase_if(waiting_, [&](const Waiting& one) { return one.member == &member; });
+    return;
+  }
   RateGroup* group = member.group_;
   if (group == nullptr) return;
   member.group_ = nullptr;

@@ -14,7 +14,8 @@ namespace rtdata::detail {
 
 class RateGroup;
 
-/// What is called at a rate. `tick` may remove or add any member, itself included.
+/// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in its
+/// own tick has the next one a period after the new start, since it has just had one.
 class RateMember {
  public:
   /// `tick.missed`: ticks of this member's schedule skipped just before; `tick.index` is not set.
@@ -22,7 +23,10 @@ class RateMember {
   /// For blame: "sensor chamber".
   virtual std::string blame_name() const = 0;
 
-  bool is_scheduled() const noexcept { return group_ != nullptr; }
+  /// Its schedule has begun: `first_due()` is known.
+  virtual void schedule_began() {}
+
+  bool is_scheduled() const noexcept { return group_ != nullptr || is_waiting_; }
   MonotonicTime first_due() const noexcept { return first_due_; }
   /// The first tick that has not been dealt with.
   MonotonicTime next_due() const noexcept;
@@ -37,6 +41,7 @@ class RateMember {
   friend class Schedule;
   RateGroup* group_ = nullptr;
   MonotonicTime first_due_{};
+  bool is_waiting_ = false;
 };
 
 class RateGroup final : public Deadline {
@@ -44,7 +49,7 @@ class RateGroup final : public Deadline {
   RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
   void fire(MonotonicTime now) override;
   Duration period() const noexcept { return period_; }
-  /// Of this member: the group's due tick, unless the group is past it in the tick under way.
+  /// Of this member: the group's first tick not dealt with, unless the group is past it in the tick under way.
   MonotonicTime next_due_of(const RateMember& member) const noexcept;
 
  private:
@@ -55,22 +60,35 @@ class RateGroup final : public Deadline {
   std::vector<RateMember*> members_;  // null: removed while firing
   std::size_t live_ = 0;
   std::size_t position_ = 0;  // while firing: members before it have had their tick
-  MonotonicTime firing_due_{};
+  MonotonicTime firing_due_ = MonotonicTime::min();  // of the last tick
+  MonotonicTime first_missed_{};  // while firing: first tick not dealt with before
   bool firing_ = false;
 };
 
 class Schedule {
  public:
   explicit Schedule(LoopCore& loop) : loop_(loop) {}
-  /// First due at `start` (rounded up to the phase grid) plus phase.
-  void add(RateMember& member, MonotonicTime start, Duration period, Duration phase);
+  /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn, it
+  /// begins when the loop does, so that setting up takes no ticks from anybody.
+  void add(RateMember& member, Duration period, Duration phase);
   void remove(RateMember& member) noexcept;
+  /// Begins the schedules that wait for the loop to turn.
+  void begin_waiting();
 
  private:
   friend class RateGroup;
+  void place(RateMember& member, Duration period, Duration phase);
   void discard(RateGroup& group);
   LoopCore& loop_;
-  std::map<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>> groups_;  // by period and phase
+  struct Waiting {
+    RateMember* member;
+    Duration period;
+    Duration phase;
+  };
+  std::vector<Waiting> waiting_;
+  using Key = std::pair<Duration, Duration>;  // period and phase
+  std::multimap<Key, std::unique_ptr<RateGroup>> groups_;  // several of a key only while one has had a tick the other has not
+  const RateMember* ticking_ = nullptr;
 };
 
 }  // namespace rtdata::detail

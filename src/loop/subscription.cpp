@@ -17,7 +17,7 @@ class ViewSubscription final : public SubscriptionNode {
     Delivered result;
     for (; result.seen < run.count && is_open(); ++result.seen) {
       const std::byte* slot = run.slot(result.seen);
-      if (is_cancelled(*reinterpret_cast<const EventHeader*>(slot))) continue;
+      if (is_cancelled(run, result.seen)) continue;
       ++result.delivered;
       guarded(*this, [&] { handler_(view_of(run.topic, slot)); });
     }
@@ -91,8 +91,8 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
   const auto& have = topic.type;
   if (have.description == nullptr || wanted.description == nullptr) {
     if (have.type_key == wanted.type_key) return std::shared_ptr<const void>{};
-    return Error{Errc::description_differs, "cannot subscribe", topic.name, "it carries another type of payload",
-                 "use the type it was made with"};
+    return Error{Errc::description_differs, "cannot subscribe", topic.name,
+                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted), "use the type it was made with"};
   }
   if (have.description == wanted.description) return std::shared_ptr<const void>{};
   auto map = std::make_shared<FieldMap>();
@@ -116,14 +116,20 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
     }
   }
   if (!why.empty()) {
-    return Error{Errc::description_differs, "cannot subscribe", topic.name, why, "subscribe with the fields that the topic has"};
+    return Error{Errc::description_differs, "cannot subscribe", topic.name,
+                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted) + ": " + why,
+                 "subscribe with the fields that the topic has"};
   }
   return is_identity ? std::shared_ptr<const void>{} : std::shared_ptr<const void>{std::move(map)};
 }
 
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   RuntimeCore& runtime = loop.runtime;
-    if (only != nullptr) {
+  if (only != nullptr) {
+    if (&only->runtime() != &runtime) {
+      throw SetupError({Errc::bad_argument, "cannot subscribe", only->name, "the topic belongs to another runtime than the loop",
+                        "give both loops one runtime"});
+    }
     if (auto linked = only->link(loop, node); !linked) throw SetupError(linked.error());
     return;
   }
@@ -131,14 +137,17 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
     throw SetupError({Errc::bad_name, "cannot subscribe", "\"" + node.pattern() + "\"", "not a topic or pattern",
                       "levels are joined by /, + stands for one level, # at the end for all below"});
   }
+  std::vector<Error> refused;  // told of at the end, since a report may run user code
   for (const auto& topic : runtime.topics()) {
     if (!topic_matches(node.pattern(), topic->name)) continue;
     if (auto linked = topic->link(loop, node); !linked) {
       if (topic->name == node.pattern()) throw SetupError(linked.error());
-      runtime.report(&loop, node.name, linked.error());
+      refused.push_back(std::move(linked).error());
     }
   }
   runtime.patterns.push_back(&node);
+  const std::string name = node.name;
+  for (const Error& error : refused) runtime.report(&loop, name, error);
 }
 
 TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType type) {

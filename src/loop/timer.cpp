@@ -54,7 +54,7 @@ class TickerNode final : public Node, public RateMember {
     if (!is_open() || is_scheduled()) return;
     index_ = 0;
     loop()->hold();
-    loop()->schedule().add(*this, loop()->turn_start(), config_.period, config_.phase);
+    loop()->schedule().add(*this, config_.period, config_.phase);
   }
   void stop() {
     if (!is_open() || !is_scheduled()) return;
@@ -65,6 +65,7 @@ class TickerNode final : public Node, public RateMember {
     if (period < std::chrono::microseconds{1}) {
       throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period), "use at least 1 us"});
     }
+    if (period == config_.period) return;
     const bool was_running = is_scheduled();
     stop();
     config_.period = period;
@@ -101,7 +102,7 @@ using detail::TimerNode;
 Timer::Timer(Loop& loop, Callback<void()> callback) : Handle(new TimerNode(loop.core(), std::move(callback))) {}
 Timer::Timer(Loop& loop, Duration delay, Callback<void()> callback) : Timer(loop, std::move(callback)) { start(delay); }
 void Timer::start(Duration delay) {
-  if (is_open()) start_at(node()->loop()->now() + std::max(delay, Duration{0}));
+  if (is_open()) start_at(detail::later(node()->loop()->now(), std::max(delay, Duration{0})));
 }
 void Timer::start_at(MonotonicTime due) {
   if (is_open()) static_cast<TimerNode*>(node())->start_at(due);

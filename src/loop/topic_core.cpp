@@ -31,7 +31,7 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   if (time <= origin.last_time) time = origin.last_time + Duration{1};
   origin.last_time = time;
   const EventHeader header{time, ++origin.sequence, origin.name};
-  for (Tap* tap : taps_) tap->offer(origin, header, payload);
+  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, header, payload);
   if (!links_.empty()) enqueue(header, payload);
 }
 
@@ -45,15 +45,21 @@ void TopicCore::enqueue(const EventHeader& header, void* payload) {
   if (type.move_construct == nullptr) {
     std::memcpy(to + payload_offset, payload, type.size);
   } else {
-    type.move_construct(to + payload_offset, payload);
+    try {
+      type.move_construct(to + payload_offset, payload);
+    } catch (...) {
+      ++dropped_;
+      throw;
+    }
   }
+  to[stride_ - 1] = std::byte{0};
   ++head_;
   if (!is_ready) loop_->add_ready(*this);
 }
 
 void TopicCore::make_ring(std::size_t capacity) {
   const std::size_t alignment = std::max(type.alignment, alignof(EventHeader));
-  stride_ = (payload_offset + type.size + alignment - 1) / alignment * alignment;
+  stride_ = (payload_offset + type.size + 1 + alignment - 1) / alignment * alignment;  // 1: whether it was cancelled
   const std::size_t slots = std::bit_ceil(std::max<std::size_t>(capacity, 2));
   mask_ = slots - 1;
   slots_ = static_cast<std::byte*>(::operator new(slots * stride_, std::align_val_t{64}));
@@ -104,8 +110,8 @@ void TopicCore::unlink(SubscriptionNode& node) noexcept {
 
 void TopicCore::cancel(const OriginCore& origin) noexcept {
   for (std::uint64_t i = tail_; i != head_; ++i) {
-    auto& header = *reinterpret_cast<EventHeader*>(slot(i));
-    if (header.origin.data() == origin.name.data()) header.origin = {};
+    const auto& header = *reinterpret_cast<const EventHeader*>(slot(i));
+    if (header.origin.data() == origin.name.data()) slot(i)[stride_ - 1] = std::byte{1};
   }
 }
 
@@ -155,9 +161,9 @@ void TopicCore::drop_slots(std::uint64_t first, std::uint64_t last) noexcept {
   for (std::uint64_t i = first; i != last; ++i) type.destroy(slot(i) + payload_offset);
 }
 
-void TopicCore::abandon() noexcept {
+void TopicCore::abandon(const LoopCore& loop) noexcept {
+  if (loop_ != &loop) return;
   drop_slots(tail_, head_);
-  for (Link& link : links_) link.next = head_;
   tail_ = head_;
   loop_ = nullptr;
   is_ready = false;

@@ -49,8 +49,8 @@ class TopicCore {
   void deliver_group(LoopCore& loop);
   RuntimeCore& runtime() const noexcept { return runtime_; }
   bool has_pending() const noexcept { return head_ != tail_; }
-  /// The loop is gone: what is queued is cancelled.
-  void abandon() noexcept;
+  /// The loop is gone: if it delivers this topic, what is queued is cancelled.
+  void abandon(const LoopCore& loop) noexcept;
 
   SubscriptionCounts subscription_counts() const noexcept;
   SubscriptionCounts counts_of(const SubscriptionNode& node) const noexcept;
@@ -59,6 +59,7 @@ class TopicCore {
 
   TopicCore* next_ready = nullptr;  ///< of the loop's list of topics with pending deliveries
   bool is_ready = false;
+  OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
 
  private:
   struct Link {
@@ -89,7 +90,7 @@ class TopicCore {
   std::uint64_t tail_ = 0;
   std::uint64_t dropped_ = 0;
   std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
-  SubscriptionNode* delivering_ = nullptr;
+  const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
   SubscriptionCounts retired_;
 };

@@ -54,10 +54,11 @@ void SensorNode::start() {
 
 void SensorNode::begin_schedule() {
   origin_.late_after = late_after_.count() >= 0 ? late_after_ : std::max(Duration{std::chrono::milliseconds{1}}, period_ / 10);
-  loop()->schedule().add(*this, loop()->turn_start(), period_, phase_);
-  origin_.begin_segment(first_due(), period_);
   loop()->hold();
+  loop()->schedule().add(*this, period_, phase_);
 }
+
+void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period_); }
 
 void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;

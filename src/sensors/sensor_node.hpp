@@ -24,6 +24,7 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
 
   void tick(const Tick& tick) override;
+  void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
 

@@ -27,6 +27,7 @@ class StoreJob final : public LaneJob {
       result = Error{Errc::io_failed, "the writer threw", "", e.what(), ""};
     }
     refused = queue->take_refusals(refusal);
+    warning = queue->writer().take_warning();
   }
   void done(Outcome outcome) override;
 
@@ -36,6 +37,7 @@ class StoreJob final : public LaneJob {
   Result<void> result;
   std::uint64_t refused = 0;
   Error refusal;
+  std::optional<Error> warning;
 };
 
 }  // namespace
@@ -66,7 +68,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     for (const auto& topic : runtime.topics()) on_topic(*topic);
     runtime.recorders.push_back(this);
     clock_.push_back({loop()->now(), runtime.clock().realtime(), "start"});
-    loop()->schedule().add(*this, loop()->turn_start(), config_.batch_time, Duration{0});
+    loop()->schedule().add(*this, config_.batch_time, Duration{0});
     is_attached_ = true;
   }
 
@@ -165,7 +167,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   void tick(const Tick&) override {
     loop()->runtime.look_at_clock();
-    loop()->runtime.flush_repeats(false);
+    loop()->runtime.flush_repeats(detail::RuntimeCore::Repeats::old);
     const bool has_rows = queue_->hand_over();
     const bool has_account = account(false);
     if (has_rows || has_account) start_storing();
@@ -177,6 +179,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       Error error = job.refusal;
       report(error, job.refused);
     }
+    if (job.warning) report(*job.warning, 1);
     if (!job.result) {
       failed(job.result.error());
       return;
@@ -288,7 +291,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void begin_closing() {
     if (closing_) return;
     for (const auto& tap : taps_) tap->topic.remove_tap(*tap);
-    loop()->runtime.flush_repeats(true);
+    loop()->runtime.flush_repeats(detail::RuntimeCore::Repeats::all);
     loop()->runtime.look_at_clock("end");
     if (is_scheduled()) loop()->schedule().remove(*this);
     queue_->hand_over();

@@ -1,10 +1,11 @@
 /// Lane: a worker thread of a loop for blocking work: one for each sink and each physical device.
 ///
-/// Jobs run one after the other, in order. One that outlives the lane's limit is given up: its thread is left behind (at
-/// most `most_left_behind` of them), the jobs that wait go on with a fresh one, and its `done` is told. Lanes run
-/// transactions and storage, never a user's callbacks.
+/// Jobs run one after the other, in order. One that outlives the lane's limit is given up: its thread is left behind, the
+/// jobs that wait go on with a fresh one, and its `done` is told. With `most_left_behind` threads left behind the lane takes
+/// no job until one of them comes back. Lanes run transactions and storage, never a user's callbacks.
 ///
-/// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration.
+/// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration; given up after the
+/// limit, when that is shorter.
 ///
 /// Owner: the loop, found by key. Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
@@ -50,11 +51,11 @@ class Lane {
 
   /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
   bool submit(std::shared_ptr<LaneJob> job);
-  /// Threads left behind that have not ended since.
-  std::size_t left_behind() noexcept { return is_stuck() ? most_left_behind : behind_.size(); }
+  /// Threads that have been left behind and have not come back.
+  std::size_t left_behind() const noexcept;
   /// As many threads as may be are left behind: nothing runs until one of them comes back.
-  bool is_stuck() noexcept;
-  /// Gives up the running job now, whatever its time.
+  bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
+  /// Gives up the first job that has not finished, whatever its time.
   void give_up();
   /// Tells finished jobs' owners. Called by the loop when a worker has woken it.
   void collect();
@@ -63,7 +64,8 @@ class Lane {
   struct Worker;
   struct Watchdog;
   struct Delayed;
-  void start_worker();
+  /// False when there can be none: too many were left behind, or the system gives no more threads.
+  bool start_worker() noexcept;
   void check_limit();
   void finish(std::size_t index, LaneJob::Outcome outcome);
 
@@ -71,10 +73,10 @@ class Lane {
   std::string name_;
   Duration give_up_after_;
   std::shared_ptr<Worker> worker_;
+  mutable std::vector<std::shared_ptr<Worker>> behind_;
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
-  std::vector<std::shared_ptr<Worker>> behind_;
 };
 
 }  // namespace rtdata::detail

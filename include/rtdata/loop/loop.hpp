@@ -81,8 +81,9 @@ class Loop {
   Loop(const Loop&) = delete;
   Loop& operator=(const Loop&) = delete;
 
-  /// Runs until `stop`, or until nothing is left that could happen. On an attached loop the host runs it instead
-  /// (SetupError otherwise).
+  /// Runs until `stop`, or until nothing is left that could happen; at once when `stop` was called since the last run. On an
+  /// attached loop the host runs it instead (SetupError otherwise). SetupError (busy) when called from one of its callbacks,
+  /// as for `run_for`, `poll` and `advance`.
   void run();
   /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
   void run_for(Duration duration);
@@ -106,6 +107,7 @@ class Loop {
   Time time() noexcept;
   Runtime& runtime() noexcept;
   const Config& config() const noexcept;
+  /// Handles put on a loop that we own must be closed before it is destroyed.
   uv_loop_t* uv() noexcept;
 
   /// The topic of that name, made if there is none. SetupError (description-differs) when it exists with another
@@ -127,7 +129,8 @@ class Loop {
   /// then calls `done` with the number of events that could not be stored by the deadline. For attached loops; `close`
   /// is the same, blocking, for owned ones.
   void drain(Duration deadline, Callback<void(std::uint64_t lost)> done);
-  /// See `drain`. Returns the number of events lost.
+  /// See `drain`. Returns the number of events lost; when `stop` ended the wait, of those still queued. SetupError from a
+  /// callback of this loop (busy) and on an attached one (bad-argument).
   std::uint64_t close(Duration deadline = std::chrono::seconds{10});
 
   detail::LoopCore& core() noexcept { return *core_; }

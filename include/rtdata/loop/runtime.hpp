@@ -63,9 +63,9 @@ struct TopicStatus {
 class Runtime {
  public:
   struct Config {
-    std::string name;             ///< of the set-up; kept in recordings
-    std::string notes;            ///< the user's; kept in recordings
-    std::string configuration;    ///< the text of the file it was made from; kept in recordings
+    std::string name = {};           ///< of the set-up; kept in recordings
+    std::string notes = {};          ///< the user's; kept in recordings
+    std::string configuration = {};  ///< the text of the file it was made from; kept in recordings
     Clock* clock = nullptr;       ///< null: the machine's. Must outlive the runtime.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };

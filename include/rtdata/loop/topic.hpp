@@ -77,8 +77,8 @@ struct EventRun {
   std::byte* slot(std::uint64_t i) const noexcept { return slots + ((first + i) & mask) * stride; }
 };
 
-/// A slot whose event was cancelled has an origin without data.
-inline bool is_cancelled(const EventHeader& header) noexcept { return header.origin.data() == nullptr; }
+/// The last byte of a slot says whether its event was cancelled; the event itself stays, since a handler may have it.
+inline bool is_cancelled(const EventRun& run, std::uint64_t i) noexcept { return run.slot(i)[run.stride - 1] != std::byte{0}; }
 
 class SubscriptionNode : public Node {
  public:
@@ -135,7 +135,7 @@ class TypedSubscription final : public SubscriptionNode {
     Delivered result;
     for (; result.seen < run.count && is_open(); ++result.seen) {
       auto* event = reinterpret_cast<Event<T>*>(run.slot(result.seen));
-      if (is_cancelled(*event)) continue;
+      if (is_cancelled(run, result.seen)) continue;
       ++result.delivered;
       if constexpr (Described<T>) {
         if (field_map != nullptr) [[unlikely]] {

@@ -24,6 +24,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -174,6 +175,8 @@ class Writer {
   virtual Result<void> flush() { return {}; }
   /// The last call: what was written is made durable and the resources are released.
   virtual Result<void> close() { return {}; }
+  /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
+  virtual std::optional<Error> take_warning() { return std::nullopt; }
   /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
   virtual LiveCounts* live_counts(std::uint32_t slot);
 };

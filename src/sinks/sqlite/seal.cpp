@@ -1,0 +1,288 @@
+// Runs that ended without closing, and rows beyond the limits of a recording.
+#include <algorithm>
+#include <map>
+
+#include "rtdata/data/time.hpp"
+#include "sinks/sqlite/sqlite_writer.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+struct OpenRun {
+  std::int64_t run;
+  std::string uuid;
+  std::int64_t ended;
+};
+
+struct Counted {
+  std::int64_t rows = 0;
+  std::int64_t first_sequence = 0;
+  std::int64_t last_sequence = 0;
+};
+
+/// The tables of a topic that hold rows of the run, newest version first.
+Result<std::vector<std::string>> tables_of(Database& database, const std::string& topic) {
+  auto query = database.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
+  if (!query) return std::move(query).error();
+  query->bind(1, topic);
+  std::vector<std::string> names;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return names;
+    names.emplace_back(query->text(0));
+  }
+}
+
+/// Rows of the run above the rowid, by origin.
+Result<std::map<std::string, Counted>> count_rows(Database& database, const std::string& table, std::int64_t run, std::int64_t above,
+                                                  std::int64_t& last_time) {
+  auto query = database.prepare("SELECT origin, count(*), min(sequence), max(sequence), max(time) FROM " + quoted(table) +
+                                " WHERE rowid > ? AND run = ? GROUP BY origin");
+  if (!query) return std::move(query).error();
+  query->bind(1, above).bind(2, run);
+  std::map<std::string, Counted> counted;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return counted;
+    counted[std::string(query->text(0))] = {query->integer(1), query->integer(2), query->integer(3)};
+    last_time = std::max(last_time, query->integer(4));
+  }
+}
+
+struct LedgerRow {
+  std::string origin;
+  std::int64_t slot, offered, stored, dropped, first_sequence, last_sequence, rows_up_to;
+};
+
+Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
+  auto query = database.prepare(
+      "SELECT origin, slot, offered, stored, dropped_newest + dropped_oldest + dropped_refused, first_sequence, last_sequence, rows_up_to "
+      "FROM rtdata_ledger WHERE run = ? AND topic = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, run).bind(2, topic);
+  std::vector<LedgerRow> rows;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return rows;
+    rows.push_back({std::string(query->text(0)), query->integer(1), query->integer(2), query->integer(3), query->integer(4),
+                    query->integer(5), query->integer(6), query->integer(7)});
+  }
+}
+
+/// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live counts.
+Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live, std::int64_t& lost,
+                        std::int64_t& last_time) {
+  auto rows = ledger_of(database, run.run, topic);
+  if (!rows) return std::move(rows).error();
+  std::int64_t above = rows->empty() ? 0 : std::numeric_limits<std::int64_t>::max();
+  for (const LedgerRow& row : *rows) above = std::min(above, row.rows_up_to);
+  auto tables = tables_of(database, topic);
+  if (!tables) return std::move(tables).error();
+  std::map<std::string, Counted> counted;
+  for (const std::string& table : *tables) {
+    auto some = count_rows(database, table, run.run, above, last_time);
+    if (!some) return std::move(some).error();
+    for (const auto& [origin, count] : *some) {
+      Counted& sum = counted[origin];
+      sum.first_sequence = sum.rows == 0 ? count.first_sequence : std::min(sum.first_sequence, count.first_sequence);
+      sum.last_sequence = std::max(sum.last_sequence, count.last_sequence);
+      sum.rows += count.rows;
+    }
+  }
+  for (const auto& [origin, count] : counted) {  // began after the last account
+    if (std::any_of(rows->begin(), rows->end(), [&name = origin](const LedgerRow& row) { return row.origin == name; })) continue;
+    auto insert = database.prepare(
+        "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, "
+        "published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, last_sequence) "
+        "VALUES(?,?,?,-1,0,0,0,0,0,0,0,?,?,0,0,?,?,0,0,0,?,?)");
+    if (!insert) return std::move(insert).error();
+    insert->bind(1, run.run).bind(2, topic).bind(3, origin).bind(4, count.rows).bind(5, count.rows).bind(6, count.rows).bind(7, count.rows);
+    insert->bind(8, count.first_sequence).bind(9, count.last_sequence);
+    if (auto done = insert->run(); !done) return done;
+  }
+  for (const LedgerRow& row : *rows) {
+    // Every ledger row of a topic says up to where its count goes; an older one is counted from there.
+    std::int64_t added = 0;
+    std::int64_t first_sequence = row.first_sequence;
+    std::int64_t last_sequence = row.last_sequence;
+    for (const std::string& table : *tables) {
+      auto some = row.rows_up_to == above ? Result<std::map<std::string, Counted>>(counted)
+                                          : count_rows(database, table, run.run, row.rows_up_to, last_time);
+      if (!some) return std::move(some).error();
+      if (const auto found = some->find(row.origin); found != some->end()) {
+        added += found->second.rows;
+        if (first_sequence == 0) first_sequence = found->second.first_sequence;
+        last_sequence = std::max(last_sequence, found->second.last_sequence);
+      }
+      if (row.rows_up_to == above) break;
+    }
+    std::int64_t offered = row.stored + added + row.dropped;
+    std::int64_t unsaved = 0;
+    std::int64_t dropped_more = 0;
+    if (live != nullptr && row.slot >= 0) {
+      const LiveCounts& counts = live->counts(static_cast<std::uint32_t>(row.slot));
+      const auto refused = row.dropped - std::min(row.dropped, static_cast<std::int64_t>(counts.dropped));
+      dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
+      offered = std::max(offered + dropped_more, static_cast<std::int64_t>(counts.offered));
+      unsaved = offered - (row.stored + added) - row.dropped - dropped_more;
+      if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
+      lost += unsaved;
+    }
+    auto update = database.prepare(
+        "UPDATE rtdata_ledger SET offered = ?, stored = ?, dropped_newest = dropped_newest + ?, dropped_unsaved = ?, first_sequence = ?, "
+        "last_sequence = ? WHERE run = ? AND topic = ? AND origin = ?");
+    if (!update) return std::move(update).error();
+    update->bind(1, offered).bind(2, row.stored + added).bind(3, dropped_more).bind(4, unsaved).bind(5, first_sequence).bind(6, last_sequence);
+    update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    if (auto done = update->run(); !done) return done;
+  }
+  return {};
+}
+
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live) {
+  const bool is_known = live.belongs_to(run.uuid);
+  std::vector<std::string> topics;
+  {
+    auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
+    if (!query) return std::move(query).error();
+    for (;;) {
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      if (!*row) break;
+      topics.emplace_back(query->text(0));
+    }
+  }
+  std::int64_t lost = 0;
+  std::int64_t last_time = run.ended;
+  for (const std::string& topic : topics) {
+    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed) return std::move(sealed).error();
+  }
+  std::string remark = "run " + std::to_string(run.run) + " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
+  remark += is_known ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
+                     : "; what was published after that is unknown";
+  auto update = database.prepare("UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
+  if (!update) return std::move(update).error();
+  update->bind(1, last_time).bind(3, remark).bind(4, run.run);
+  if (is_known) {
+    update->bind(2, lost);
+  } else {
+    update->bind_null(2);
+  }
+  if (auto done = update->run(); !done) return std::move(done).error();
+  return remark;
+}
+
+}  // namespace
+
+Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
+  std::vector<OpenRun> open;
+  {
+    auto query = database.prepare("SELECT run, uuid, ended FROM rtdata_run WHERE state = 'recording'");
+    if (!query) return std::move(query).error();
+    for (;;) {
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      if (!*row) break;
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2)});
+    }
+  }
+  std::vector<std::string> remarks;
+  if (auto begun = database.execute("BEGIN IMMEDIATE"); !begun) return std::move(begun).error();
+  for (const OpenRun& run : open) {
+    auto remark = seal_run(database, run, live);
+    if (!remark) {
+      (void)database.execute("ROLLBACK");
+      return std::move(remark).error();
+    }
+    remarks.push_back(*remark);
+  }
+  if (auto done = database.execute("COMMIT"); !done) {
+    (void)database.execute("ROLLBACK");
+    return std::move(done).error();
+  }
+  return remarks;
+}
+
+namespace {
+
+/// Deletes the rows of a table up to the rowid, and counts them in the ledger.
+Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to) {
+  auto count = database.prepare("SELECT run, origin, count(*) FROM " + quoted(table) + " WHERE rowid <= ? GROUP BY run, origin");
+  if (!count) return std::move(count).error();
+  auto update = database.prepare("UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
+  if (!update) return std::move(update).error();
+  count->bind(1, up_to);
+  for (;;) {
+    auto row = count->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    update->bind(1, count->integer(2)).bind(2, count->integer(0)).bind(3, topic).bind(4, count->text(1));
+    if (auto done = update->run(); !done) return done;
+  }
+  auto remove = database.prepare("DELETE FROM " + quoted(table) + " WHERE rowid <= ?");
+  if (!remove) return std::move(remove).error();
+  remove->bind(1, up_to);
+  return remove->run();
+}
+
+}  // namespace
+
+Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now) {
+  constexpr std::int64_t most_rows_a_table = 5000;
+  bool is_too_large = false;
+  if (max_bytes > 0) {
+    auto bytes = database.integer(
+        "SELECT (page_count - freelist_count) * page_size FROM pragma_page_count(), pragma_freelist_count(), pragma_page_size()");
+    if (!bytes) return std::move(bytes).error();
+    is_too_large = static_cast<std::uint64_t>(*bytes) > max_bytes;
+  }
+  std::vector<std::pair<std::string, std::string>> tables;
+  {
+    auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
+    if (!query) return std::move(query).error();
+    for (;;) {
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      if (!*row) break;
+      tables.emplace_back(query->text(0), query->text(1));
+    }
+  }
+  if (auto begun = database.execute("BEGIN IMMEDIATE"); !begun) return begun;
+  const auto work = [&]() -> Result<void> {
+    for (const auto& [topic, table] : tables) {
+      // Rows lie in order of recording: the oldest first. The last one stays, so that rowids go on ascending.
+      auto first = database.integer("SELECT min(rowid) FROM " + quoted(table));
+      if (!first) return std::move(first).error();
+      auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
+      if (!last) return std::move(last).error();
+      if (*last <= *first) continue;
+      std::int64_t up_to = 0;
+      if (is_too_large) up_to = std::min(*first + std::min(most_rows_a_table, (*last - *first) / 10 + 1), *last) - 1;
+      if (max_age.count() > 0) {
+        auto query = database.prepare("SELECT max(rowid) FROM (SELECT rowid, time FROM " + quoted(table) +
+                                      " ORDER BY rowid LIMIT ?) WHERE time < ?");
+        if (!query) return std::move(query).error();
+        query->bind(1, most_rows_a_table).bind(2, to_nanoseconds(now - max_age));
+        auto row = query->step();
+        if (!row) return std::move(row).error();
+        if (*row && !query->is_null(0)) up_to = std::max(up_to, std::min(query->integer(0), *last - 1));
+      }
+      if (up_to >= *first) {
+        if (auto pruned = prune_table(database, topic, table, up_to); !pruned) return pruned;
+      }
+    }
+    return {};
+  };
+  auto done = work();
+  if (done) done = database.execute("COMMIT");
+  if (!done) {
+    if (sqlite3_get_autocommit(database.raw()) == 0) (void)database.execute("ROLLBACK");
+    return done;
+  }
+  return database.execute("PRAGMA incremental_vacuum(1000)");
+}
+
+}  // namespace rtdata::sqlite

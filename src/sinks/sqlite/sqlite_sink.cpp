@@ -1,0 +1,29 @@
+#include "loop/runtime_core.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/sqlite_writer.hpp"
+
+namespace rtdata {
+namespace {
+
+SinkConfig named(const SqliteConfig& config) {
+  SinkConfig sink = config.sink;
+  if (sink.name.empty()) sink.name = config.path;
+  return sink;
+}
+
+std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
+  detail::RuntimeCore& runtime = loop.runtime().core();
+  const sqlite::RunInfo run{runtime.config.name,          runtime.config.notes,
+                            runtime.config.configuration, runtime.clock().boot_id(),
+                            loop.time(),                  runtime.start().realtime.time_since_epoch() - runtime.start().monotonic.time_since_epoch()};
+  std::vector<std::string> remarks;
+  auto writer = std::make_unique<sqlite::SqliteWriter>(config, run, remarks);
+  for (const std::string& remark : remarks) runtime.log(LogLevel::warning, "sink " + named(config).name, remark);
+  return writer;
+}
+
+}  // namespace
+
+SqliteSink::SqliteSink(Loop& loop, SqliteConfig config) : Sink(loop, named(config), make_writer(loop, config)) {}
+
+}  // namespace rtdata

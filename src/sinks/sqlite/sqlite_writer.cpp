@@ -1,0 +1,284 @@
+#include "sinks/sqlite/sqlite_writer.hpp"
+
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include <fstream>
+
+#include "sinks/sqlite/schema.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr int wal_pages_to_checkpoint = 1000;
+constexpr std::uint64_t short_of_space = std::uint64_t{64} << 20;
+constexpr Duration space_interval = std::chrono::seconds{10};
+constexpr Duration limits_interval = std::chrono::seconds{1};
+
+std::string random_uuid() {
+  std::ifstream file("/proc/sys/kernel/random/uuid");
+  std::string uuid;
+  std::getline(file, uuid);
+  return uuid;
+}
+
+std::string host_name() {
+  char name[256] = {};
+  return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
+}
+
+std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(value); }
+
+void throw_if(const Result<void>& result) { result.or_throw(); }
+
+Result<void> check_format(Database& database, const std::string& path) {
+  auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
+  if (!tables) return std::move(tables).error();
+  if (*tables == 0) return {};
+  auto id = database.integer("PRAGMA application_id");
+  if (!id) return std::move(id).error();
+  if (*id != application_id) {
+    return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database", "choose another path"};
+  }
+  auto version = database.integer("PRAGMA user_version");
+  if (!version) return std::move(version).error();
+  if (*version > schema_version) {
+    return Error{Errc::newer_version, "cannot record into", path,
+                 "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " + std::to_string(schema_version) + ")",
+                 "update rt-data, or choose another path"};
+  }
+  return {};
+}
+
+}  // namespace
+
+SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks) : config_(config) {
+  if (config_.path.empty()) {
+    throw SetupError({Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
+  }
+  database_ = std::move(Database::open(config_.path, Database::Mode::write)).or_throw();
+  if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
+    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only", "check the permissions of the file and its folder"});
+  }
+  throw_if(check_format(database_, config_.path));
+  live_ = std::move(LiveFile::open(config_.path)).or_throw();
+  throw_if(configure());
+  throw_if(begin_run(run));
+  remarks = std::move(seal_runs(database_, live_)).or_throw();
+  // Only now is the new run's account begun: sealing has read the old one's.
+  const auto uuid = random_uuid();
+  auto mark = database_.prepare("UPDATE rtdata_run SET uuid = ?, state = 'recording' WHERE run = ?").or_throw();
+  mark.bind(1, uuid).bind(2, run_);
+  throw_if(mark.run());
+  live_.begin(uuid);
+}
+
+Result<void> SqliteWriter::configure() {
+  std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=";
+  switch (config_.profile) {
+    case SqliteProfile::normal: sql += "WAL; PRAGMA synchronous=NORMAL;"; break;
+    case SqliteProfile::safe: sql += "WAL; PRAGMA synchronous=FULL;"; break;
+    case SqliteProfile::fast: sql += "MEMORY; PRAGMA synchronous=OFF;"; break;
+  }
+  // Checkpoints are ours, outside of commits.
+  sql += "PRAGMA wal_autocheckpoint=0; PRAGMA journal_size_limit=67108864; PRAGMA temp_store=MEMORY;";
+  if (auto set = database_.execute(sql); !set) return set;
+  sqlite3_wal_hook(
+      database_.raw(),
+      [](void* pages, sqlite3*, const char*, int count) {
+        *static_cast<int*>(pages) = count;
+        return SQLITE_OK;
+      },
+      &wal_pages_);
+  return {};
+}
+
+Result<void> SqliteWriter::begin_run(const RunInfo& run) {
+  std::string sql = "BEGIN IMMEDIATE;";
+  sql += schema;
+  sql += "PRAGMA application_id=" + std::to_string(application_id) + "; PRAGMA user_version=" + std::to_string(schema_version) + "; COMMIT;";
+  if (auto made = database_.execute(sql); !made) {
+    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    return made;
+  }
+  auto insert = database_.prepare(
+      "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, clock_offset, state) "
+      "VALUES('',?,?,?,?,?,?,?,?,?,?,'starting')");
+  if (!insert) return std::move(insert).error();
+  const std::string host = host_name();
+  const std::string program = "rtdata " RTDATA_VERSION;
+  insert->bind(1, run.name).bind(2, run.notes).bind(3, run.configuration).bind(4, program).bind(5, host).bind(6, run.boot_id);
+  insert->bind(7, std::int64_t{::getpid()}).bind(8, to_nanoseconds(run.started)).bind(9, to_nanoseconds(run.started)).bind(10, run.clock_offset.count());
+  if (auto done = insert->run(); !done) return done;
+  run_ = database_.last_rowid();
+  return {};
+}
+
+LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) { return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr; }
+
+Result<void> SqliteWriter::open() { return prepare_account(); }
+
+Result<void> SqliteWriter::prepare_account() {
+  struct Prepared {
+    Statement& statement;
+    const char* sql;
+  };
+  const Prepared all[] = {
+      {begin_, "BEGIN IMMEDIATE"},
+      {commit_, "COMMIT"},
+      {ledger_,
+       "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, "
+       "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, "
+       "last_sequence, rows_up_to) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
+       "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
+       "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
+       "repeated=excluded.repeated, filtered=excluded.filtered, lost=excluded.lost, offered=excluded.offered, stored=excluded.stored, "
+       "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, dropped_refused=excluded.dropped_refused, "
+       "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to"},
+      {schedule_,
+       "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
+       "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, period=excluded.period"},
+      {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
+      {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source) VALUES(?,?,?,?)"},
+      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
+      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ? WHERE run = ?"},
+  };
+  for (const Prepared& one : all) {
+    if (one.statement) continue;
+    auto made = database_.prepare(one.sql);
+    if (!made) return std::move(made).error();
+    one.statement = std::move(*made);
+  }
+  return {};
+}
+
+Result<void> SqliteWriter::write(Batch& batch) {
+  auto done = begin_.run();
+  if (done) done = write_rows(batch);
+  if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
+  if (done) done = commit_.run();
+  if (!done) {
+    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    tables_.clear();  // what was made in the transaction is gone with it
+    return done;
+  }
+  if (batch.account() != nullptr) {
+    last_account_ = batch.account()->at;
+    look_at_space();
+  }
+  if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
+  return {};
+}
+
+Result<void> SqliteWriter::write_rows(Batch& batch) {
+  for (const Record& record : batch) {
+    const std::uint32_t number = record.info->topic_number;
+    if (number >= tables_.size()) tables_.resize(number + 1);
+    if (tables_[number] == nullptr) {
+      auto table = TopicTable::prepare(database_, *record.info, run_);
+      if (!table) return std::move(table).error();
+      tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+    }
+    if (auto inserted = tables_[number]->insert(record); !inserted) return inserted;
+  }
+  for (const auto& table : tables_) {
+    if (table == nullptr) continue;
+    if (auto flushed = table->flush(); !flushed) return flushed;
+  }
+  return {};
+}
+
+Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
+  const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
+    schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
+    schedule_.bind(5, segment.period.count()).bind(6, to_nanoseconds(segment.end)).bind(7, as_integer(segment.scheduled));
+    return schedule_.run();
+  };
+  for (const Account::SegmentEntry& entry : account.segments) {
+    if (auto done = put_segment(batch.slot(entry.slot), entry.segment); !done) return done;
+  }
+  for (const OriginAccount& origin : account.origins) {
+    const SlotInfo& slot = batch.slot(origin.slot);
+    const SensorCounts& s = origin.sensor;
+    const bool has_table = slot.topic_number < tables_.size() && tables_[slot.topic_number] != nullptr;
+    ledger_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{origin.slot}).bind(5, std::int64_t{s.has_schedule});
+    ledger_.bind(6, as_integer(s.scheduled)).bind(7, as_integer(s.taken)).bind(8, as_integer(s.missed)).bind(9, as_integer(s.failed));
+    ledger_.bind(10, as_integer(s.in_flight)).bind(11, as_integer(s.late)).bind(12, as_integer(s.received));
+    ledger_.bind(13, as_integer(s.published)).bind(14, as_integer(s.repeated)).bind(15, as_integer(s.filtered));
+    if (s.lost_is_known) {
+      ledger_.bind(16, as_integer(s.lost));
+    } else {
+      ledger_.bind_null(16);
+    }
+    ledger_.bind(17, as_integer(origin.offered)).bind(18, as_integer(batch.stored_after(origin.slot)));
+    ledger_.bind(19, as_integer(origin.dropped_newest)).bind(20, as_integer(origin.dropped_oldest));
+    ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
+    ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
+    ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0);
+    if (auto done = ledger_.run(); !done) return done;
+    if (origin.segment.period.count() > 0) {
+      if (auto done = put_segment(slot, origin.segment); !done) return done;
+    }
+  }
+  for (const Account::GapEntry& entry : account.gaps) {
+    const SlotInfo& slot = batch.slot(entry.slot);
+    gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    gap_.bind(4, std::string_view(entry.gap.kind == Gap::Kind::missed ? "missed" : "failed")).bind(5, entry.gap.reason);
+    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last)).bind(8, as_integer(entry.gap.count));
+    if (auto done = gap_.run(); !done) return done;
+  }
+  for (const ClockPair& pair : account.clock) {
+    clock_.bind(1, run_).bind(2, pair.monotonic.time_since_epoch().count()).bind(3, to_nanoseconds(pair.realtime)).bind(4, std::string_view(pair.source));
+    if (auto done = clock_.run(); !done) return done;
+  }
+  for (const Account::ErrorEntry& entry : account.errors) {
+    error_.bind(1, run_).bind(2, to_nanoseconds(entry.time)).bind(3, entry.object).bind(4, entry.id).bind(5, entry.text).bind(6, as_integer(entry.count));
+    if (auto done = error_.run(); !done) return done;
+  }
+  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, std::string_view(account.is_last ? "closed" : "recording")).bind(3, run_);
+  return run_end_.run();
+}
+
+Result<void> SqliteWriter::checkpoint(int mode) {
+  if (config_.profile == SqliteProfile::fast) return {};
+  wal_pages_ = 0;
+  const int status = sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, mode, nullptr, nullptr);
+  if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY) return error_of(database_.raw(), "cannot checkpoint the recording");
+  return {};
+}
+
+Result<void> SqliteWriter::flush() {
+  if ((config_.max_bytes > 0 || config_.max_age.count() > 0) && last_account_ - limits_looked_at_ >= limits_interval) {
+    limits_looked_at_ = last_account_;
+    if (auto pruned = prune(database_, config_.max_bytes, config_.max_age, last_account_); !pruned) return pruned;
+  }
+  return wal_pages_ >= wal_pages_to_checkpoint ? checkpoint(SQLITE_CHECKPOINT_PASSIVE) : Result<void>{};
+}
+
+void SqliteWriter::look_at_space() {
+  if (last_account_ - space_looked_at_ < space_interval) return;
+  space_looked_at_ = last_account_;
+  struct statvfs space{};
+  if (::statvfs(config_.path.c_str(), &space) != 0) return;
+  const std::uint64_t free = std::uint64_t{space.f_bavail} * space.f_frsize;
+  const bool is_short = free < short_of_space;
+  if (is_short && !space_is_short_) {
+    warning_ = Error{Errc::storage_full, "space runs out", config_.path, std::to_string(free >> 20) + " MiB are left",
+                     "make room, or set `max_bytes` or `max_age`"};
+  }
+  space_is_short_ = is_short;
+}
+
+Result<void> SqliteWriter::close() {
+  if (is_closed_) return {};
+  tables_.clear();
+  for (Statement* statement : {&begin_, &commit_, &ledger_, &schedule_, &gap_, &clock_, &error_, &run_end_}) *statement = Statement();
+  (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
+  database_ = Database();
+  live_.remove();
+  is_closed_ = true;
+  return {};
+}
+
+}  // namespace rtdata::sqlite

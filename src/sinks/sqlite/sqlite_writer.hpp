@@ -1,0 +1,78 @@
+// Writes batches and accounts into a recording: one transaction a batch.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/topic_table.hpp"
+
+namespace rtdata::sqlite {
+
+/// What a run is called in the recording.
+struct RunInfo {
+  std::string name;
+  std::string notes;
+  std::string configuration;
+  std::string boot_id;
+  Time started{};
+  Duration clock_offset{0};
+};
+
+class SqliteWriter final : public Writer {
+ public:
+  /// On the calling thread: opens and locks the file, seals runs that ended without closing (`remarks` tells of them), and
+  /// begins a run. Throws SetupError.
+  SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks);
+
+  Result<void> open() override;
+  Result<void> write(Batch& batch) override;
+  Result<void> flush() override;
+  Result<void> close() override;
+  LiveCounts* live_counts(std::uint32_t slot) override;
+  std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+
+ private:
+  Result<void> configure();
+  Result<void> begin_run(const RunInfo& run);
+  Result<void> write_rows(Batch& batch);
+  Result<void> write_account(const Batch& batch, const Account& account);
+  Result<void> prepare_account();
+  Result<void> checkpoint(int mode);
+  void look_at_space();
+
+  SqliteConfig config_;
+  Database database_;
+  LiveFile live_;
+  std::int64_t run_ = 0;
+  std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
+  Statement begin_;
+  Statement commit_;
+  Statement ledger_;
+  Statement schedule_;
+  Statement gap_;
+  Statement clock_;
+  Statement error_;
+  Statement run_end_;
+  std::optional<Error> warning_;
+  Time space_looked_at_{};
+  bool space_is_short_ = false;
+  Time limits_looked_at_{};
+  Time last_account_{};
+  int wal_pages_ = 0;
+  bool is_closed_ = false;
+};
+
+/// Seals every run that is still marked as recording, in one transaction. The caller holds the lock. `live` holds the
+/// counts of the last run, if they survived. Returns a remark for each.
+Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
+
+/// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
+/// `now` is on the line of the recorded times.
+Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now);
+
+}  // namespace rtdata::sqlite

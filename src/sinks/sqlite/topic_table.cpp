@@ -1,0 +1,234 @@
+#include "sinks/sqlite/topic_table.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "rtdata/data/value.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr std::size_t most_rows_per_statement = 16;
+constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
+constexpr std::size_t most_columns = 1990;      // SQLITE_MAX_COLUMN is 2000
+constexpr int fixed_columns = 4;                // run, time, origin, sequence
+
+const char* type_of(const Leaf& leaf) {
+  switch (leaf.kind) {
+    case Kind::f32:
+    case Kind::f64:
+      return "REAL";
+    case Kind::text:
+    case Kind::character:
+    case Kind::enumeration:
+      return "TEXT";
+    default:
+      return "INTEGER";
+  }
+}
+
+std::string column_of(const Leaf& leaf) { return quoted(leaf.path) + " " + type_of(leaf); }
+
+bool same_leaf(const Leaf& a, const Leaf& b) {
+  return a.path == b.path && a.kind == b.kind && a.unit == b.unit && (a.optional == nullptr) == (b.optional == nullptr) &&
+         a.field->values == b.field->values;
+}
+
+/// Every leaf of `part` is in `whole`, with the same meaning.
+bool is_part_of(const Description& part, const Description& whole) {
+  return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
+    return std::any_of(whole.leaves().begin(), whole.leaves().end(), [&](const Leaf& other) { return same_leaf(leaf, other); });
+  });
+}
+
+/// Tables of ours and of SQLite's own are out of reach of topics.
+std::string table_name(const std::string& topic, std::int64_t version) {
+  std::string name = topic.starts_with("rtdata_") || topic.starts_with("sqlite_") ? "topic~" + topic : topic;
+  if (version > 1) name += "~" + std::to_string(version);
+  return name;
+}
+
+Result<void> make_table(Database& database, const std::string& name, const Description& description) {
+  std::string sql = "CREATE TABLE " + quoted(name) +
+                    "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL";
+  for (const Leaf& leaf : description.leaves()) sql += ", " + column_of(leaf);
+  return database.execute(sql + ")");
+}
+
+Result<void> add_columns(Database& database, const std::string& name, const Description& old, const Description& description) {
+  for (const Leaf& leaf : description.leaves()) {
+    const bool is_there = std::any_of(old.leaves().begin(), old.leaves().end(), [&](const Leaf& known) { return known.path == leaf.path; });
+    if (is_there) continue;
+    if (auto added = database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf)); !added) return added;
+  }
+  return {};
+}
+
+void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value) {
+  struct Binder {
+    sqlite3_stmt* statement;
+    int index;
+    const Leaf& leaf;
+    void operator()(std::monostate) const { sqlite3_bind_null(statement, index); }
+    void operator()(bool v) const { sqlite3_bind_int(statement, index, v ? 1 : 0); }
+    void operator()(char v) const {
+      if (v >= ' ' && v <= '~') {
+        sqlite3_bind_text(statement, index, &v, 1, SQLITE_TRANSIENT);
+      } else {
+        sqlite3_bind_int(statement, index, v);
+      }
+    }
+    void operator()(std::int64_t v) const { sqlite3_bind_int64(statement, index, v); }
+    void operator()(std::uint64_t v) const { sqlite3_bind_int64(statement, index, static_cast<std::int64_t>(v)); }
+    void operator()(double v) const {
+      if (std::isnan(v) && leaf.optional != nullptr) {
+        sqlite3_bind_text(statement, index, "NaN", 3, SQLITE_STATIC);
+      } else {
+        sqlite3_bind_double(statement, index, v);  // NaN becomes NULL
+      }
+    }
+    void operator()(const std::string& v) const {
+      sqlite3_bind_text64(statement, index, v.data(), v.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+    }
+  };
+  std::visit(Binder{statement, index, leaf}, value);
+}
+
+template <class T>
+T load(const std::byte* at) {
+  T value;
+  std::memcpy(&value, at, sizeof value);
+  return value;
+}
+
+}  // namespace
+
+Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run) {
+  const Description& description = *slot.description;
+  if (description.leaves().size() > most_columns) {
+    return Error{Errc::bad_description, "cannot record", "topic " + slot.topic,
+                 "it has " + std::to_string(description.leaves().size()) + " values an event", "a table has at most 1990 columns: split it"};
+  }
+  auto known = database.prepare("SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
+  if (!known) return std::move(known).error();
+  known->bind(1, slot.topic);
+  std::int64_t last_version = 0;
+  std::string name;
+  std::string widen;  // the JSON of the narrower description to be widened
+  std::int64_t version = 0;
+  for (;;) {
+    auto row = known->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    last_version = std::max(last_version, known->integer(0));
+    auto old = Description::from_json(known->text(2));
+    if (!old) continue;  // written by something else: leave it alone
+    if (is_part_of(**old, description) && name.empty()) {
+      name = std::string(known->text(1));
+      version = known->integer(0);
+      if ((*old)->leaves().size() != description.leaves().size()) widen = std::string(known->text(2));
+    }
+  }
+  known->reset();
+  const std::string json = description.to_json();
+  if (name.empty()) {
+    version = last_version + 1;
+    name = table_name(slot.topic, version);
+    if (auto made = make_table(database, name, description); !made) return std::move(made).error();
+    auto insert = database.prepare("INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");
+    if (!insert) return std::move(insert).error();
+    insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
+    if (auto done = insert->run(); !done) return std::move(done).error();
+  } else if (!widen.empty()) {
+    if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added) return std::move(added).error();
+    auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
+    if (!update) return std::move(update).error();
+    update->bind(1, json).bind(2, slot.topic).bind(3, version);
+    if (auto done = update->run(); !done) return std::move(done).error();
+  }
+
+  TopicTable table;
+  table.database_ = &database;
+  table.name_ = name;
+  table.run_ = run;
+  std::string into = "INSERT INTO " + quoted(name) + "(run, time, origin, sequence";
+  std::string values = "(?,?,?,?";
+  for (const Leaf& leaf : description.leaves()) {
+    table.columns_.push_back({leaf.optional == nullptr ? leaf.kind : Kind::record, leaf.offset, &leaf});
+    into += ", " + quoted(leaf.path);
+    values += ",?";
+  }
+  into += ") VALUES ";
+  values += ")";
+  const std::size_t width = table.columns_.size() + fixed_columns;
+  table.rows_per_statement_ = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
+  std::string many = into;
+  for (std::size_t i = 0; i < table.rows_per_statement_; ++i) many += (i == 0 ? "" : ",") + values;
+  auto one = database.prepare(into + values);
+  if (!one) return std::move(one).error();
+  auto several = database.prepare(many);
+  if (!several) return std::move(several).error();
+  table.one_ = std::move(*one);
+  table.many_ = std::move(*several);
+  table.pending_.reserve(table.rows_per_statement_);
+  auto last = database.integer("SELECT max(rowid) FROM " + quoted(name));
+  if (!last) return std::move(last).error();
+  table.last_rowid_ = *last;
+  return table;
+}
+
+void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) const {
+  sqlite3_bind_int64(statement, index++, run_);
+  sqlite3_bind_int64(statement, index++, to_nanoseconds(record.header.time));
+  sqlite3_bind_text64(statement, index++, record.header.origin.data(), record.header.origin.size(), SQLITE_STATIC, SQLITE_UTF8);
+  sqlite3_bind_int64(statement, index++, static_cast<std::int64_t>(record.header.sequence));
+  const std::byte* payload = record.payload.data();
+  for (const Column& column : columns_) {
+    const std::byte* at = payload + column.offset;
+    switch (column.kind) {
+      case Kind::f64: sqlite3_bind_double(statement, index, load<double>(at)); break;
+      case Kind::f32: sqlite3_bind_double(statement, index, load<float>(at)); break;
+      case Kind::i64:
+      case Kind::u64: sqlite3_bind_int64(statement, index, load<std::int64_t>(at)); break;
+      case Kind::i32: sqlite3_bind_int64(statement, index, load<std::int32_t>(at)); break;
+      case Kind::u32: sqlite3_bind_int64(statement, index, load<std::uint32_t>(at)); break;
+      case Kind::i16: sqlite3_bind_int(statement, index, load<std::int16_t>(at)); break;
+      case Kind::u16: sqlite3_bind_int(statement, index, load<std::uint16_t>(at)); break;
+      case Kind::i8: sqlite3_bind_int(statement, index, load<std::int8_t>(at)); break;
+      case Kind::u8: sqlite3_bind_int(statement, index, load<std::uint8_t>(at)); break;
+      case Kind::boolean: sqlite3_bind_int(statement, index, load<bool>(at) ? 1 : 0); break;
+      default: bind_value(statement, index, *column.leaf, read(*column.leaf, payload)); break;
+    }
+    ++index;
+  }
+}
+
+Result<void> TopicTable::run(Statement& statement, std::span<const Record> records) {
+  int index = 1;
+  for (const Record& record : records) {
+    bind(statement.raw(), index, record);
+    index += static_cast<int>(columns_.size()) + fixed_columns;
+  }
+  auto done = statement.run();
+  if (done) last_rowid_ = database_->last_rowid();
+  return done;
+}
+
+Result<void> TopicTable::insert(const Record& record) {
+  pending_.push_back(record);
+  if (pending_.size() < rows_per_statement_) return {};
+  auto done = run(many_, pending_);
+  pending_.clear();
+  return done;
+}
+
+Result<void> TopicTable::flush() {
+  for (const Record& record : pending_) {
+    if (auto done = run(one_, {&record, 1}); !done) return done;
+  }
+  pending_.clear();
+  return {};
+}
+
+}  // namespace rtdata::sqlite

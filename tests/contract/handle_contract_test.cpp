@@ -1,0 +1,328 @@
+// The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in HANDLES.
+#include <doctest/doctest.h>
+#include <sys/socket.h>
+#include <unistd.h>
+#include <uv.h>
+
+#include <csignal>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <type_traits>
+#include <vector>
+
+#include "data/payloads.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using namespace std::chrono_literals;
+using payloads::Climate;
+
+namespace {
+
+/// A callback that counts, may do something more, and whose captures can be seen to go.
+struct Probe {
+  std::shared_ptr<int> token = std::make_shared<int>(0);
+  std::weak_ptr<int> seen = token;
+  int calls = 0;
+  std::function<void()> action;
+  bool captures_are_gone() const { return seen.expired(); }
+  auto callback() {
+    return [this, held = std::move(token)] {
+      ++calls;
+      ++*held;
+      if (action) action();
+      ++*held;  // the captures live for as long as the callback is on the stack
+    };
+  }
+};
+
+// An entry: how to make a handle whose callback is the probe's, and how to make it be called again and again.
+
+struct OfTimer {
+  using Type = Timer;
+  Type make(Loop& loop, Probe& probe) { return Timer(loop, 0ns, probe.callback()); }
+  void provoke(Loop&, Type& handle) { handle.start(0ns); }
+};
+struct OfTicker {
+  using Type = Ticker;
+  Type make(Loop& loop, Probe& probe) {
+    return Ticker(loop, 1ms, [f = probe.callback()](const Tick&) mutable { f(); });
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfFdWatch {
+  using Type = FdWatch;
+  int fds[2];
+  OfFdWatch() { REQUIRE(::socketpair(AF_UNIX, SOCK_STREAM, 0, fds) == 0); }
+  ~OfFdWatch() {
+    ::close(fds[0]);
+    ::close(fds[1]);
+  }
+  Type make(Loop& loop, Probe& probe) {
+    REQUIRE(::write(fds[1], "x", 1) == 1);  // never read: readable from now on
+    return FdWatch(loop, fds[0], FdWatch::readable, [f = probe.callback()](const FdEvent&) mutable { f(); });
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfSignalWatch {
+  using Type = SignalWatch;
+  OfSignalWatch() { std::signal(SIGUSR1, SIG_IGN); }  // as it must not end the tests when nothing watches it any more
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, SIGUSR1, probe.callback());
+    std::raise(SIGUSR1);
+    return made;
+  }
+  void provoke(Loop&, Type& handle) {
+    if (handle.is_open()) std::raise(SIGUSR1);
+  }
+};
+struct OfTypedSubscription {
+  using Type = Subscription;
+  Type make(Loop& loop, Probe& probe) {
+    auto made = loop.topic<Climate>("t").subscribe(loop, [f = probe.callback()](const Event<Climate>&) mutable { f(); });
+    provoke(loop, made);
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("t").publish({}); }
+};
+struct OfViewSubscription {
+  using Type = Subscription;
+  Type make(Loop& loop, Probe& probe) {
+    auto made = loop.subscribe("+", [f = probe.callback()](const EventView&) mutable { f(); });
+    provoke(loop, made);
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("t").publish({}); }
+};
+struct OfSensor {
+  using Type = Sensor<Climate>;
+  Type make(Loop& loop, Probe& probe) {
+    return Sensor<Climate>(loop, {.name = "s", .rate = 1_kHz}, [f = probe.callback()]() mutable {
+      f();
+      return Climate{};
+    });
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfFeed {
+  using Type = Feed<Climate>;  // its callback is the handler of its errors
+  Type make(Loop& loop, Probe& probe) {
+    Feed<Climate> made(loop, {.name = "f"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    current = &made;
+    return made;
+  }
+  void provoke(Loop& loop, Type& handle) {
+    // Called from the loop, as a parser on a port would.
+    timer = Timer(loop, 0ns, [&handle] { handle.fail({Errc::bad_data, "bad", "", "", ""}); });
+  }
+  Type* current = nullptr;
+  Timer timer;
+};
+
+#define HANDLES OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed
+
+/// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
+template <class Done>
+bool turn(Loop& loop, Done done) {
+  for (int turns = 0; turns < 500; ++turns) {
+    if (done()) return true;
+    loop.run_for(200us);
+  }
+  return done();
+}
+
+struct Quiet {
+  Loop loop;
+  Quiet() {
+    loop.on_error([](const ErrorReport&) {});
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("contract") {
+  TEST_CASE_TEMPLATE("handle rule 1: a handle is a move-only value, and moving keeps it going", Of, HANDLES) {
+    using Type = typename Of::Type;
+    static_assert(!std::is_copy_constructible_v<Type> && !std::is_copy_assignable_v<Type>);
+    static_assert(std::is_nothrow_move_constructible_v<Type> && std::is_nothrow_move_assignable_v<Type>);
+    static_assert(std::is_nothrow_default_constructible_v<Type>);
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    Type first = of.make(quiet.loop, probe);
+    Type second = std::move(first);
+    Type third;
+    third = std::move(second);
+    CHECK(third.is_open());
+    of.provoke(quiet.loop, third);
+    CHECK(turn(quiet.loop, [&] { return probe.calls > 0; }));
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 2: after close the callback never runs again and its captures are gone", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    auto handle = of.make(quiet.loop, probe);
+    of.provoke(quiet.loop, handle);
+    REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0; }));
+    of.provoke(quiet.loop, handle);  // one more is on its way
+    handle.close();
+    CHECK(probe.captures_are_gone());
+    const int calls = probe.calls;
+    quiet.loop.run_for(3ms);
+    CHECK(probe.calls == calls);
+    CHECK_FALSE(handle.is_open());
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 2: the destructor does the same, also of one that never ran", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    { auto handle = of.make(quiet.loop, probe); }
+    CHECK(probe.captures_are_gone());
+    quiet.loop.run_for(3ms);
+    CHECK(probe.calls == 0);
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 3: it may be destroyed from its own callback", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    std::optional<typename Of::Type> handle(of.make(quiet.loop, probe));
+    bool lived_in_callback = false;
+    probe.action = [&] {
+      handle.reset();
+      lived_in_callback = !probe.captures_are_gone();
+    };
+    of.provoke(quiet.loop, *handle);
+    REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0; }));
+    quiet.loop.run_for(3ms);
+    CHECK(probe.calls == 1);
+    CHECK(lived_in_callback);
+    CHECK(probe.captures_are_gone());
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 3: it may be replaced by a new one from its own callback", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    auto handle = of.make(quiet.loop, probe);
+    probe.action = [&] { handle = typename Of::Type(); };
+    of.provoke(quiet.loop, handle);
+    REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0; }));
+    quiet.loop.run_for(3ms);
+    CHECK(probe.calls == 1);
+    CHECK(probe.captures_are_gone());
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 3: it may be destroyed from another handle's callback", Of, HANDLES) {
+    Quiet quiet;
+    auto of = std::make_unique<Of>();
+    Probe probe;
+    std::optional<typename Of::Type> handle(of->make(quiet.loop, probe));
+    of->provoke(quiet.loop, *handle);
+    int calls_then = -1;
+    const auto destroy = [&] {
+      if (handle) of->provoke(quiet.loop, *handle);
+      handle.reset();
+      if (calls_then < 0) calls_then = probe.calls;
+      CHECK(probe.captures_are_gone());
+    };
+    SUBCASE("a timer's") {
+      Timer other(quiet.loop, 0ns, destroy);
+      quiet.loop.run_for(3ms);
+    }
+    SUBCASE("a subscription's") {
+      const auto topic = quiet.loop.topic<Climate>("other");
+      auto other = topic.subscribe(quiet.loop, [&](const Event<Climate>&) { destroy(); });
+      topic.publish({});
+      quiet.loop.run_for(3ms);
+    }
+    SUBCASE("a sensor's of the same rate") {
+      Sensor<Climate> other(quiet.loop, {.name = "other", .rate = 1_kHz}, [&] {
+        destroy();
+        return Climate{};
+      });
+      quiet.loop.run_for(3ms);
+    }
+    SUBCASE("a posted function") {
+      quiet.loop.post(destroy);
+      quiet.loop.run_for(3ms);
+    }
+    CHECK(calls_then >= 0);
+    CHECK(probe.calls == calls_then);
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 4: one that outlives its loop is closed and harmless", Of, HANDLES) {
+    Of of;
+    Probe probe;
+    typename Of::Type handle;
+    {
+      Quiet quiet;
+      handle = of.make(quiet.loop, probe);
+      of.provoke(quiet.loop, handle);
+    }
+    CHECK(probe.captures_are_gone());
+    CHECK_FALSE(handle.is_open());
+    auto moved = std::move(handle);
+    moved.close();
+    CHECK_FALSE(moved.is_open());
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 5: a moved-from and a default-made one are closed and harmless", Of, HANDLES) {
+    using Type = typename Of::Type;
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    Type handle = of.make(quiet.loop, probe);
+    Type other = std::move(handle);
+    Type never;
+    for (Type* closed : {&handle, &never}) {
+      CHECK_FALSE(closed->is_open());
+      closed->close();
+      if constexpr (std::is_same_v<Type, Timer>) {
+        closed->start(1ms);
+        closed->stop();
+        CHECK_FALSE(closed->is_running());
+      } else if constexpr (std::is_same_v<Type, Ticker>) {
+        closed->start();
+        closed->stop();
+        closed->set_period(1ms);
+        CHECK(closed->fired() + closed->missed() + closed->times().count == 0);
+      } else if constexpr (std::is_same_v<Type, FdWatch>) {
+        closed->set_events(FdWatch::writable);
+      } else if constexpr (std::is_same_v<Type, Subscription>) {
+        closed->set_name("x");
+        CHECK(closed->counts().offered + closed->times().count == 0);
+      } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
+        closed->start();
+        closed->stop();
+        CHECK(closed->counts().scheduled + closed->times().count == 0);
+        CHECK_FALSE(closed->is_running());
+        closed->on_error([](const ErrorReport&) {});
+        CHECK(closed->status().name.empty());
+        if constexpr (std::is_same_v<Type, Feed<Climate>>) closed->publish({});
+      }
+    }
+    CHECK(other.is_open());
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 6: closing twice is closing once", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    auto handle = of.make(quiet.loop, probe);
+    handle.close();
+    handle.close();
+    CHECK_FALSE(handle);
+    quiet.loop.run_for(1ms);
+    handle.close();
+    CHECK(probe.calls == 0);
+  }
+}
