@@ -40,6 +40,22 @@ const char* advice_of(Errc code) {
   }
 }
 
+/// The path as a file: URI, so that no character of it means anything.
+std::string uri_of(const std::string& path, const char* parameters) {
+  std::string uri = path.starts_with('/') ? "file://" : "file:";
+  for (const char c : path) {
+    constexpr char digits[] = "0123456789ABCDEF";
+    if (c == '%' || c == '?' || c == '#') {
+      uri += '%';
+      uri += digits[c >> 4];
+      uri += digits[c & 0xf];
+    } else {
+      uri += c;
+    }
+  }
+  return uri + parameters;
+}
+
 }  // namespace
 
 Error error_of(sqlite3* database, std::string_view doing) {
@@ -115,14 +131,15 @@ bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(
 Result<Database> Database::open(const std::string& path, Mode mode) {
   struct stat status{};
   const bool is_there = ::stat(path.c_str(), &status) == 0;
-  const char* doing = mode == Mode::read ? "cannot read the recording" : "cannot open the recording";
+  const bool is_read = mode != Mode::write;
+  const char* doing = is_read ? "cannot read the recording" : "cannot open the recording";
   if (is_there && S_ISDIR(status.st_mode)) return system_error(EISDIR, doing, path, "name a file");
-  if (!is_there && mode == Mode::read) return system_error(errno, doing, path, "check the path");
+  if (!is_there && is_read) return system_error(errno, doing, path, "check the path");
   Database made;
   made.path_ = path;
   sqlite3* raw = nullptr;
-  const int flags = SQLITE_OPEN_NOMUTEX | (mode == Mode::read ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
-  const int status_code = sqlite3_open_v2(path.c_str(), &raw, flags, nullptr);
+  const int flags = SQLITE_OPEN_NOMUTEX | (is_read ? SQLITE_OPEN_READONLY | SQLITE_OPEN_URI : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
+  const int status_code = sqlite3_open_v2(is_read ? uri_of(path, mode == Mode::read_at_rest ? "?immutable=1" : "").c_str() : path.c_str(), &raw, flags, nullptr);
   made.database_.reset(raw);
   if (status_code != SQLITE_OK) {
     Error error = error_of(raw, doing);

@@ -46,7 +46,8 @@ class Statement {
 
 class Database {
  public:
-  enum class Mode { read, write };
+  /// `read_at_rest`: nobody changes the file, so no lock is needed; for read-only media.
+  enum class Mode { read, read_at_rest, write };
   Database() = default;
   /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.
   static Result<Database> open(const std::string& path, Mode mode);

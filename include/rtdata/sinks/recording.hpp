@@ -1,0 +1,196 @@
+/// Recording: reads back what a SqliteSink recorded, also while it records.
+///
+///     auto recording = rtdata::Recording::open("run.db").or_throw();
+///     auto rows = recording.rows({.topic = "room/#"}).or_throw();
+///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) print(row->event().time(), row->event().topic());
+///
+/// Every payload comes back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0 comes
+/// back as 0.0, which is equal: SQLite keeps no sign of zero.) A field that a later run added reads as absent, NaN, zero or
+/// empty in the rows from before.
+///
+/// Owner: the holder; Rows may outlive the Recording. Thread: one at a time. Times are as they were recorded (a line that
+/// never jumps); `wall_time` gives UTC. Errors: not-found, not-permitted, not-a-recording, newer-version, damaged, busy.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/event.hpp"
+#include "rtdata/loop/ledger.hpp"
+
+namespace rtdata {
+
+enum class RunState {
+  recording,  ///< it records now, or ended without closing and was not sealed yet
+  closed,
+  sealed,  ///< it ended without closing; a later start wrote down what was lost
+};
+std::string_view name_of(RunState state) noexcept;
+
+struct RunInfo {
+  std::int64_t run = 0;
+  std::string uuid, name, notes, configuration, program, host, boot_id;
+  std::int64_t pid = 0;
+  Time started{};
+  std::optional<Time> ended;  ///< the last account; none before the first
+  Duration clock_offset{0};   ///< recorded time minus the monotonic line
+  RunState state = RunState::recording;
+  std::optional<std::uint64_t> lost;  ///< of a sealed run: published and not stored; none: not known
+  std::string remark;
+};
+
+/// One description of a topic; a topic whose fields changed in kind or unit has several.
+struct RecordedTopic {
+  std::string topic;
+  std::int64_t version = 1;
+  std::string table;
+  std::shared_ptr<const Description> description;
+  std::int64_t first_run = 0;
+};
+
+/// The account of one origin on one topic in one run.
+struct LedgerEntry {
+  std::string topic, origin;
+  SensorCounts sensor;
+  std::uint64_t offered = 0, stored = 0;
+  std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
+  std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none
+  std::uint64_t pruned = 0;
+  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account; 0: not said
+  std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
+};
+
+struct RecordedGap {
+  std::string topic, origin;
+  std::string kind;  ///< "missed" or "failed"
+  std::string reason;
+  Time first{}, last{};
+  std::uint64_t count = 0;
+};
+
+struct RecordedSegment {
+  std::string origin, topic;
+  Segment segment;
+};
+
+struct RecordedClock {
+  MonotonicTime monotonic{};
+  Time realtime{};
+  std::string source;  ///< "start", "step", "regular" or "end"
+};
+
+struct RecordedError {
+  Time time{};
+  std::string object, id, text;
+  std::uint64_t count = 0;
+};
+
+/// Which rows. Everything is taken that is not left out.
+struct RowFilter {
+  std::string topic = "#";               ///< a pattern; topics of "$rtdata/" only when it begins with "$"
+  std::optional<std::int64_t> run = {};  ///< number of the run; all of them unless given
+  std::optional<std::string> origin = {};
+  std::optional<Time> from = {};   ///< first time taken, as recorded
+  std::optional<Time> until = {};  ///< first time not taken any more
+  std::uint64_t limit = 0;         ///< at most so many rows; 0: no limit
+  /// Of each origin, the events numbered 1, 1 + every, 1 + 2 * every and so on.
+  std::uint64_t every = 1;
+};
+
+/// One row: an event and the run it belongs to. Valid until the next call of `next`.
+class RecordedRow {
+ public:
+  std::int64_t run() const noexcept { return run_; }
+  const RecordedTopic& topic() const noexcept { return *topic_; }
+  const EventHeader& header() const noexcept { return header_; }
+  EventView event() const noexcept { return EventView(topic_->topic, header_, *topic_->description, payload_); }
+
+ private:
+  friend class Rows;
+  std::int64_t run_ = 0;
+  EventHeader header_;
+  std::string origin_;
+  const RecordedTopic* topic_ = nullptr;
+  std::vector<std::byte> payload_;
+};
+
+namespace detail {
+struct RecordingFile;
+struct RowsMerge;
+}  // namespace detail
+
+/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory: a row
+/// a topic. While it lives it sees the recording as it was when it was made.
+class Rows {
+ public:
+  Rows(Rows&&) noexcept;
+  Rows& operator=(Rows&&) noexcept;
+  ~Rows();
+  /// Null after the last. Errors: damaged (a value that does not fit its field is named with topic, run and sequence).
+  Result<const RecordedRow*> next();
+
+ private:
+  friend class Recording;
+  explicit Rows(std::unique_ptr<detail::RowsMerge> merge);
+  std::unique_ptr<detail::RowsMerge> merge_;
+};
+
+class Recording {
+ public:
+  static Result<Recording> open(const std::string& path);
+  Recording(Recording&&) noexcept;
+  Recording& operator=(Recording&&) noexcept;
+  ~Recording();
+
+  const std::string& path() const noexcept;
+  Result<std::vector<RunInfo>> runs() const;
+  /// In order of name and version.
+  Result<std::vector<RecordedTopic>> topics() const;
+  Result<std::vector<LedgerEntry>> ledger(std::int64_t run) const;
+  /// In order of time.
+  Result<std::vector<RecordedGap>> gaps(std::int64_t run) const;
+  Result<std::vector<RecordedSegment>> schedule(std::int64_t run) const;
+  Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
+  Result<std::vector<RecordedError>> errors(std::int64_t run) const;
+  /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
+  Result<Rows> rows(const RowFilter& filter) const;
+
+  /// For the other parts of this library.
+  const std::shared_ptr<detail::RecordingFile>& file() const noexcept { return file_; }
+
+ private:
+  explicit Recording(std::shared_ptr<detail::RecordingFile> file);
+  std::shared_ptr<detail::RecordingFile> file_;
+};
+
+/// The UTC of a recorded time.
+///
+/// A clock is set because it was wrong, so the last clock of the run holds for all of it: rows taken before NTP, GPS or a
+/// person set the clock get the time that the right clock would have shown, and an hour's step forwards or backwards
+/// leaves neither a hole nor an hour twice. One exception: a clock before 2020 was never set and does not overrule one
+/// that was. Offsets that differ by at most 1 ms are the noise of reading two clocks: the recorded time is returned.
+Time wall_time(Time stored, std::span<const RecordedClock> clock, Duration clock_offset) noexcept;
+
+/// What a topic of a run came to.
+struct TopicSummary {
+  std::string topic;
+  std::size_t origins = 0;
+  std::uint64_t rows = 0;
+  double wanted_hertz = 0;   ///< from the schedule, summed over the origins; 0: no schedule
+  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, between first and last
+  /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
+  bool has_lateness = false;
+  Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
+  std::uint64_t missed = 0, failed = 0, dropped = 0, late = 0;
+  std::optional<std::uint64_t> lost;  ///< none: the sources number nothing
+  std::optional<Time> first, last;    ///< none without rows
+};
+
+/// One entry a topic that has an account or rows in the run, in order of name. Reads every row's time once.
+Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run);
+
+}  // namespace rtdata

@@ -1,0 +1,70 @@
+/// verify: whether a recording agrees with itself.
+///
+///     auto recording = rtdata::Recording::open("run.db").or_throw();
+///     rtdata::VerifyReport report = rtdata::verify(recording).or_throw();
+///     std::cout << report.text();
+///     return report.exit_code();
+///
+/// Everything is computed again from the rows, the schedule and the gaps, and compared with the account that was written
+/// with the data. It shows accidental loss: a row, gap or account that was deleted, added or changed. It does not prove
+/// that nobody forged the recording, and values are not covered: whoever changes rows, gaps and account alike, a value, or
+/// a time within the order of its neighbours, is not noticed.
+///
+/// What is compared, per run and (topic, origin):
+///   rows == stored - pruned; sequences ascend, each once, from first_sequence to last_sequence; what is missing of them
+///   == dropped + pruned; times ascend and lie within the run; offered == stored + dropped; published >= offered;
+///   the equations of ledger.hpp; each segment's ticks == (end - first_due) / period + 1, their sum == scheduled, no two
+///   segments of an origin overlap; counts of the gaps == missed and failed, and none has more ticks than its time.
+/// A run that is being recorded, or ended without closing, is compared up to its last account; offered may then be ahead
+/// of stored (what was queued), and gaps, segments and equations are only held to bounds. So are those of a sealed run.
+///
+/// Thread: that of the recording. Memory: an entry an origin. Reads each row's key once.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata {
+
+enum class Verdict {
+  balanced,
+  sealed,        ///< ended without closing; a later start wrote down what was lost, and that agrees
+  recording,     ///< its process is alive: agrees as far as its last account goes
+  unsealed,      ///< its process is gone without closing, and nothing was sealed yet
+  not_balanced,  ///< something does not agree
+};
+std::string_view name_of(Verdict verdict) noexcept;
+
+struct RunReport {
+  RunInfo info;
+  Verdict verdict = Verdict::balanced;
+  std::uint64_t rows = 0, offered = 0, stored = 0, dropped = 0, unsaved = 0, pruned = 0;
+  std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
+  std::optional<std::uint64_t> lost_by_source;  ///< none: no source numbers its data
+  std::size_t origins = 0, gaps = 0;
+  std::vector<std::string> problems;  ///< a sentence each; the first 100
+  std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100
+  std::uint64_t more_problems = 0;    ///< beyond these
+};
+
+struct VerifyReport {
+  std::string path;
+  std::vector<RunReport> runs;
+  std::vector<std::string> problems;  ///< that belong to no run
+
+  /// Of the whole file: the worst of its runs (recording counts as balanced).
+  Verdict verdict() const noexcept;
+  /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
+  int exit_code() const noexcept;
+  /// As a person reads it, at most 80 columns wide where the names allow.
+  std::string text() const;
+  std::string to_json() const;
+};
+
+/// Errors: damaged (pages that cannot be read), those of `Recording`. A program exits with 2 then.
+Result<VerifyReport> verify(const Recording& recording);
+
+}  // namespace rtdata

@@ -1,0 +1,46 @@
+// What Recording, Rows, verify and summary share: the open file and snapshots of it.
+#pragma once
+
+#include <string>
+
+#include "rtdata/sinks/recording.hpp"
+#include "sinks/sqlite/database.hpp"
+
+namespace rtdata::detail {
+
+struct RecordingFile {
+  sqlite::Database database;
+  int snapshots = 0;
+
+  /// Like Database::prepare; what does not fit the schema is damaged.
+  Result<sqlite::Statement> prepare(const std::string& sql) const;
+  Error damaged(std::string where, std::string why) const;
+};
+
+/// While one lives, all reads see the same state of the file. They nest.
+class Snapshot {
+ public:
+  static Result<Snapshot> take(std::shared_ptr<RecordingFile> file);
+  Snapshot(Snapshot&& other) noexcept = default;
+  Snapshot& operator=(Snapshot&&) = delete;
+  ~Snapshot();
+
+ private:
+  explicit Snapshot(std::shared_ptr<RecordingFile> file) : file_(std::move(file)) {}
+  std::shared_ptr<RecordingFile> file_;
+};
+
+/// Reads the columns of a topic's rows into payloads.
+class RowReader {
+ public:
+  explicit RowReader(const RecordedTopic& topic) : topic_(&topic) {}
+  /// ", t."temperature", t."position.x"": what follows other columns in a SELECT from the table called t.
+  std::string columns() const;
+  /// `first`: the column where those begin. Errors: damaged, which names the field.
+  Result<void> read(sqlite3_stmt* row, int first, std::byte* payload) const;
+
+ private:
+  const RecordedTopic* topic_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,162 @@
+#include <algorithm>
+
+#include "rtdata/loop/topic.hpp"
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
+
+/// The rows of one table in order of run and time, the next one at hand.
+struct TableCursor {
+  RecordedTopic topic;
+  sqlite::Statement statement;
+  std::size_t place = 0;  // among the cursors
+  std::int64_t run = 0;
+  std::int64_t time = 0;
+
+  /// False at the end.
+  Result<bool> advance() {
+    auto more = statement.step();
+    if (!more || !*more) return more;
+    run = statement.integer(run_column);
+    time = statement.integer(time_column);
+    return true;
+  }
+};
+
+std::string conditions(const RowFilter& filter) {
+  std::string sql = " WHERE 1";
+  if (filter.run) sql += " AND t.run = :run";
+  if (filter.origin) sql += " AND t.origin = :origin";
+  if (filter.from) sql += " AND t.time >= :from";
+  if (filter.until) sql += " AND t.time < :until";
+  if (filter.every > 1) sql += " AND (t.sequence - 1) % :every = 0";
+  return sql;
+}
+
+void bind(sqlite::Statement& statement, const RowFilter& filter) {
+  const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
+  if (filter.run) statement.bind(index(":run"), *filter.run);
+  if (filter.origin) statement.bind(index(":origin"), std::string_view(*filter.origin));
+  if (filter.from) statement.bind(index(":from"), to_nanoseconds(*filter.from));
+  if (filter.until) statement.bind(index(":until"), to_nanoseconds(*filter.until));
+  if (filter.every > 1) statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
+}
+
+}  // namespace
+
+struct RowsMerge {
+  RowsMerge(std::shared_ptr<RecordingFile> file_, Snapshot snapshot_, RowFilter filter_)
+      : file(std::move(file_)), snapshot(std::move(snapshot_)), filter(std::move(filter_)) {}
+
+  std::shared_ptr<RecordingFile> file;
+  Snapshot snapshot;
+  RowFilter filter;
+  std::vector<std::unique_ptr<TableCursor>> cursors;
+  std::vector<TableCursor*> heap;
+  TableCursor* last = nullptr;  // gave the row that is out; goes on at the next call
+  std::uint64_t given = 0;
+  RecordedRow row;
+
+  static bool is_later(const TableCursor* a, const TableCursor* b) noexcept {
+    if (a->run != b->run) return a->run > b->run;
+    if (a->time != b->time) return a->time > b->time;
+    return a->place > b->place;
+  }
+
+  /// Rows are written in the order in which they were published. That is the order of time unless several origins share
+  /// the table and one of them measures long: then SQLite sorts, which takes longer.
+  Result<bool> is_in_order(const RecordedTopic& topic) const {
+    auto statement = file->prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) + " ORDER BY t.rowid");
+    if (!statement) return std::move(statement).error();
+    bind(*statement, filter);
+    std::int64_t run = INT64_MIN, time = INT64_MIN;
+    for (;;) {
+      auto more = statement->step();
+      if (!more) return std::move(more).error();
+      if (!*more) return true;
+      const std::int64_t next_run = statement->integer(0), next_time = statement->integer(1);
+      if (next_run < run || (next_run == run && next_time < time)) return false;
+      run = next_run;
+      time = next_time;
+    }
+  }
+
+  Result<void> add(RecordedTopic topic) {
+    auto in_order = is_in_order(topic);
+    if (!in_order) return std::move(in_order).error();
+    auto statement = file->prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() + " FROM " +
+                                   sqlite::quoted(topic.table) + " t" + conditions(filter) +
+                                   (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
+    if (!statement) return std::move(statement).error();
+    bind(*statement, filter);
+    cursors.push_back(std::make_unique<TableCursor>(TableCursor{std::move(topic), std::move(*statement), cursors.size()}));
+    return push(*cursors.back());
+  }
+
+  Result<void> push(TableCursor& cursor) {
+    auto more = cursor.advance();
+    if (!more) return std::move(more).error();
+    if (!*more) return {};
+    heap.push_back(&cursor);
+    std::push_heap(heap.begin(), heap.end(), is_later);
+    return {};
+  }
+};
+
+}  // namespace detail
+
+Rows::Rows(std::unique_ptr<detail::RowsMerge> merge) : merge_(std::move(merge)) {}
+Rows::Rows(Rows&&) noexcept = default;
+Rows& Rows::operator=(Rows&&) noexcept = default;
+Rows::~Rows() = default;
+
+Result<const RecordedRow*> Rows::next() {
+  detail::RowsMerge& merge = *merge_;
+  if (merge.filter.limit != 0 && merge.given >= merge.filter.limit) return nullptr;
+  if (detail::TableCursor* last = std::exchange(merge.last, nullptr)) {
+    if (auto pushed = merge.push(*last); !pushed) return std::move(pushed).error();
+  }
+  if (merge.heap.empty()) return nullptr;
+  std::pop_heap(merge.heap.begin(), merge.heap.end(), detail::RowsMerge::is_later);
+  detail::TableCursor& cursor = *merge.heap.back();
+  merge.heap.pop_back();
+  merge.last = &cursor;
+  ++merge.given;
+  RecordedRow& row = merge.row;
+  row.run_ = cursor.run;
+  row.topic_ = &cursor.topic;
+  row.origin_.assign(cursor.statement.text(detail::origin_column));
+  row.header_ = {from_nanoseconds(cursor.time), static_cast<std::uint64_t>(cursor.statement.integer(detail::sequence_column)), row.origin_};
+  row.payload_.resize(cursor.topic.description->size());
+  if (auto read = detail::RowReader(cursor.topic).read(cursor.statement.raw(), detail::fixed_columns, row.payload_.data()); !read) {
+    Error error = std::move(read).error();
+    error.where = merge.file->database.path() + ", topic " + cursor.topic.topic + ", run " + std::to_string(row.run_) + ", origin " +
+                  row.origin_ + ", sequence " + std::to_string(row.header_.sequence) + ", " + error.where;
+    return error;
+  }
+  return &row;
+}
+
+Result<Rows> Recording::rows(const RowFilter& filter) const {
+  if (!is_topic_pattern(filter.topic)) {
+    return Error{Errc::bad_name, "cannot select rows", "topic " + filter.topic, "it is neither a topic nor a pattern",
+                 "write room/climate, room/+ or room/#"};
+  }
+  if (filter.every == 0) return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
+  auto snapshot = detail::Snapshot::take(file_);
+  if (!snapshot) return std::move(snapshot).error();
+  auto merge = std::make_unique<detail::RowsMerge>(file_, std::move(*snapshot), filter);
+  auto all = topics();
+  if (!all) return std::move(all).error();
+  for (RecordedTopic& topic : *all) {
+    if (!topic_matches(filter.topic, topic.topic)) continue;
+    if (auto added = merge->add(std::move(topic)); !added) return std::move(added).error();
+  }
+  return Rows(std::move(merge));
+}
+
+}  // namespace rtdata

@@ -1,0 +1,132 @@
+#include <charconv>
+#include <cstring>
+#include <limits>
+
+#include "rtdata/data/value.hpp"
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+std::string_view text_of(sqlite3_stmt* row, int column) {
+  const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
+  return bytes == nullptr ? std::string_view{} : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(row, column))};
+}
+
+/// What is in the column, in words.
+std::string found(sqlite3_stmt* row, int column) {
+  switch (sqlite3_column_type(row, column)) {
+    case SQLITE_INTEGER: return "the integer " + std::to_string(sqlite3_column_int64(row, column));
+    case SQLITE_FLOAT: return "the number " + to_string(Value{sqlite3_column_double(row, column)});
+    case SQLITE_NULL: return "nothing";
+    default: return "the text \"" + std::string(text_of(row, column).substr(0, 40)) + "\"";
+  }
+}
+
+/// The value of a column as `write` takes it; false when it does not fit the kind.
+bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, Value& value) {
+  const int type = sqlite3_column_type(row, column);
+  switch (leaf.kind) {
+    case Kind::boolean:
+      value = sqlite3_column_int64(row, column) != 0;
+      return type == SQLITE_INTEGER && (sqlite3_column_int64(row, column) | 1) == 1;
+    case Kind::f32:
+    case Kind::f64:
+      if (type == SQLITE_TEXT) {
+        value = std::numeric_limits<double>::quiet_NaN();
+        return text_of(row, column) == "NaN";
+      }
+      value = sqlite3_column_double(row, column);
+      return type == SQLITE_FLOAT || type == SQLITE_INTEGER;
+    case Kind::u64:
+      value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
+      return type == SQLITE_INTEGER;
+    case Kind::text:
+      value = std::string(text_of(row, column));
+      return type == SQLITE_TEXT;
+    case Kind::character: {
+      if (type == SQLITE_TEXT) {
+        const std::string_view text = text_of(row, column);
+        if (text.size() != 1) return false;
+        value = text.front();
+        return true;
+      }
+      const std::int64_t number = sqlite3_column_int64(row, column);
+      value = static_cast<char>(number);
+      return type == SQLITE_INTEGER && number >= -128 && number <= 255;
+    }
+    case Kind::enumeration:
+      if (type == SQLITE_TEXT) {
+        value = std::string(text_of(row, column));
+        return true;
+      }
+      if (leaf.enum_base == Kind::u64) {
+        value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
+      } else {
+        value = sqlite3_column_int64(row, column);
+      }
+      return type == SQLITE_INTEGER;
+    default:
+      value = sqlite3_column_int64(row, column);
+      return type == SQLITE_INTEGER;
+  }
+}
+
+template <class T>
+void store(std::byte* to, T value) {
+  std::memcpy(to, &value, sizeof value);
+}
+
+/// What is most of all recordings, without a Value in between.
+bool read_plain(sqlite3_stmt* row, int column, const Leaf& leaf, std::byte* payload) {
+  if (leaf.optional != nullptr) return false;
+  const int type = sqlite3_column_type(row, column);
+  if (leaf.kind == Kind::f64 && type == SQLITE_FLOAT) {
+    store(payload + leaf.offset, sqlite3_column_double(row, column));
+    return true;
+  }
+  if (leaf.kind == Kind::f32 && type == SQLITE_FLOAT) {
+    store(payload + leaf.offset, static_cast<float>(sqlite3_column_double(row, column)));
+    return true;
+  }
+  if ((leaf.kind == Kind::i64 || leaf.kind == Kind::u64) && type == SQLITE_INTEGER) {
+    store(payload + leaf.offset, sqlite3_column_int64(row, column));
+    return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+std::string RowReader::columns() const {
+  std::string sql;
+  for (const Leaf& leaf : topic_->description->leaves()) sql += ", t." + sqlite::quoted(leaf.path);
+  return sql;
+}
+
+Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
+  std::memset(payload, 0, topic_->description->size());
+  int column = first - 1;
+  for (const Leaf& leaf : topic_->description->leaves()) {
+    ++column;
+    if (read_plain(row, column, leaf, payload)) continue;
+    if (sqlite3_column_type(row, column) == SQLITE_NULL) {
+      // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
+      if (leaf.optional == nullptr && leaf.kind == Kind::f64) store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
+      if (leaf.optional == nullptr && leaf.kind == Kind::f32) store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
+      continue;
+    }
+    Value value;
+    if (!convert(row, column, leaf, value)) {
+      return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
+                   "it holds " + found(row, column) + ", which is no " + std::string(name_of(leaf.kind)), ""};
+    }
+    if (auto done = write(leaf, payload, value); !done) {
+      Error error = std::move(done).error();
+      return Error{Errc::damaged, "cannot read a row", std::move(error.where), std::move(error.why), ""};
+    }
+  }
+  return {};
+}
+
+}  // namespace rtdata::detail

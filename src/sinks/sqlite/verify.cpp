@@ -1,0 +1,184 @@
+#include "rtdata/sinks/verify.hpp"
+
+#include <signal.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <fstream>
+
+#include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/verify_run.hpp"
+
+namespace rtdata {
+namespace detail {
+
+std::string place_of(std::string_view topic, std::string_view origin) {
+  return std::string(topic) + ", origin " + std::string(origin);
+}
+
+std::string plural(std::uint64_t count, std::string_view noun) {
+  return std::to_string(count) + " " + std::string(noun) + (count == 1 ? "" : "s");
+}
+
+std::string origin_key(std::string_view topic, std::string_view origin) {
+  std::string key(topic);
+  key += '\n';
+  return key.append(origin);
+}
+
+bool is_alive(const RunInfo& run) {
+  std::ifstream file("/proc/sys/kernel/random/boot_id");
+  std::string boot_id;
+  std::getline(file, boot_id);
+  if (boot_id.empty() || boot_id != run.boot_id || run.pid <= 0) return false;
+  return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
+}
+
+void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequence) {
+  const auto say = [](std::vector<std::string>& to, std::string text) {
+    if (to.size() < most_sentences) to.push_back(std::move(text));
+  };
+  if (rowid > account_ends) {
+    ++rows_after;
+  } else {
+    ++rows;
+  }
+  if (first_sequence == 0 && last_sequence == 0) {
+    first_sequence = sequence;
+    last_sequence = sequence;
+  } else if (sequence == last_sequence + 1) [[likely]] {
+    last_sequence = sequence;
+  } else if (sequence > last_sequence) {
+    if (rowid <= account_ends) {
+      missing += sequence - last_sequence - 1;
+      if (holes.size() < most_holes) holes.push_back({last_sequence + 1, sequence - 1});
+    }
+    last_sequence = sequence;
+  } else {
+    if (not_ascending++ < most_sentences) {
+      say(sentences, "sequence " + std::to_string(sequence) + " follows " + std::to_string(last_sequence) +
+                         (sequence == last_sequence ? ": it is there twice" : ", but sequences ascend"));
+    }
+  }
+  if (time <= last_time) {
+    if (times_back++ < most_sentences) {
+      say(sentences, "the time of sequence " + std::to_string(sequence) + ", " + to_iso8601(from_nanoseconds(time)) +
+                         ", is not after that of the row before, " + to_iso8601(from_nanoseconds(last_time)));
+    }
+  }
+  last_time = time;
+  if (time < earliest || (time > latest && rowid <= account_ends)) {
+    ++outside;
+    say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " + to_iso8601(from_nanoseconds(time)) +
+                               ", lies outside of the run");
+  }
+}
+
+Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
+                       std::vector<std::string>& problems) {
+  auto statement = file.prepare("SELECT t.rowid, t.run, t.time, t.sequence, t.origin FROM " + sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
+  if (!statement) return std::move(statement).error();
+  OriginRows* current = nullptr;
+  std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
+  std::unordered_map<std::string, OriginRows*> known;
+  std::int64_t known_run = 0;
+  std::string name;
+  for (;;) {
+    auto row = statement->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    const std::int64_t run = statement->integer(1);
+    const std::string_view origin = statement->text(4);
+    if (current == nullptr || current->run != run || current->origin != origin) {
+      if (run != known_run) known.clear();
+      known_run = run;
+      name.assign(origin);
+      OriginRows*& found = known[name];
+      if (found == nullptr) {
+        const auto of_run = runs.find(run);
+        if (of_run == runs.end()) {
+          ++strays[run];
+          known.erase(name);
+          current = nullptr;
+          continue;
+        }
+        found = &of_run->second[origin_key(topic.topic, name)];
+        if (found->topic.empty()) {  // no account knows it
+          found->topic = topic.topic;
+          found->origin = name;
+          found->run = run;
+        }
+      }
+      current = found;
+    }
+    current->add(statement->integer(0), statement->integer(2), static_cast<std::uint64_t>(statement->integer(3)));
+  }
+  for (const auto& [run, rows] : strays) {
+    problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) + ", which is not in the list of runs.");
+  }
+  return {};
+}
+
+}  // namespace detail
+
+std::string_view name_of(Verdict verdict) noexcept {
+  switch (verdict) {
+    case Verdict::balanced: return "balanced";
+    case Verdict::sealed: return "sealed";
+    case Verdict::recording: return "recording";
+    case Verdict::unsealed: return "not sealed";
+    default: return "not balanced";
+  }
+}
+
+Result<VerifyReport> verify(const Recording& recording) {
+  auto snapshot = detail::Snapshot::take(recording.file());
+  if (!snapshot) return std::move(snapshot).error();
+  auto checked = recording.file()->prepare("PRAGMA quick_check(1)");
+  if (!checked) return std::move(checked).error();
+  if (auto row = checked->step(); !row) return std::move(row).error();
+  if (checked->text(0) != "ok") return recording.file()->damaged("", "SQLite says: " + std::string(checked->text(0)));
+
+  VerifyReport report;
+  report.path = recording.path();
+  auto infos = recording.runs();
+  if (!infos) return std::move(infos).error();
+  std::map<std::int64_t, detail::OriginMap> rows;
+  for (RunInfo& info : *infos) {
+    auto ledger = recording.ledger(info.run);
+    if (!ledger) return std::move(ledger).error();
+    detail::OriginMap& origins = rows[info.run];
+    const bool is_ended = info.state != RunState::recording;
+    for (const LedgerEntry& entry : *ledger) {
+      detail::OriginRows& origin = origins[detail::origin_key(entry.topic, entry.origin)];
+      origin.topic = entry.topic;
+      origin.origin = entry.origin;
+      origin.run = info.run;
+      if (!is_ended && entry.rows_up_to != 0) origin.account_ends = entry.rows_up_to;
+      constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
+      origin.earliest = to_nanoseconds(info.started) - tolerance;
+      if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
+    }
+    RunReport& run = report.runs.emplace_back();
+    run.info = std::move(info);
+  }
+  auto topics = recording.topics();
+  if (!topics) return std::move(topics).error();
+  for (const RecordedTopic& topic : *topics) {
+    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned) return std::move(scanned).error();
+  }
+  for (RunReport& run : report.runs) {
+    if (auto done = detail::verify_run(recording, rows[run.info.run], run); !done) return std::move(done).error();
+  }
+  return report;
+}
+
+Verdict VerifyReport::verdict() const noexcept {
+  Verdict worst = problems.empty() ? Verdict::balanced : Verdict::not_balanced;
+  for (const RunReport& run : runs) worst = std::max(worst, run.verdict);
+  return worst;
+}
+
+int VerifyReport::exit_code() const noexcept { return verdict() >= Verdict::unsealed ? 1 : 0; }
+
+}  // namespace rtdata

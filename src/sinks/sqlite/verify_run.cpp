@@ -1,0 +1,337 @@
+#include "sinks/sqlite/verify_run.hpp"
+
+#include <algorithm>
+#include <array>
+
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr std::size_t most_sentences = 100;
+
+/// Collects what does not agree.
+struct Findings {
+  RunReport& report;
+  bool is_exact;  // closed: every equation holds; otherwise what the last account may leave open is a note
+
+  void problem(std::string text) const {
+    if (report.problems.size() < most_sentences) {
+      report.problems.push_back(std::move(text));
+    } else {
+      ++report.more_problems;
+    }
+  }
+  void note(std::string text) const {
+    if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
+  }
+  /// Of what is exact only once the run is closed.
+  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : note(std::move(text) + " (approximate: the run was not closed)"); }
+};
+
+std::string number(std::uint64_t value) { return std::to_string(value); }
+
+/// Which sequences are not there, at most a few of them: "sequence 417 is missing".
+std::string missing_text(const LedgerEntry& entry, const OriginRows& rows) {
+  std::vector<OriginRows::Hole> holes;
+  std::uint64_t count = rows.missing;
+  const bool has_rows = rows.rows + rows.rows_after != 0;
+  if (has_rows && entry.pruned == 0 && entry.first_sequence != 0 && rows.first_sequence > entry.first_sequence) {
+    holes.push_back({entry.first_sequence, rows.first_sequence - 1});
+    count += rows.first_sequence - entry.first_sequence;
+  }
+  std::uint64_t listed = 0;
+  holes.insert(holes.end(), rows.holes.begin(), rows.holes.end());
+  if (has_rows && entry.last_sequence > rows.last_sequence) {
+    holes.push_back({rows.last_sequence + 1, entry.last_sequence});
+    count += entry.last_sequence - rows.last_sequence;
+  }
+  if (!has_rows && entry.last_sequence != 0) {
+    holes.push_back({entry.first_sequence, entry.last_sequence});
+    count += entry.last_sequence - entry.first_sequence + 1;
+  }
+  if (holes.empty()) return "";
+  std::string text = holes.size() == 1 && holes[0].first == holes[0].last ? "sequence " : "sequences ";
+  for (std::size_t i = 0; i < holes.size(); ++i) {
+    if (i != 0) text += i + 1 == holes.size() ? " and " : ", ";
+    text += number(holes[i].first);
+    if (holes[i].last != holes[i].first) text += " to " + number(holes[i].last);
+    listed += holes[i].last - holes[i].first + 1;
+  }
+  if (count > listed) text += " and " + number(count - listed) + " more";
+  return text + (count == 1 ? " is missing" : " are missing");
+}
+
+void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRows& rows) {
+  const std::string place = place_of(entry.topic, entry.origin) + ": ";
+  const std::uint64_t expected = entry.stored - entry.pruned;
+  if (entry.pruned > entry.stored) {
+    found.problem(place + "the ledger says " + number(entry.pruned) + " pruned of only " + number(entry.stored) + " stored.");
+  }
+  for (const std::string& sentence : rows.sentences) found.problem(place + sentence + ".");
+  if (rows.not_ascending + rows.times_back > rows.sentences.size()) {
+    found.problem(place + number(rows.not_ascending + rows.times_back - rows.sentences.size()) + " more rows are out of order.");
+  }
+  for (const std::string& sentence : rows.outside_sentences) {
+    // What numbers its own time (a GPS receiver) may well be outside.
+    entry.sensor.has_schedule ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
+  }
+  if (rows.outside > rows.outside_sentences.size()) {
+    found.note(place + number(rows.outside - rows.outside_sentences.size()) + " more times lie outside of the run.");
+  }
+  if (rows.rows_after != 0) {
+    found.note(place + plural(rows.rows_after, "row") + " came after the last account and cannot be checked.");
+  }
+
+  const std::string missing = missing_text(entry, rows);
+  const std::string which = missing.empty() ? "" : "; " + missing;
+  const bool is_beyond = rows.rows_after == 0 && rows.rows != 0 && rows.last_sequence > entry.last_sequence;
+  if (rows.rows != expected) {
+    std::string text = place + plural(rows.rows, "row") + ", the ledger says " + number(entry.stored) + " stored";
+    if (entry.pruned != 0) text += " and " + number(entry.pruned) + " pruned again";
+    if (entry.dropped() != 0 && !missing.empty()) text += " and " + number(entry.dropped()) + " dropped";
+    text += which;
+    if (is_beyond) text += "; sequence " + number(rows.last_sequence) + " was never offered, the last was " + number(entry.last_sequence);
+    found.problem(text + ".");
+  } else if (is_beyond) {
+    found.problem(place + "its last sequence is " + number(rows.last_sequence) + ", the ledger says " + number(entry.last_sequence) + which + ".");
+  } else if (rows.rows != 0 && rows.first_sequence < entry.first_sequence) {
+    found.problem(place + "its first sequence is " + number(rows.first_sequence) + ", the ledger says " + number(entry.first_sequence) + which + ".");
+  } else if (found.is_exact || found.report.info.state == RunState::sealed) {
+    const std::uint64_t span = entry.last_sequence == 0 ? 0 : entry.last_sequence - entry.first_sequence + 1;
+    const std::uint64_t absent = span - std::min(span, rows.rows);
+    std::uint64_t explained = entry.dropped() + entry.pruned;
+    // What was never committed at the end may be beyond the last sequence of the account.
+    if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
+    if (absent != explained) {
+      found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " + number(entry.last_sequence) +
+                    (absent == 1 ? " is" : " are") + " not there, the ledger says " + number(entry.dropped()) + " dropped" +
+                    (entry.pruned != 0 ? " and " + number(entry.pruned) + " pruned" : "") + which + ".");
+    }
+  } else if (rows.missing > entry.dropped() + entry.pruned) {
+    found.problem(place + "the ledger says " + number(entry.dropped()) + " dropped" + which + ".");
+  }
+}
+
+/// One equation of the ledger.
+struct Term {
+  const char* name;
+  std::uint64_t value;
+};
+void check_sum(const Findings& found, const std::string& place, Term whole, std::initializer_list<Term> parts) {
+  std::uint64_t sum = 0;
+  std::string names, values;
+  for (const Term& part : parts) {
+    sum += part.value;
+    names += (names.empty() ? "" : " + ") + std::string(part.name);
+    values += (values.empty() ? "" : " + ") + number(part.value);
+  }
+  if (sum == whole.value) return;
+  found.inexact(place + whole.name + " is " + number(whole.value) + ", but " + names + " is " + values + " = " + number(sum) + ".");
+}
+
+void check_account(const Findings& found, const LedgerEntry& entry) {
+  const std::string place = place_of(entry.topic, entry.origin) + ": ";
+  const SensorCounts& s = entry.sensor;
+  if (s.has_schedule) {
+    check_sum(found, place, {"scheduled", s.scheduled}, {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
+    check_sum(found, place, {"taken", s.taken}, {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}});
+    if (s.in_flight > 1) found.inexact(place + number(s.in_flight) + " reads are in flight, there is at most one.");
+    if (s.late > s.taken) found.inexact(place + number(s.late) + " were late of only " + number(s.taken) + " taken.");
+  } else {
+    check_sum(found, place, {"received", s.received},
+              {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"failed", s.failed}});
+  }
+  if (s.published < entry.offered) {
+    found.inexact(place + number(entry.offered) + " offered to the recording, but only " + number(s.published) + " published.");
+  }
+  const Term dropped{"dropped", entry.dropped()}, stored{"stored", entry.stored};
+  if (found.is_exact || found.report.info.state == RunState::sealed) {
+    check_sum(Findings{found.report, true}, place, {"offered", entry.offered}, {stored, dropped});
+  } else if (entry.offered > entry.stored + entry.dropped()) {
+    found.note(place + number(entry.offered - entry.stored - entry.dropped()) + " of " + number(entry.offered) +
+               " offered were still queued at the last account.");
+  }
+  const std::uint64_t span = entry.last_sequence == 0 ? 0 : entry.last_sequence - entry.first_sequence + 1;
+  if (span != entry.offered) {
+    found.inexact(place + number(entry.offered) + " offered, but sequences " + number(entry.first_sequence) + " to " +
+                  number(entry.last_sequence) + " are " + number(span) + ".");
+  }
+}
+
+void check_schedule(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments) {
+  const std::string place = place_of(entry.topic, entry.origin) + ": ";
+  std::uint64_t sum = 0;
+  const Segment* before = nullptr;
+  for (const RecordedSegment* recorded : segments) {
+    const Segment& segment = recorded->segment;
+    const std::string since = "the schedule since " + to_iso8601(segment.first_due);
+    sum += segment.scheduled;
+    if (segment.period.count() <= 0) {
+      found.problem(place + since + " has no period.");
+    } else if (segment.computed() != segment.scheduled) {
+      found.inexact(place + since + " has " + plural(segment.scheduled, "tick") + ", but every " + to_string(segment.period) + " up to " +
+                    to_iso8601(segment.end) + " makes " + number(segment.computed()) + ".");
+    }
+    if (before != nullptr && segment.first_due < before->end) {
+      found.problem(place + since + " overlaps the one before, which ended at " + to_iso8601(before->end) + ".");
+    }
+    before = &segment;
+  }
+  if (sum != entry.sensor.scheduled) {
+    found.inexact(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " + number(entry.sensor.scheduled) + " scheduled.");
+  }
+}
+
+void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
+                const std::vector<const RecordedGap*>& gaps) {
+  const std::string place = place_of(entry.topic, entry.origin) + ": ";
+  std::uint64_t missed = 0, failed = 0;
+  for (const RecordedGap* gap : gaps) {
+    const std::string which = "the gap of " + to_iso8601(gap->first) + " (" + gap->kind + ", " + gap->reason + ")";
+    if (gap->kind == "missed") {
+      missed += gap->count;
+    } else if (gap->kind == "failed") {
+      failed += gap->count;
+    } else {
+      found.problem(place + which + " is neither missed nor failed.");
+    }
+    if (gap->count == 0 || gap->last < gap->first) {
+      found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + to_iso8601(gap->last) + ".");
+      continue;
+    }
+    if (!entry.sensor.has_schedule) continue;
+    const auto after = std::upper_bound(segments.begin(), segments.end(), gap->first,
+                                        [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
+    if (after == segments.begin()) {
+      found.inexact(place + which + " lies before the schedule.");
+      continue;
+    }
+    const Segment& segment = (*std::prev(after))->segment;
+    if (segment.period.count() <= 0) continue;
+    const std::uint64_t ticks = static_cast<std::uint64_t>((gap->last - gap->first) / segment.period) + 1;
+    if ((gap->first - segment.first_due) % segment.period != Duration{0}) {
+      found.problem(place + which + " does not begin at a tick of its schedule.");
+    } else if (gap->count > ticks) {
+      found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) + " there are " + number(ticks) + ".");
+    } else if (gap->count < ticks) {
+      found.note(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " + to_iso8601(gap->last) +
+                 ": several gaps were joined.");
+    }
+  }
+  const SensorCounts& s = entry.sensor;
+  const auto compare = [&](std::uint64_t in_gaps, std::uint64_t counted, const char* kind) {
+    if (in_gaps == counted) return;
+    const std::string text = place + "the gaps have " + number(in_gaps) + " " + kind + ", the ledger says " + number(counted) + ".";
+    if (in_gaps > counted) return found.inexact(text);
+    if (s.published > entry.offered) return found.note(text + " The recording began after the sensor.");
+    if (found.is_exact) {
+      found.problem(text);
+    } else {
+      found.note(place + number(counted - in_gaps) + " " + kind + " are in no gap: one was under way at the last account.");
+    }
+  };
+  if (s.has_schedule) {
+    compare(missed, s.missed, "missed");
+    compare(failed, s.failed, "failed");
+  } else if (missed != 0 || failed > s.failed) {
+    found.inexact(place + "the gaps have " + number(missed) + " missed and " + number(failed) + " failed, the ledger says " +
+                  number(s.failed) + " failed.");
+  }
+}
+
+void add_up(RunReport& report, const LedgerEntry& entry) {
+  ++report.origins;
+  report.offered += entry.offered;
+  report.stored += entry.stored;
+  report.dropped += entry.dropped() - entry.dropped_unsaved;
+  report.unsaved += entry.dropped_unsaved;
+  report.pruned += entry.pruned;
+  report.scheduled += entry.sensor.scheduled;
+  report.missed += entry.sensor.missed;
+  report.failed += entry.sensor.failed;
+  report.late += entry.sensor.late;
+  if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
+}
+
+/// What is known of the end of a run that was not closed.
+void note_end(const Findings& found) {
+  const RunInfo& info = found.report.info;
+  if (info.state == RunState::sealed) {
+    found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") + " that were published could not be stored."
+                         : "It ended without closing: what was lost after the last account is not known.");
+    if (!info.remark.empty()) found.note(info.remark);
+    if (info.lost && *info.lost != found.report.unsaved) {
+      found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) + " not saved.");
+    }
+  } else if (info.state == RunState::recording) {
+    const std::string up_to = info.ended ? " up to the last account, " + to_iso8601(*info.ended) : "";
+    if (found.report.verdict == Verdict::recording) {
+      found.note("Process " + std::to_string(info.pid) + " is still recording: this holds" + up_to + ", and is approximate.");
+    } else {
+      found.note("It ended without closing and is not sealed: this holds" + up_to +
+                 ". Start recording into the file again: that seals it and says what was lost.");
+    }
+  }
+}
+
+}  // namespace
+
+Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report) {
+  const RunInfo& info = report.info;
+  const Findings found{report, info.state == RunState::closed};
+  report.verdict = info.state == RunState::closed   ? Verdict::balanced
+                   : info.state == RunState::sealed ? Verdict::sealed
+                   : is_alive(info)                 ? Verdict::recording
+                                                    : Verdict::unsealed;
+  auto ledger = recording.ledger(info.run);
+  if (!ledger) return std::move(ledger).error();
+  auto schedule = recording.schedule(info.run);
+  if (!schedule) return std::move(schedule).error();
+  auto gaps = recording.gaps(info.run);
+  if (!gaps) return std::move(gaps).error();
+  report.gaps = gaps->size();
+
+  std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
+  for (const RecordedSegment& segment : *schedule) segments_of[origin_key(segment.topic, segment.origin)].push_back(&segment);
+  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
+  for (const RecordedGap& gap : *gaps) gaps_of[origin_key(gap.topic, gap.origin)].push_back(&gap);
+
+  std::unordered_map<std::string, bool> has_account;
+  for (const LedgerEntry& entry : *ledger) {
+    const std::string key = origin_key(entry.topic, entry.origin);
+    has_account[key] = true;
+    add_up(report, entry);
+    check_rows(found, entry, rows.at(key));
+    check_account(found, entry);
+    if (entry.sensor.has_schedule || segments_of.contains(key)) check_schedule(found, entry, segments_of[key]);
+    check_gaps(found, entry, segments_of[key], gaps_of[key]);
+  }
+  std::vector<std::string> unaccounted;
+  for (const auto& [key, origin] : rows) {
+    report.rows += origin.rows + origin.rows_after;
+    if (!has_account.contains(key)) {
+      unaccounted.push_back(place_of(origin.topic, origin.origin) + ": " + plural(origin.rows + origin.rows_after, "row") + ", but the ledger does not know it.");
+    }
+  }
+  std::sort(unaccounted.begin(), unaccounted.end());
+  for (std::string& sentence : unaccounted) found.problem(std::move(sentence));
+  const auto strays = [&](const auto& of, const char* what) {
+    std::vector<std::string> sentences;
+    for (const auto& [key, list] : of) {
+      if (!list.empty() && !has_account.contains(key)) {
+        sentences.push_back(place_of(list.front()->topic, list.front()->origin) + ": " + plural(list.size(), what) + ", but the ledger does not know it.");
+      }
+    }
+    std::sort(sentences.begin(), sentences.end());
+    for (std::string& sentence : sentences) found.problem(std::move(sentence));
+  };
+  strays(segments_of, "stretch of schedule");
+  strays(gaps_of, "gap");
+  if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
+  note_end(found);
+  if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
+  return {};
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,56 @@
+// The parts of verify: what the rows say, and the comparison of it with one run's account.
+#pragma once
+
+#include <map>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+
+#include "rtdata/sinks/verify.hpp"
+
+namespace rtdata::detail {
+
+/// "room/climate, origin room".
+std::string place_of(std::string_view topic, std::string_view origin);
+std::string plural(std::uint64_t count, std::string_view noun);
+
+/// What the rows of one origin say, collected in the order in which they were written.
+struct OriginRows {
+  struct Hole {
+    std::uint64_t first, last;
+  };
+  static constexpr std::size_t most_holes = 5;
+  static constexpr std::size_t most_sentences = 5;
+
+  std::string topic, origin;
+  std::int64_t run = 0;
+  std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
+  std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
+  std::uint64_t rows = 0;       // up to account_ends
+  std::uint64_t rows_after = 0;
+  std::uint64_t first_sequence = 0, last_sequence = 0;
+  std::int64_t last_time = INT64_MIN;
+  std::uint64_t missing = 0;  // between first_sequence and last_sequence
+  std::vector<Hole> holes;
+  std::uint64_t not_ascending = 0, times_back = 0, outside = 0;
+  std::vector<std::string> sentences;          // about order
+  std::vector<std::string> outside_sentences;  // about times outside of the run
+
+  void add(std::int64_t rowid, std::int64_t time, std::uint64_t sequence);
+};
+
+/// The key of what is collected: topic and origin, joined by a byte that neither has.
+std::string origin_key(std::string_view topic, std::string_view origin);
+using OriginMap = std::unordered_map<std::string, OriginRows>;
+
+/// What the rows of a table say, into the map of their run.
+Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
+                       std::vector<std::string>& problems);
+
+/// Compares the account of one run with its rows. Fills everything of the report but `info`.
+Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report);
+
+/// Whether the process that records this run is alive on this machine.
+bool is_alive(const RunInfo& run);
+
+}  // namespace rtdata::detail
