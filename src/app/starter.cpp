@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "rtdata/config/system.hpp"
+#include "rtdata/sensors/host.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -27,6 +28,22 @@ void add_list(std::string& file, const Registry& registry, const char* list, con
     items += "    " + entry.text;
   }
   file += "  \"" + std::string(list) + "\": [" + items + (items.empty() ? "]" : "\n  ]");
+}
+
+/// What every computer knows of itself, and this one of its temperature.
+std::vector<Entry> host_entries() {
+  const auto entry = [](std::string comment, const char* name, const char* rate) {
+    return Entry{std::move(comment), R"({"name": ")" + std::string(name) + R"(", "type": "host", "quantity": ")" + name +
+                                         R"(", "rate": ")" + rate + R"(", "topic": "host/)" + name + R"("})"};
+  };
+  std::vector<Entry> entries{entry("this program, a thousand times a second", "process", "1 kHz"),
+                             entry("the computer", "cpu", "10 Hz"), entry("", "memory", "1 Hz"), entry("", "load", "1 Hz")};
+  for (const HostSensorInfo& info : available_host_sensors()) {
+    if (info.what != HostQuantity::temperature) continue;
+    entries.push_back(entry("", "temperature", "1 Hz"));
+    break;
+  }
+  return entries;
 }
 
 /// Converters of the kernel that can be read here.
@@ -53,10 +70,14 @@ std::string starter_file(const Registry& registry, const std::string& file) {
   std::string text = "// A starter file for this machine. Run it:    rtdata run " + file +
                      " --for 10s\n// What else can be configured:               rtdata types\n{\n  \"name\": " +
                      ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
-  std::vector<Entry> sensors = analog_entries();
+  std::vector<Entry> sensors = host_entries();
+  for (Entry& entry : analog_entries()) sensors.push_back(std::move(entry));
   add_list(text, registry, "sensors", sensors);
   text += ",\n";
-  add_list(text, registry, "sinks", {});
+  const auto output = [&](const char* extension) { return ConfigItem::of(stem + extension).to_json(ConfigItem::Layout::one_line); };
+  add_list(text, registry, "sinks",
+           {{"check it with: rtdata verify " + stem + ".db", R"({"type": "sqlite", "path": )" + output(".db") + R"(, "topics": ["#"]})"},
+            {"one JSON object a line", R"({"type": "file", "path": )" + output(".jsonl") + R"(, "topics": ["#"]})"}});
   return text + "\n}\n";
 }
 

@@ -199,7 +199,10 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       report(error, job.refused);
       if (!is_open()) return;
     }
-    if (job.warning) report(*job.warning, 1);
+    if (job.warning) {
+      report(*job.warning, 1);
+      if (!is_open()) return;
+    }
     if (!job.result) {
       failed(job.result.error());
       if (!is_open() || !job.has_ended) return;

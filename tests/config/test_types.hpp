@@ -69,9 +69,11 @@ struct Absent {
 struct DiscardConfig {
   std::string path = {};
   bool stalls = false;
+  SinkConfig sink = {};
   friend constexpr auto parameters(type_tag<DiscardConfig>) {
     return parameter_list(parameter("path", &DiscardConfig::path, "a file that it does not write"),
-                          parameter("stalls", &DiscardConfig::stalls, "it never stores anything"));
+                          parameter("stalls", &DiscardConfig::stalls, "it never stores anything"),
+                          include_member(&DiscardConfig::sink));
   }
 };
 class Discard final : public Writer {
@@ -103,8 +105,8 @@ inline void add_test_types(Registry& registry) {
       [](Loop& loop, const FeedConfig& common, const NoParameters&) { return Feed<Count>(loop, common); });
   registry.add_sink<DiscardConfig>(
       "discard", "throws its events away", [](const DiscardConfig& config) { return config.path; },
-      [](Loop& loop, const SinkConfig& common, const DiscardConfig& config) {
-        return Sink(loop, common, std::make_unique<Discard>(config));
+      [](Loop& loop, const DiscardConfig& config) {
+        return Sink(loop, config.sink, std::make_unique<Discard>(config));
       });
 }
 

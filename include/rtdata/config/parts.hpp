@@ -9,8 +9,8 @@
 ///         });
 ///     registry.add_sink<LinesConfig>(
 ///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
-///         [](Loop& loop, const SinkConfig& common, const LinesConfig& config) {
-///           return Sink(loop, common, std::make_unique<Lines>(config));
+///         [](Loop& loop, const LinesConfig& config) {
+///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
 ///         });
 ///
 /// A factory may return any class derived from AnySensor or Sink. One that takes a FeedConfig instead of a SensorConfig
@@ -68,54 +68,6 @@ class Owned {
   Base* object_ = nullptr;
 };
 
-/// An amount of memory: "32 MB", "512 KiB", "4096 B" in a file; k, M, G are powers of 1000, Ki, Mi, Gi of 1024.
-struct ByteSize {
-  std::size_t bytes = 0;
-  bool operator==(const ByteSize&) const = default;
-};
-Result<ByteSize> parse_byte_size(std::string_view text);
-/// The shortest exact text that `parse_byte_size` reads back.
-std::string to_string(ByteSize size);
-
-template <>
-struct ConfigValue<ByteSize> {
-  static bool read(const ConfigItem& item, ByteSize& out, Problems& problems);
-  static void write(ByteSize value, ConfigItem& item);
-};
-
-/// What all sinks have in common, as a file names it; see SinkConfig.
-struct SinkKeys {
-  std::string name = {};
-  std::vector<std::string> topics = SinkConfig{}.topics;
-  std::size_t batch_rows = SinkConfig{}.batch_rows;
-  Duration batch_time = SinkConfig{}.batch_time;
-  ByteSize queue = {SinkConfig{}.queue_bytes};
-  WhenFull when_full = SinkConfig{}.when_full;
-  Duration retry_first = SinkConfig{}.retry_first;
-  Duration retry_longest = SinkConfig{}.retry_longest;
-  Duration close_deadline = SinkConfig{}.close_deadline;
-
-  SinkConfig config() const;
-
-  friend constexpr auto parameters(type_tag<SinkKeys>) {
-    using namespace std::chrono_literals;
-    return parameter_list(
-        parameter("name", &SinkKeys::name, "in reports and the ledger; default: its path or type"),
-        parameter("topics", &SinkKeys::topics,
-                  "topics it takes; + stands for one level, # at the end for all below"),
-        parameter("batch_rows", &SinkKeys::batch_rows, "events that are stored together", range(1, 1000000)),
-        parameter("batch_time", &SinkKeys::batch_time, "a batch is stored after so long, however small it is",
-                  range(1ms, 1h)),
-        parameter("queue", &SinkKeys::queue, "memory for events that wait, such as 32 MB"),
-        parameter("when_full", &SinkKeys::when_full, "what is dropped when the queue is full; it is counted",
-                  choices(value("drop_newest", WhenFull::drop_newest), value("drop_oldest", WhenFull::drop_oldest))),
-        parameter("retry_first", &SinkKeys::retry_first, "wait after a failed batch", range(1ms, 1h)),
-        parameter("retry_longest", &SinkKeys::retry_longest, "the wait doubles up to this", range(1ms, 24h)),
-        parameter("close_deadline", &SinkKeys::close_deadline, "how long closing waits for what is queued",
-                  range(0s, 1h)));
-  }
-};
-
 /// A sensor as its item says, checked and not made yet.
 struct SensorPlan {
   std::string type;
@@ -139,7 +91,7 @@ struct SinkPlan {
 
 namespace config_detail {
 
-/// A type's own parameters behind those of all its kind, on one level.
+/// A sensor type's own parameters behind those of all sensors, on one level.
 template <class Common, class Own>
 struct Joined {
   Common common{};
@@ -154,6 +106,7 @@ struct Joined {
 
 SensorPlan sensor_plan(const std::string& name, const std::string& topic,
                        Result<std::shared_ptr<const Description>> description);
+SinkPlan sink_plan(const std::string& type, std::string path, const SinkConfig& config);
 
 }  // namespace config_detail
 
@@ -184,23 +137,18 @@ class Registry {
     });
   }
 
+  /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. `make(Loop&, const SinkConfig&, const C&)`.
+  /// for none. `make(Loop&, const C&)`.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
-    using All = config_detail::Joined<SinkKeys, C>;
-    sinks_.add<All>(type, std::move(doc), [type, path, make](const All& all) {
-      SinkPlan plan;
-      plan.type = type;
-      plan.path = path(all.own);
-      plan.name = !all.common.name.empty() ? all.common.name : plan.path.empty() || plan.path == "-" ? type : plan.path;
-      plan.topics = all.common.topics;
-      plan.close_deadline = all.common.close_deadline;
-      plan.make = [make, all, name = plan.name](Loop& loop) {
-        SinkConfig common = all.common.config();
-        common.name = name;
-        return Owned<Sink>(make(loop, std::as_const(common), all.own));
-      };
+    static_assert(requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
+                  "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
+    sinks_.add<C>(type, std::move(doc), [type, path, make](const C& config) {
+      SinkPlan plan = config_detail::sink_plan(type, path(config), config.sink);
+      C named = config;
+      named.sink.name = plan.name;
+      plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
       return plan;
     });
   }
