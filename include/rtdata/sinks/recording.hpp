@@ -60,7 +60,7 @@ struct LedgerEntry {
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none
   std::uint64_t pruned = 0;
-  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account; 0: not said
+  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
