@@ -7,7 +7,8 @@ target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE $<BUILD_INTERFACE:CLI
   $<TARGET_NAME_IF_EXISTS:rtdata::sqlite> $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> nlohmann_json::nlohmann_json)
 if(TARGET rtdata_sqlite)
   target_compile_definitions(rtdata_program PRIVATE RTDATA_WITH_SQLITE)
-  target_sources(rtdata_program PRIVATE src/app/export.cpp src/app/info.cpp src/app/verify.cpp)
+  rtdata_sources(RTDATA_PROGRAM_SQLITE_SOURCES src/rtdata_program_sqlite.sources)
+  target_sources(rtdata_program PRIVATE ${RTDATA_PROGRAM_SQLITE_SOURCES})
 endif()
 set_property(SOURCE src/app/program.cpp APPEND PROPERTY COMPILE_DEFINITIONS RTDATA_VERSION="${PROJECT_VERSION}")
 
