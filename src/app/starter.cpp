@@ -37,7 +37,8 @@ std::vector<Entry> host_entries() {
                                          R"(", "rate": ")" + rate + R"(", "topic": "host/)" + name + R"("})"};
   };
   std::vector<Entry> entries{entry("this program, a thousand times a second", "process", "1 kHz"),
-                             entry("the computer", "cpu", "10 Hz"), entry("", "memory", "1 Hz"), entry("", "load", "1 Hz")};
+                             entry("the computer", "scheduler", "100 Hz"), entry("", "memory", "100 Hz"),
+                             entry("", "cpu", "10 Hz"), entry("", "load", "1 Hz")};
   for (const HostSensorInfo& info : available_host_sensors()) {
     if (info.what != HostQuantity::temperature) continue;
     entries.push_back(entry("", "temperature", "1 Hz"));
