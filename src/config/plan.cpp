@@ -151,7 +151,7 @@ class AcrossItems {
 
   void check_path(const SinkPlan& sink) {
     std::error_code ignored;
-    const std::string path = std::filesystem::weakly_canonical(sink.path, ignored).string();
+    const std::string path = std::filesystem::weakly_canonical(std::filesystem::absolute(sink.path, ignored), ignored).string();
     const auto [known, is_new] = paths_.try_emplace(path.empty() ? sink.path : path, &sink);
     if (is_new) return;
     refused_paths_.try_emplace(sink.item.path(), &sink.item);
