@@ -16,6 +16,13 @@ write_basic_package_version_file(rtdata-config-version.cmake COMPATIBILITY SameM
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config.cmake ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config-version.cmake
   DESTINATION ${RTDATA_CMAKE_DIR})
 
+# Relative to the .pc file, so that the package can be installed with another prefix, or moved.
+if(IS_ABSOLUTE "${CMAKE_INSTALL_LIBDIR}")
+  set(RTDATA_PC_PREFIX ${CMAKE_INSTALL_PREFIX})
+else()
+  file(RELATIVE_PATH RTDATA_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
+  string(REGEX REPLACE "/$" "" RTDATA_PC_PREFIX "\${pcfiledir}/${RTDATA_PC_PREFIX}")
+endif()
 foreach(module rtdata rtdata-sqlite)
   configure_file(cmake/${module}.pc.in ${module}.pc @ONLY)
   install(FILES ${CMAKE_CURRENT_BINARY_DIR}/${module}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)

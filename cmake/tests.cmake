@@ -31,3 +31,19 @@ if(Python3_FOUND)
   add_test(NAME compile_fail COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/data/compile_fail.py
     ${CMAKE_CXX_COMPILER} ${CMAKE_CURRENT_SOURCE_DIR}/include)
 endif()
+
+include(cmake/examples.cmake)
+
+# The documentation agrees with the product.
+if(Python3_FOUND)
+  add_test(NAME docs COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/docs/docs_test.py
+    ${CMAKE_CURRENT_SOURCE_DIR} ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CXX_COMPILER})
+  set_tests_properties(docs PROPERTIES TIMEOUT 300)
+endif()
+
+# Projects of others find and use what is installed. Sanitized libraries would want sanitized users.
+if(TARGET rtdata_sqlite AND NOT RTDATA_SANITIZE)
+  add_test(NAME install COMMAND sh ${CMAKE_CURRENT_SOURCE_DIR}/tests/install/install_test.sh
+    ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  set_tests_properties(install PROPERTIES TIMEOUT 900 LABELS slow ENVIRONMENT "CXX=${CMAKE_CXX_COMPILER}")
+endif()
