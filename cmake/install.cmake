@@ -10,9 +10,6 @@ endforeach()
 install(TARGETS ${RTDATA_TARGETS} EXPORT rtdata-targets
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 install(EXPORT rtdata-targets NAMESPACE rtdata:: DESTINATION ${RTDATA_CMAKE_DIR})
-if(TARGET rtdata_app)
-  install(TARGETS rtdata_app RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
-endif()
 
 configure_package_config_file(cmake/rtdata-config.cmake.in rtdata-config.cmake INSTALL_DESTINATION ${RTDATA_CMAKE_DIR})
 write_basic_package_version_file(rtdata-config-version.cmake COMPATIBILITY SameMinorVersion)

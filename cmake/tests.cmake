@@ -7,9 +7,23 @@ target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata::rtdata doctest
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
   RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+if(RTDATA_PROGRAM)
+  # The program as the tests run it, with sensor and sink types of their own.
+  add_executable(rtdata_test_program tests/app/test_program.cpp)
+  target_link_libraries(rtdata_test_program PRIVATE rtdata_options rtdata::program)
+  target_include_directories(rtdata_test_program PRIVATE tests)
+  add_dependencies(rtdata_tests rtdata_test_program rtdata_main)
+endif()
 foreach(suite data loop sensors sinks config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
+
+# Replaces operator new and delete, so it is a program of its own.
+add_executable(rtdata_allocation_tests tests/loop/allocation_test.cpp)
+target_link_libraries(rtdata_allocation_tests PRIVATE rtdata_options rtdata::rtdata doctest::doctest)
+target_include_directories(rtdata_allocation_tests PRIVATE tests)
+target_compile_definitions(rtdata_allocation_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+add_test(NAME allocation COMMAND rtdata_allocation_tests)
 
 # Files that must not compile, each with one sentence.
 find_package(Python3 COMPONENTS Interpreter)

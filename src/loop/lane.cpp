@@ -28,6 +28,7 @@ struct Lane::Worker {
   std::atomic<bool> ended{false};
   std::mutex mutex;
   std::condition_variable ended_signal;
+  std::condition_variable job_finished;
   uv_async_t* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
 
   Worker() { ::sem_init(&wake, 0, 0); }
@@ -66,6 +67,7 @@ struct Lane::Worker {
       job->state_.store(LaneJob::finished, std::memory_order_release);
       const std::lock_guard lock(mutex);
       if (loop_wake != nullptr) uv_async_send(loop_wake);
+      job_finished.notify_all();
     }
     const std::lock_guard lock(mutex);
     ended.store(true, std::memory_order_release);
@@ -108,9 +110,12 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
       watchdog_(std::make_unique<Watchdog>(*this)),
       delayed_(std::make_unique<Delayed>(*this)) {
   outstanding_.reserve(capacity);
+  loop_.add(*this);
 }
 
 Lane::~Lane() {
+  *is_alive_ = false;
+  loop_.remove(*this);
   loop_.remove(*watchdog_);
   loop_.remove(*delayed_);
   if (worker_ != nullptr) {
@@ -191,22 +196,48 @@ void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
 }
 
 void Lane::collect() {
-  while (!outstanding_.empty() && !loop_.is_manual() &&
+  const auto is_alive = is_alive_;
+  while (*is_alive && !outstanding_.empty() && !loop_.is_manual() &&
          outstanding_.front()->state_.load(std::memory_order_acquire) == LaneJob::finished) {
     finish(0, LaneJob::Outcome::finished);
   }
 }
 
+void Lane::wait(Duration at_most) {
+  if (outstanding_.empty()) return;
+  if (loop_.is_manual()) {
+    const Duration left = delayed_->completions.front().at - loop_.now();
+    if (left.count() > 0) loop_.manual_clock()->pass(std::min(left, at_most));
+    if (left <= at_most) delayed_->fire(loop_.now());
+    return;
+  }
+  if (worker_ != nullptr) {
+    const std::shared_ptr<LaneJob> first = outstanding_.front();
+    std::unique_lock lock(worker_->mutex);
+    worker_->job_finished.wait_for(lock, at_most, [&] { return first->state_.load(std::memory_order_acquire) == LaneJob::finished; });
+  }
+  collect();
+}
+
+void Lane::leave_behind() noexcept {
+  if (worker_ == nullptr) return;
+  worker_->end();
+  worker_->stop_listening();
+  worker_ = nullptr;
+}
+
 void Lane::check_limit() {
+  const auto is_alive = is_alive_;
   loop_.remove(*watchdog_);
   collect();
-  if (outstanding_.empty()) return;
+  if (!*is_alive || outstanding_.empty()) return;
   const LaneJob& first = *outstanding_.front();
   MonotonicTime due = loop_.now() + give_up_after_;
   if (first.state_.load(std::memory_order_acquire) == LaneJob::running) {
     due = MonotonicTime{Duration{first.began_.load(std::memory_order_relaxed)}} + give_up_after_;
     if (due <= loop_.now()) {
       give_up();
+      if (!*is_alive) return;
       due = loop_.now() + give_up_after_;
     }
   }
@@ -216,9 +247,10 @@ void Lane::check_limit() {
 }
 
 void Lane::give_up() {
+  const auto is_alive = is_alive_;
   if (worker_ == nullptr) return;
   collect();
-  if (worker_ == nullptr || outstanding_.empty()) return;
+  if (!*is_alive || worker_ == nullptr || outstanding_.empty()) return;
   worker_->end();
   worker_->stop_listening();
   behind_.push_back(std::exchange(worker_, nullptr));
@@ -226,7 +258,7 @@ void Lane::give_up() {
     for (std::size_t i = 1; i < outstanding_.size(); ++i) worker_->push(outstanding_[i]);
     finish(0, LaneJob::Outcome::given_up);
   } else {
-    for (std::size_t left = outstanding_.size(); left > 0; --left) finish(0, LaneJob::Outcome::given_up);
+    for (std::size_t left = outstanding_.size(); left > 0 && *is_alive; --left) finish(0, LaneJob::Outcome::given_up);
   }
 }
 

@@ -149,7 +149,7 @@ void LoopCore::arm_clock() noexcept {
 }
 
 LoopCore::~LoopCore() {
-  runtime.flush_repeats(RuntimeCore::Repeats::all);
+  on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
   while (nodes_ != nullptr) {
     nodes_->retain();
     Node* node = nodes_;
@@ -373,8 +373,27 @@ bool LoopCore::has_posted() noexcept {
 
 uv_async_t* LoopCore::wake_handle() noexcept { return &side_->wake; }
 
+void LoopCore::remove(Lane& lane) noexcept {
+  const auto found = std::find(all_lanes_.begin(), all_lanes_.end(), &lane);
+  if (found == all_lanes_.end()) return;
+  if (collecting_) {
+    *found = nullptr;
+  } else {
+    all_lanes_.erase(found);
+  }
+}
+
+void LoopCore::collect_lanes() {
+  collecting_ = true;
+  for (std::size_t i = 0; i < all_lanes_.size(); ++i) {
+    if (all_lanes_[i] != nullptr) all_lanes_[i]->collect();
+  }
+  collecting_ = false;
+  std::erase(all_lanes_, nullptr);
+}
+
 void LoopCore::run_posted() {
-  for (std::size_t i = 0; i < lanes_.size(); ++i) lanes_[i].second->collect();
+  collect_lanes();
   {
     const std::lock_guard lock(posted_mutex_);
     running_posted_.swap(posted_);
@@ -536,7 +555,8 @@ Node::~Node() {
 }
 
 void Node::close() noexcept {
-  if (loop_ == nullptr) return;
+  if (loop_ == nullptr || is_closing_) return;
+  is_closing_ = true;  // closing may report, and the handler of the report may close it once more
   on_close();
   loop_->unlink(*this);
   loop_ = nullptr;
@@ -566,7 +586,9 @@ Loop::Loop(Runtime& runtime, Config config)
                                                dynamic_cast<ManualClock*>(&runtime.core().clock()) != nullptr
                                                    ? detail::LoopCore::Time::manual
                                                    : detail::LoopCore::Time::real)) {}
-Loop::~Loop() = default;
+Loop::~Loop() {
+  if (own_runtime_ != nullptr) own_runtime_->on_log({});  // as for on_error
+}
 
 void Loop::run() { core_->run(); }
 void Loop::run_for(Duration duration) { core_->run_for(duration); }

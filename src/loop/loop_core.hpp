@@ -102,6 +102,9 @@ class LoopCore {
   /// Lanes by key: one per physical device; made when first asked for.
   Lane& lane(const std::string& key, Duration give_up_after);
   uv_async_t* wake_handle() noexcept;
+  // Lanes list themselves, to be told of finished jobs.
+  void add(Lane& lane) { all_lanes_.push_back(&lane); }
+  void remove(Lane& lane) noexcept;
   Duration lane_duration{0};
   Callback<void(const ErrorReport&)> on_error;
 
@@ -136,6 +139,7 @@ class LoopCore {
   void deliver(Budget budget);
   void arm();
   void run_posted();
+  void collect_lanes();
   bool has_posted() noexcept;
   void start_idle() noexcept;
   void turn_done() noexcept;
@@ -166,6 +170,8 @@ class LoopCore {
 
   Node* nodes_ = nullptr;
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> lanes_;
+  std::vector<Lane*> all_lanes_;  // null: removed while they are told
+  bool collecting_ = false;
 
   std::mutex posted_mutex_;
   std::vector<Callback<void()>> posted_;

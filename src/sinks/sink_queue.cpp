@@ -5,11 +5,14 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <limits>
 #include <new>
+#include <utility>
 
 namespace rtdata {
 
 LiveCounts* Writer::live_counts(std::uint32_t) { return nullptr; }
+Result<void> Writer::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {
 namespace {
@@ -31,7 +34,8 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
     : config_(config), writer_(std::move(writer)), chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
   // Pages are the kernel's until they are used: a queue that never fills costs no memory.
   memory_bytes_ = chunks_.size() * chunk_bytes;
-  void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  void* memory =
+      ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
   if (memory == MAP_FAILED) {
     throw SetupError(system_error(errno, "cannot set aside the queue", config.name, "make `queue_bytes` smaller"));
   }
@@ -48,7 +52,8 @@ SinkQueue::~SinkQueue() {
 
 Slot& SinkQueue::add_slot(SlotInfo info) {
   const std::uint32_t index = slot_count_.load(std::memory_order_relaxed);
-  if (index / block_size == most_blocks) throw SetupError({Errc::bad_argument, "too many origins", config_.name, "a sink takes at most 1048576", ""});
+  if (index / block_size == most_blocks)
+    throw SetupError({Errc::bad_argument, "too many origins", config_.name, "a sink takes at most 1048576", ""});
   auto& block = blocks_[index / block_size];
   if (block.load(std::memory_order_relaxed) == nullptr) block.store(new Block, std::memory_order_release);
   Slot& made = slot(index);
@@ -83,7 +88,8 @@ ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
       ++slot.live->dropped;
       return nullptr;
     }
-    if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling))) continue;
+    if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling)))
+      continue;
     for_each_record(*oldest, [this](const RecordHeader& record) {
       Slot& lost = this->slot(record.slot);
       ++lost.dropped_oldest;
@@ -94,7 +100,10 @@ ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
 }
 
 std::byte* SinkQueue::room(Slot& slot, std::size_t bytes) {
-  if (filling_ != nullptr && filling_->used + bytes > chunk_bytes) hand_over();
+  if (filling_ != nullptr && filling_->used + bytes > chunk_bytes) {
+    queue_filling();
+    ++full_chunks_;
+  }
   if (filling_ == nullptr) {
     filling_ = take_chunk(slot);
     if (filling_ == nullptr) return nullptr;
@@ -105,12 +114,18 @@ std::byte* SinkQueue::room(Slot& slot, std::size_t bytes) {
   return filling_->data + filling_->used;
 }
 
-bool SinkQueue::hand_over() {
-  rows_since_handover_ = 0;
-  if (filling_ == nullptr || filling_->rows == 0) return false;
+void SinkQueue::queue_filling() {
   filling_->ticket_and_state.store(with(++last_ticket_, ChunkHeader::queued), std::memory_order_release);
   filling_ = nullptr;
-  return true;
+}
+
+bool SinkQueue::hand_over() {
+  const bool has_rows = filling_ != nullptr && filling_->rows != 0;
+  const bool is_due = has_rows || full_chunks_ != 0;
+  if (has_rows) queue_filling();
+  rows_since_handover_ = 0;
+  full_chunks_ = 0;
+  return is_due;
 }
 
 Account* SinkQueue::free_account() {
@@ -124,6 +139,32 @@ void SinkQueue::hand_over_account() {
 }
 
 SinkCounts SinkQueue::counts() const noexcept {
+  constexpr int most_tries = 100;  // the lane holds the revision odd for the time that counting one batch takes
+  SinkCounts result;
+  for (int i = 0; i < most_tries; ++i) {
+    const std::uint64_t before = revision_.load(std::memory_order_acquire);
+    result = sum();
+    const std::uint64_t after =
+        const_cast<std::atomic<std::uint64_t>&>(revision_).fetch_add(0, std::memory_order_acq_rel);
+    if (before == after && before % 2 == 0) break;
+  }
+  return result;
+}
+
+void SinkQueue::keep_own_counts() noexcept {
+  for (std::uint32_t i = 0; i < slot_count(); ++i) {
+    Slot& s = slot(i);
+    s.own = *s.live;
+    s.live = &s.own;
+  }
+}
+
+void SinkQueue::abandon() {
+  const std::lock_guard lock(abandon_mutex_);
+  abandoned_ = true;
+}
+
+SinkCounts SinkQueue::sum() const noexcept {
   SinkCounts sum;
   for (std::uint32_t i = 0; i < slot_count(); ++i) {
     const Slot& s = slot(i);
@@ -154,13 +195,13 @@ bool SinkQueue::is_idle() const noexcept {
 
 // ---- lane
 
-ChunkHeader* SinkQueue::next_queued() {
+ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
   for (;;) {
     ChunkHeader* next = nullptr;
     std::uint64_t next_value = 0;
     for (ChunkHeader& chunk : chunks_) {
       const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
-      if ((value & 3) == ChunkHeader::queued && (next == nullptr || value < next_value)) {
+      if ((value & 3) == ChunkHeader::queued && value >> 2 < before && (next == nullptr || value < next_value)) {
         next = &chunk;
         next_value = value;
       }
@@ -180,15 +221,16 @@ bool SinkQueue::gather() {
   batch_.account_ = nullptr;
   AccountBox& box = accounts_[account_cursor_];
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
-  const auto is_behind_account = [&] { return after != 0 && taken_ticket_ + 1 >= after; };
-  while (batch_.rows_ < config_.batch_rows && !is_behind_account()) {
-    ChunkHeader* chunk = next_queued();
+  const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
+  bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
+  while (batch_.rows_ < config_.batch_rows && !has_all) {
+    ChunkHeader* chunk = next_queued(before);
+    has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
     batch_.chunks_.push_back(chunk);
     batch_.rows_ += chunk->rows;
   }
-  // All before it has been gathered, or was taken back by the loop.
-  if (after != 0 && (is_behind_account() || batch_.rows_ < config_.batch_rows)) batch_.account_ = &box.account;
+  if (after != 0 && has_all) batch_.account_ = &box.account;
   if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
   for (const ChunkHeader* chunk : batch_.chunks_) {
     for_each_record(*chunk, [this](const RecordHeader& record) { ++slot(record.slot).in_batch; });
@@ -197,6 +239,9 @@ bool SinkQueue::gather() {
 }
 
 void SinkQueue::finish_batch() {
+  const std::lock_guard lock(abandon_mutex_);
+  if (abandoned_) return;
+  revision_.fetch_add(1, std::memory_order_acq_rel);
   for (ChunkHeader* chunk : batch_.chunks_) {
     for_each_record(*chunk, [this](const RecordHeader& record) {
       Slot& s = slot(record.slot);
@@ -212,34 +257,81 @@ void SinkQueue::finish_batch() {
     account_cursor_ = (account_cursor_ + 1) % account_count;
     box.after_ticket.store(0, std::memory_order_release);
   }
+  revision_.fetch_add(1, std::memory_order_acq_rel);
   has_batch_ = false;
+  if (refusals_in_batch_ == 0) return;
+  if (refusals_ == 0) first_refusal_ = std::move(first_refusal_in_batch_);
+  refusals_ += std::exchange(refusals_in_batch_, 0);
+}
+
+void SinkQueue::fail_batch() noexcept {
+  is_open_ = false;
+  refusals_in_batch_ = 0;
+  if (!has_batch_) return;
+  for (const ChunkHeader* chunk : batch_.chunks_) {
+    for_each_record(*chunk, [this](const RecordHeader& record) { slot(record.slot).refused_in_batch = 0; });
+  }
+}
+
+void SinkQueue::refuse_batch() {
+  for (const ChunkHeader* chunk : batch_.chunks_) {
+    for_each_record(*chunk, [this](const RecordHeader& record) { ++slot(record.slot).refused_in_batch; });
+  }
+}
+
+template <class Call>
+Result<void> SinkQueue::call_writer(Call&& call) {
+  Result<void> result;
+  try {
+    result = call();
+  } catch (const std::exception& e) {
+    result = Error{Errc::io_failed, "the writer threw", "", e.what(), ""};
+  } catch (...) {
+    result = Error{Errc::io_failed, "the writer threw", "", "an exception that is no std::exception", ""};
+  }
+  if (!result) {
+    fail_batch();
+    if (result.error().code == Errc::closed) has_ended_ = true;
+  }
+  return result;
 }
 
 Result<void> SinkQueue::process() {
+  Result<void> result;
   for (;;) {
-    if (!is_open_) {
-      if (auto opened = writer_->open(); !opened) return opened;
+    {
+      const std::lock_guard lock(abandon_mutex_);
+      if (abandoned_) return result;
+    }
+    if (!has_ended_ && !is_open_) {
+      result = call_writer([this] { return writer_->open(); });
+      if (!result && !has_ended_) return result;
       is_open_ = true;
     }
     if (!has_batch_ && !gather()) break;
     has_batch_ = true;
-    if (auto written = writer_->write(batch_); !written) {
-      is_open_ = false;
-      for (const ChunkHeader* chunk : batch_.chunks_) {
-        for_each_record(*chunk, [this](const RecordHeader& record) { slot(record.slot).refused_in_batch = 0; });
-      }
-      return written;
+    if (!has_ended_) {
+      result = call_writer([this] { return writer_->write(batch_); });
+      if (!result && !has_ended_) return result;
     }
+    if (has_ended_) refuse_batch();
     finish_batch();
   }
-  return writer_->flush();
+  if (has_ended_) return result;  // the error that ended it, once
+  return call_writer([this] { return writer_->flush(); });
 }
 
-Result<void> SinkQueue::close_writer() { return writer_->close(); }
+Result<void> SinkQueue::close_writer() {
+  {
+    const std::lock_guard lock(abandon_mutex_);
+    if (abandoned_) return {};
+  }
+  return call_writer([this] { return writer_->close(); });
+}
 
 void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
   ++slot(index).refused_in_batch;
-  if (refusals_++ == 0) first_refusal_ = why;
+  if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
 }
 
 std::uint64_t SinkQueue::take_refusals(Error& why) {
@@ -255,7 +347,9 @@ Record Batch::Iterator::operator*() const noexcept {
   const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
   const auto* stored = reinterpret_cast<const detail::RecordHeader*>(at);
   const SlotInfo& info = batch_->slot(stored->slot);
-  return {stored->slot, &info, {from_nanoseconds(stored->time), stored->sequence, info.origin},
+  return {stored->slot,
+          &info,
+          {from_nanoseconds(stored->time), stored->sequence, info.origin},
           {at + sizeof *stored, info.description->size()}};
 }
 

@@ -1,5 +1,5 @@
-// The queue between a loop and a sink's lane: chunks of records in memory set aside at the start, and accounts. Shared by
-// both, since a lane that hangs in its storage may be left behind.
+// The queue between a loop and a sink's lane: chunks of records in memory set aside at the start, and accounts. Shared
+// by both, since a lane that hangs in its storage may be left behind.
 #pragma once
 
 #include <array>
@@ -44,7 +44,7 @@ struct Slot {
   std::uint64_t last_sequence = 0;
   OriginAccount accounted;  // as last handed over
   // lane
-  std::atomic<std::uint64_t> stored{0};
+  std::atomic<std::uint64_t> stored{0};  // changed between two steps of the queue's revision
   std::atomic<std::uint64_t> refused{0};
   std::uint64_t in_batch = 0;
   std::uint64_t refused_in_batch = 0;
@@ -63,25 +63,37 @@ class SinkQueue {
     ++filling_->rows;
     ++rows_since_handover_;
   }
-  /// Queues the chunk being filled. False when there was nothing.
+  /// Queues the chunk being filled. False when nothing has come since the last call.
   bool hand_over();
-  std::size_t rows_since_handover() const noexcept { return rows_since_handover_; }
+  /// As many rows as a batch has, or half of the queue, wait to be handed over.
+  bool is_batch_due() const noexcept {
+    return rows_since_handover_ >= config_.batch_rows || 2 * full_chunks_ >= chunks_.size();
+  }
   /// An account to fill, or null while all are on their way.
   Account* free_account();
   /// Queues it behind all that was handed over before.
   void hand_over_account();
   Slot& add_slot(SlotInfo info);
-  Slot& slot(std::uint32_t index) const noexcept { return (*blocks_[index / block_size].load(std::memory_order_acquire))[index % block_size]; }
+  Slot& slot(std::uint32_t index) const noexcept {
+    return (*blocks_[index / block_size].load(std::memory_order_acquire))[index % block_size];
+  }
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
+  /// A snapshot between two batches; while the lane ends batches faster than this can count, an approximate one.
   SinkCounts counts() const noexcept;
   bool is_idle() const noexcept;
-  /// The writer, for calls before the lane's first.
+  /// For the calls that are made on the loop.
   Writer& writer() noexcept { return *writer_; }
+  /// From here on the counts of the loop lie here, not with the writer, which may be closed.
+  void keep_own_counts() noexcept;
+  /// Whatever the lane still does: no batch is begun or counted after this returns.
+  void abandon();
 
   // ---- lane
-  /// Stores what is queued. An error leaves it queued.
+  /// Stores what is queued. An error leaves it queued, unless it is `closed`: then all that comes is refused.
   Result<void> process();
   Result<void> close_writer();
+  /// The writer said that it has ended.
+  bool has_ended() const noexcept { return has_ended_; }
   void note_refusal(std::uint32_t slot, const Error& why);
   /// What was refused since the last call: how many, and the first reason.
   std::uint64_t take_refusals(Error& why);
@@ -97,9 +109,16 @@ class SinkQueue {
   };
   using Block = std::array<Slot, block_size>;
   ChunkHeader* take_chunk(Slot& slot);
-  ChunkHeader* next_queued();
+  void queue_filling();
+  SinkCounts sum() const noexcept;
+  /// Takes the oldest chunk with a ticket before this one.
+  ChunkHeader* next_queued(std::uint64_t before);
   bool gather();
   void finish_batch();
+  void fail_batch() noexcept;
+  void refuse_batch();
+  template <class Call>
+  Result<void> call_writer(Call&& call);
 
   const SinkConfig config_;
   std::unique_ptr<Writer> writer_;
@@ -114,6 +133,7 @@ class SinkQueue {
   ChunkHeader* filling_ = nullptr;
   std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;
+  std::size_t full_chunks_ = 0;  // queued since the last hand-over because they were full
   std::size_t next_account_ = 0;
   // lane
   Batch batch_;
@@ -122,7 +142,14 @@ class SinkQueue {
   std::size_t account_cursor_ = 0;
   std::uint64_t taken_ticket_ = 0;  // the last one gathered
   std::uint64_t refusals_ = 0;
+  std::uint64_t refusals_in_batch_ = 0;
   Error first_refusal_;
+  Error first_refusal_in_batch_;
+  bool has_ended_ = false;
+  // both
+  std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted
+  std::mutex abandon_mutex_;
+  bool abandoned_ = false;  // guarded by the mutex
 };
 
 }  // namespace rtdata::detail

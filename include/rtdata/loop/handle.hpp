@@ -54,6 +54,7 @@ class Node {
   Node* next_ = nullptr;
   std::uint32_t references_ = 1;
   std::uint32_t running_ = 0;
+  bool is_closing_ = false;
 };
 
 /// Brackets a call of a node's callback, so that the callback may close or destroy its own handle.

@@ -7,7 +7,8 @@
 /// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration; given up after the
 /// limit, when that is shorter.
 ///
-/// Owner: the loop, found by key. Thread: the loop's; `LaneJob::run` alone is called on the lane's.
+/// Owner: the loop, found by key, or whoever made it; its loop tells it of finished jobs either way.
+/// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
 #include <atomic>
@@ -57,8 +58,13 @@ class Lane {
   bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
   /// Gives up the first job that has not finished, whatever its time.
   void give_up();
-  /// Tells finished jobs' owners. Called by the loop when a worker has woken it.
+  /// Tells finished jobs' owners. Called by the loop when a worker has woken it. `done` may destroy the lane.
   void collect();
+  /// Blocks until the first job has finished and tells its owner, but no longer than this. For closing only. On a manual
+  /// loop, virtual time passes instead.
+  void wait(Duration at_most);
+  /// Leaves the thread behind with what it runs, without a fresh one: nothing waits for it any more.
+  void leave_behind() noexcept;
 
  private:
   struct Worker;
@@ -77,6 +83,7 @@ class Lane {
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
+  std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for calls during which `done` may destroy the lane
 };
 
 }  // namespace rtdata::detail

@@ -1,8 +1,8 @@
 /// Sinks: turn events of any described payload into durable or remote records.
 ///
 /// A sink attaches to topics by pattern and takes its copy of each event when it is published (a memcpy into a bounded
-/// queue); its `Writer` stores them in batches on a lane of its own, so that neither the loop nor another sink ever waits
-/// for it. A new kind of sink is a Writer:
+/// queue); its `Writer` stores them in batches on a lane of its own, so that neither the loop nor another sink ever
+/// waits for it. A new kind of sink is a Writer:
 ///
 ///     class Lines final : public rtdata::Writer {
 ///       rtdata::Result<void> open() override { ... }
@@ -12,12 +12,12 @@
 ///     };
 ///     rtdata::Sink sink(loop, {.name = "lines"}, std::make_unique<Lines>());
 ///
-/// Every event offered ends as stored, dropped with a reason, or is still queued (ledger.hpp). A failed batch is kept and
-/// tried again with a delay that doubles; meanwhile the queue fills, and when it is full events are dropped by the chosen
-/// policy, and counted.
+/// Every event offered ends as stored, dropped with a reason, or is still queued (ledger.hpp). A failed batch is kept
+/// and tried again with a delay that doubles; meanwhile the queue fills, and when it is full events are dropped by the
+/// chosen policy, and counted.
 ///
-/// Closing (or destroying) a sink stores what is queued, waiting at most `close_deadline`; `Loop::close` and `Loop::drain`
-/// close all sinks of a loop, after its sensors.
+/// Closing (or destroying) a sink stores what is queued, waiting at most `close_deadline`; `Loop::close` and
+/// `Loop::drain` close all sinks of a loop, after its sensors.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; the Writer is called on the lane's alone.
 #pragma once
@@ -30,6 +30,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/config/parameter.hpp"
 #include "rtdata/data/event.hpp"
 #include "rtdata/loop/handle.hpp"
 #include "rtdata/loop/ledger.hpp"
@@ -40,17 +41,39 @@ namespace rtdata {
 
 /// What is dropped when the queue is full.
 enum class WhenFull { drop_newest, drop_oldest };
+constexpr auto describe(type_tag<WhenFull>) {
+  return enumeration("when_full", value("drop_newest", WhenFull::drop_newest),
+                     value("drop_oldest", WhenFull::drop_oldest));
+}
 
 struct SinkConfig {
-  std::string name = {};                         ///< in reports and the ledger; each kind has a default
-  std::vector<std::string> topics = {"#"};       ///< patterns; topics made later are taken too
-  std::size_t batch_rows = 500;                  ///< events that are stored together
-  Duration batch_time = std::chrono::seconds{1};   ///< a batch is stored after so long, however small it is
+  std::string name = {};                            ///< in reports and the ledger; each kind has a default
+  std::vector<std::string> topics = {"#"};          ///< patterns; topics made later are taken too
+  std::size_t batch_rows = 500;                     ///< events that are stored together
+  Duration batch_time = std::chrono::seconds{1};    ///< a batch is stored after so long, however small it is
   std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
   WhenFull when_full = WhenFull::drop_newest;
   Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
   Duration retry_longest = std::chrono::seconds{10};
   Duration close_deadline = std::chrono::seconds{10};  ///< how long closing waits for what is queued
+
+  friend constexpr auto parameters(type_tag<SinkConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default"),
+        parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below"),
+        parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together", range(1, 1'000'000)),
+        parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after so long, however small it is",
+                  range(1ms, 1h)),
+        parameter("queue_bytes", &SinkConfig::queue_bytes, "memory for events that wait, at most", unit("By"),
+                  range(262144.0, 68719476736.0)),
+        parameter("when_full", &SinkConfig::when_full, "what is dropped when that memory is full"),
+        parameter("retry_first", &SinkConfig::retry_first, "delay after a failed batch; doubles with each failure",
+                  range(1ms, 1h)),
+        parameter("retry_longest", &SinkConfig::retry_longest, "the delay doubles up to this", range(1ms, 24h)),
+        parameter("close_deadline", &SinkConfig::close_deadline, "how long closing waits for what is queued",
+                  range(0ms, 24h)));
+  }
 };
 
 /// One (topic, origin) that a sink takes events of. Immutable once it is listed.
@@ -101,7 +124,7 @@ struct Account {
     std::uint64_t count;
   };
   Time at{};
-  bool is_last = false;  ///< the sink closes: nothing follows
+  bool is_last = false;                ///< the sink closes: nothing follows
   std::vector<OriginAccount> origins;  ///< those that changed
   std::vector<GapEntry> gaps;          ///< closed since the last account
   std::vector<SegmentEntry> segments;  ///< ended since the last account
@@ -145,7 +168,7 @@ class Batch {
   std::uint64_t refused_after(std::uint32_t slot) const noexcept;
   /// Null when this batch brings none.
   const Account* account() const noexcept { return account_; }
-  /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Returns are kept
+  /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals hold
   /// only if the batch succeeds.
   void refuse(const Record& record, const Error& why);
 
@@ -169,7 +192,9 @@ class Writer {
   virtual ~Writer() = default;
   /// Before the first batch, and again after a failure. A writer that is open already does nothing.
   virtual Result<void> open() = 0;
-  /// Stores all of the batch, or fails and is given the same batch again later: then it goes on where it stopped.
+  /// Stores all of the batch, or fails and is given the same batch again later: then it goes on where it stopped, and
+  /// refuses again what it refused. An error `closed` is the end of the writer: nothing is tried again, what is queued
+  /// and what comes later is refused, and the sink stays faulted.
   virtual Result<void> write(Batch& batch) = 0;
   /// Nothing more is queued for now.
   virtual Result<void> flush() { return {}; }
@@ -177,6 +202,9 @@ class Writer {
   virtual Result<void> close() { return {}; }
   /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
   virtual std::optional<Error> take_warning() { return std::nullopt; }
+  /// On the loop's thread, before the first event of a topic: from the sink's constructor, or later, while the lane may
+  /// be at work. `number` is that of the slots to come. An error leaves the topic out; the constructor throws it.
+  virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
   /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
   virtual LiveCounts* live_counts(std::uint32_t slot);
 };
@@ -184,7 +212,8 @@ class Writer {
 class Sink : public Handle {
  public:
   Sink() noexcept = default;
-  /// SetupError: a pattern that is none, a topic without a description under an exact name.
+  /// SetupError: a pattern that is none, a topic without a description under an exact name, a topic that the writer
+  /// refuses.
   Sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
   /// Zeros once it is closed.

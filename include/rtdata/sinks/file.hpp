@@ -1,0 +1,71 @@
+/// FileSink: events into a file: JSON lines, CSV, raw bytes, or any format of a CodecRegistry.
+///
+///     rtdata::FileSink recording(loop, {.path = "run.jsonl"});
+///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
+///
+/// The file is made when it is not there and appended to when it is. Half an event that a kill or a power cut left at
+/// its end is seen to at the next start, and reported: half a line of JSON is completed with a line end, so that it
+/// spoils itself alone. Half a row of CSV and half an event of raw bytes could be taken for values that were never
+/// measured: they are moved to FILE.half. (To find the end, these two are read through once at the start.)
+///
+/// `{topic}` in the file's name stands for the topic, its `/` written as `-`: a file each. A format with a header (CSV)
+/// holds one topic a file: a second topic on one path is an error that says so. The header is written into a new or
+/// empty file only; a file with another header is an error: choose another name.
+///
+/// One process at a time writes a file: it is locked (flock), and a second start is refused with the holder's process
+/// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
+/// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
+/// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
+/// reported. A file that somebody deletes is made anew, and that is reported.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
+/// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,
+/// bad_argument (a directory, a device; two topics in one CSV), description_differs (another header), damaged (a file
+/// of another format); those of `Sink`.
+#pragma once
+
+#include <string>
+
+#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/codec.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata {
+
+/// When what was written is forced onto the disk (fdatasync). Without it, a power cut loses what the kernel still holds
+/// (some 30 s, usually); a kill loses nothing that was written.
+enum class FileSync {
+  never,
+  batch,     ///< after each batch: the safest, the slowest
+  at_close,  ///< once, when the sink is closed
+};
+constexpr auto describe(type_tag<FileSync>) {
+  return enumeration("sync", value("never", FileSync::never), value("batch", FileSync::batch),
+                     value("close", FileSync::at_close));
+}
+
+struct FileConfig {
+  std::string path;              ///< may hold {topic} in its last part
+  std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "raw", or a name of the registry
+  FileSync sync = FileSync::at_close;
+  SinkConfig sink = {};  ///< name: the file's by default
+
+  friend constexpr auto parameters(type_tag<FileConfig>) {
+    return parameter_list(
+        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required),
+        parameter("format", &FileConfig::format,
+                  "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
+        parameter("sync", &FileConfig::sync,
+                  "when the data is forced onto the disk: never, after each batch, at close"),
+        include_member(&FileConfig::sink));
+  }
+};
+
+class FileSink : public Sink {
+ public:
+  FileSink() noexcept = default;
+  /// `formats` is used during the call only.
+  FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats = CodecRegistry::standard());
+};
+
+}  // namespace rtdata

@@ -1,0 +1,159 @@
+#include "rtdata/sinks/console.hpp"
+
+#include <fcntl.h>
+#include <limits.h>
+#include <poll.h>
+#include <pthread.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <ctime>
+
+namespace rtdata {
+namespace {
+
+/// While it lives, a SIGPIPE that this thread causes is taken back.
+class NoSigpipe {
+ public:
+  NoSigpipe() {
+    ::sigemptyset(&pipe_);
+    ::sigaddset(&pipe_, SIGPIPE);
+    sigset_t pending;
+    ::sigpending(&pending);
+    was_pending_ = ::sigismember(&pending, SIGPIPE) == 1;
+    ::pthread_sigmask(SIG_BLOCK, &pipe_, &before_);
+  }
+  NoSigpipe(const NoSigpipe&) = delete;
+  NoSigpipe& operator=(const NoSigpipe&) = delete;
+  ~NoSigpipe() {
+    if (!was_pending_) {
+      constexpr timespec at_once{0, 0};
+      while (::sigtimedwait(&pipe_, nullptr, &at_once) < 0 && errno == EINTR) {
+      }
+    }
+    ::pthread_sigmask(SIG_SETMASK, &before_, nullptr);
+  }
+
+ private:
+  sigset_t pipe_;
+  sigset_t before_;
+  bool was_pending_;
+};
+
+class ConsoleWriter final : public Writer {
+ public:
+  explicit ConsoleWriter(const ConsoleConfig& config)
+      : where_("descriptor " + std::to_string(config.descriptor)), time_(config.time) {
+    const int flags = ::fcntl(config.descriptor, F_GETFL);
+    if (flags < 0 || (flags & O_ACCMODE) == O_RDONLY) {
+      throw SetupError({Errc::bad_argument, "cannot print", where_,
+                        flags < 0 ? "it is not open" : "it is open for reading only",
+                        "use 1 (standard output) or 2 (standard error)"});
+    }
+    // A copy: a lane that is left behind must not write into what has this number by then.
+    fd_ = ::fcntl(config.descriptor, F_DUPFD_CLOEXEC, 3);
+    if (fd_ < 0) throw SetupError(system_error(errno, "cannot print", where_));
+  }
+  ~ConsoleWriter() override { ::close(fd_); }
+
+  Result<void> open() override { return {}; }
+
+  Result<void> write(Batch& batch) override {
+    if (text_.empty()) {  // else the same batch is given again
+      for (const Record& record : batch) append(record);
+    }
+    const NoSigpipe guard;
+    while (done_ < text_.size()) {
+      if (auto written = write_some(); !written) return written;
+    }
+    text_.clear();
+    done_ = 0;
+    return {};
+  }
+
+ private:
+  Result<void> write_some() {
+    constexpr int patience = 500;  // ms; then the lane is free to end
+    pollfd ready{fd_, POLLOUT, 0};
+    const int count = ::poll(&ready, 1, patience);
+    if (count == 0)
+      return Error{Errc::timed_out, "cannot print", where_, "nobody reads it", "events wait in the queue"};
+    if (count < 0 && errno == EINTR) return {};
+    // A pipe that is ready takes this much without blocking.
+    const ssize_t written = ::write(fd_, text_.data() + done_, std::min<std::size_t>(text_.size() - done_, PIPE_BUF));
+    if (written >= 0) {
+      done_ += static_cast<std::size_t>(written);
+      return {};
+    }
+    const int reason = errno;
+    if (reason == EINTR || reason == EAGAIN) return {};
+    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has gone", ""};
+    return system_error(reason, "cannot print", where_);
+  }
+
+  void append(const Record& record) {
+    append_time(record.header.time);
+    text_ += ' ';
+    text_ += record.info->topic;
+    text_ += ' ';
+    append_clean(record.info->origin);
+    text_ += " #";
+    text_ += std::to_string(record.header.sequence);
+    const EventView event = record.view();
+    for (const Leaf& leaf : event.description().leaves()) {
+      text_ += ' ';
+      text_ += leaf.path;
+      text_ += '=';
+      append_clean(to_string(event.value(leaf)));
+      if (leaf.unit.empty() || leaf.unit == "1") continue;
+      text_ += ' ';
+      text_ += leaf.unit;
+    }
+    text_ += '\n';
+  }
+
+  void append_time(Time time) {
+    const std::int64_t milliseconds = std::chrono::floor<std::chrono::milliseconds>(time.time_since_epoch()).count();
+    const std::int64_t whole = milliseconds >= 0 ? milliseconds / 1000 : (milliseconds - 999) / 1000;
+    const auto seconds = static_cast<std::time_t>(whole);
+    std::tm parts{};
+    if (time_ == ConsoleTime::local) {
+      ::localtime_r(&seconds, &parts);
+    } else {
+      ::gmtime_r(&seconds, &parts);
+    }
+    char text[64];
+    std::snprintf(text, sizeof text, "%02d:%02d:%02d.%03d", parts.tm_hour, parts.tm_min, parts.tm_sec,
+                  static_cast<int>(milliseconds - whole * 1000));
+    text_ += text;
+  }
+
+  /// Without what would move the cursor or colour the screen.
+  void append_clean(std::string_view text) {
+    for (const char c : text) {
+      if (static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
+        text_ += c;
+        continue;
+      }
+      char escaped[8];
+      std::snprintf(escaped, sizeof escaped, "\\x%02x", static_cast<unsigned>(static_cast<unsigned char>(c)));
+      text_ += escaped;
+    }
+  }
+
+  const std::string where_;
+  int fd_ = -1;
+  const ConsoleTime time_;
+  std::string text_;      // of the batch under way
+  std::size_t done_ = 0;  // bytes of it that were written
+};
+
+}  // namespace
+
+ConsoleSink::ConsoleSink(Loop& loop, ConsoleConfig config)
+    : Sink(loop, config.sink, std::make_unique<ConsoleWriter>(config)) {}
+
+}  // namespace rtdata

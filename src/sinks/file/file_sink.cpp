@@ -1,0 +1,201 @@
+#include "rtdata/sinks/file.hpp"
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "sinks/file/output_file.hpp"
+
+namespace rtdata {
+
+using detail::OutputFile;
+
+namespace {
+
+constexpr std::string_view topic_mark = "{topic}";
+constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // a batch is written in pieces of this size
+
+class FileWriter final : public Writer {
+ public:
+  FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
+      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)) {
+    const std::size_t mark = config_.path.find(topic_mark);
+    is_pattern_ = mark != std::string::npos;
+    if (config_.path.empty()) {
+      throw SetupError({Errc::bad_argument, "cannot make file sink", "", "`path` is empty", "name a file"});
+    }
+    if (!is_pattern_) {
+      files_.emplace_back();
+      open(files_.front(), config_.path).or_throw();
+    } else if (config_.path.find('/', mark) != std::string::npos) {
+      throw SetupError({Errc::bad_argument, "cannot make file sink", config_.path,
+                        "{topic} stands in the name of a directory", "put it into the file's name"});
+    } else if (const auto directory = std::filesystem::path(config_.path).parent_path();
+               !directory.empty() && !std::filesystem::is_directory(directory)) {
+      throw SetupError({Errc::not_found, "cannot make file sink", config_.path,
+                        "there is no directory " + directory.string(), "make it first"});
+    }
+  }
+
+  Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override {
+    const std::string path = path_of(topic);
+    const std::string header = header_codec_->header(description);
+    if (is_pattern_ || !header.empty()) {
+      if (const auto [other, is_new] = topic_by_path_.try_emplace(path, topic); !is_new && other->second != topic) {
+        return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
+                     (is_pattern_ ? "the file holds topic " : "the columns of a file are those of one topic, here ") +
+                         other->second,
+                     is_pattern_ ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
+      }
+    }
+    return is_set_up_ ? Result<void>{} : prepare(number, path, header);  // later ones are opened by the lane
+  }
+
+  Result<void> open() override { return {}; }
+
+  Result<void> write(Batch& batch) override {
+    for (OutputFile& file : files_) {
+      if (!file.close_if_deleted()) continue;
+      return Error{Errc::not_found, "the file was deleted", file.path(),
+                   "what had been written into it is gone with it", "a new one is made"};
+    }
+    for (OutputFile& file : files_) file.begin_batch();
+    for (const Record& record : batch) {
+      const std::uint32_t number = record.info->topic_number;
+      if (!is_ready(number)) {
+        if (auto done = prepare(number, path_of(record.info->topic), codec_->header(*record.info->description)); !done)
+          return done;
+      }
+      if (!repairs_.empty()) return take_repairs();
+      OutputFile& file = files_[by_topic_[number]];
+      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) batch.refuse(record, encoded.error());
+      if (file.buffer.size() < piece_bytes) continue;
+      if (auto done = file.write_out(); !done) return done;
+    }
+    for (OutputFile& file : files_) {
+      if (auto done = file.write_out(); !done) return done;
+    }
+    if (config_.sync == FileSync::batch) {
+      if (auto done = sync(); !done) return done;
+    }
+    for (OutputFile& file : files_) file.end_batch();
+    return {};
+  }
+
+  Result<void> close() override {
+    Result<void> done;
+    if (config_.sync != FileSync::never) done = sync();
+    if (!done) return done;
+    for (OutputFile& file : files_) file.close();
+    return {};
+  }
+
+  /// What was found at the ends of the files since the last call: an error that tells, when there was something.
+  Result<void> take_repairs() {
+    if (repairs_.empty()) return {};
+    std::string all;
+    for (const std::string& repair : repairs_) all += (all.empty() ? "" : "; ") + repair;
+    repairs_.clear();
+    return Error{Errc::damaged, "an event was cut off", config_.path, all, "the run before did not end in good order"};
+  }
+
+  /// The constructor of the sink has ended: from here on the files are the lane's.
+  void set_up() noexcept { is_set_up_ = true; }
+
+ private:
+  static constexpr std::size_t none = static_cast<std::size_t>(-1);
+
+  std::string path_of(std::string_view topic) const {
+    std::string path = config_.path;
+    if (!is_pattern_) return path;
+    std::string part(topic);
+    std::replace(part.begin(), part.end(), '/', '-');
+    for (std::size_t at = path.find(topic_mark); at != std::string::npos;
+         at = path.find(topic_mark, at + part.size())) {
+      path.replace(at, topic_mark.size(), part);
+    }
+    return path;
+  }
+
+  bool is_ready(std::uint32_t number) const noexcept {
+    return number < by_topic_.size() && by_topic_[number] != none && files_[by_topic_[number]].is_open();
+  }
+
+  Result<void> open(OutputFile& file, const std::string& path) {
+    if (file.is_open()) return {};
+    if (auto done = file.open(path); !done) return done;
+    std::string repair;
+    auto done = file.repair(*codec_, repair);
+    if (!done) file.close();
+    if (!repair.empty()) repairs_.push_back(path + ": " + repair);
+    return done;
+  }
+
+  /// Sees to it that the topic has an open file, which begins with this header.
+  Result<void> prepare(std::uint32_t number, const std::string& path, const std::string& header) {
+    if (by_topic_.size() <= number) by_topic_.resize(number + 1, none);
+    if (by_topic_[number] == none) {
+      if (is_pattern_) files_.emplace_back();
+      by_topic_[number] = files_.size() - 1;
+    }
+    OutputFile& file = files_[by_topic_[number]];
+    if (auto done = open(file, path); !done) return done;
+    if (file.has_begun()) return {};
+    if (auto done = file.begin(header); !done) {
+      file.close();
+      return done;
+    }
+    file.begin_batch();
+    return {};
+  }
+
+  Result<void> sync() {
+    for (OutputFile& file : files_) {
+      if (auto done = file.sync(); !done) return done;
+    }
+    return {};
+  }
+
+  const FileConfig config_;
+  std::unique_ptr<Codec> codec_;         // of whoever the files are
+  std::unique_ptr<Codec> header_codec_;  // loop
+  bool is_pattern_ = false;
+  // loop
+  std::map<std::string, std::string> topic_by_path_;
+  bool is_set_up_ = false;
+  // loop until it is set up, then lane
+  std::vector<OutputFile> files_;
+  std::vector<std::size_t> by_topic_;
+  std::vector<std::string> repairs_;
+};
+
+std::unique_ptr<FileWriter> make_writer(const FileConfig& config, const CodecRegistry& formats) {
+  const std::string format = config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+  auto codec = formats.make(format).or_throw();
+  return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
+}
+
+SinkConfig with_name(const FileConfig& config) {
+  SinkConfig sink = config.sink;
+  if (sink.name.empty()) sink.name = std::filesystem::path(config.path).filename().string();
+  return sink;
+}
+
+}  // namespace
+
+FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {
+  auto made = make_writer(config, formats);
+  FileWriter& writer = *made;
+  static_cast<Sink&>(*this) = Sink(loop, with_name(config), std::move(made));
+  writer.set_up();
+  if (auto found = writer.take_repairs(); !found) {
+    loop.core().runtime.report(&loop.core(), "sink " + with_name(config).name, found.error());
+  }
+}
+
+}  // namespace rtdata

@@ -1,0 +1,166 @@
+// Counts allocations on the sampling path. A program of its own, since it replaces operator new and delete.
+// More stages (a sink's copy, say) are added as one more `Stage`.
+#define DOCTEST_CONFIG_IMPLEMENT_WITH_MAIN
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <functional>
+#include <memory>
+#include <new>
+#include <string>
+#include <vector>
+
+#include "loop/observed.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace {
+
+std::atomic<std::uint64_t> allocations{0};
+
+void* allocate(std::size_t size, std::size_t alignment) {
+  allocations.fetch_add(1, std::memory_order_relaxed);
+  void* memory = nullptr;
+  if (::posix_memalign(&memory, std::max(alignment, sizeof(void*)), std::max<std::size_t>(size, 1)) != 0) throw std::bad_alloc();
+  return memory;
+}
+
+}  // namespace
+
+void* operator new(std::size_t size) { return allocate(size, alignof(std::max_align_t)); }
+void* operator new[](std::size_t size) { return allocate(size, alignof(std::max_align_t)); }
+void* operator new(std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
+void* operator new[](std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using observed::Number;
+using observed::Reordered;
+
+namespace {
+
+/// A part of the sampling path: set up on the loop, kept while it runs; returns how often it did its work.
+struct Stage {
+  const char* name;
+  std::function<std::function<std::uint64_t()>(Loop&)> set_up;
+};
+
+class Nowhere final : public Writer {
+  Result<void> open() override { return {}; }
+  Result<void> write(Batch&) override { return {}; }
+};
+
+template <class T>
+std::shared_ptr<T> keep(T object) {
+  return std::make_shared<T>(std::move(object));
+}
+
+auto count_events(Subscription subscription) {
+  return [kept = keep(std::move(subscription))] { return kept->counts().delivered; };
+}
+
+const std::vector<Stage>& stages() {
+  static const std::vector<Stage> all{
+      {"tick",
+       [](Loop& loop) {
+         auto ticker = keep(Ticker(loop, 10ms, [](const Tick&) {}));
+         return std::function<std::uint64_t()>([ticker] { return ticker->fired(); });
+       }},
+      {"timer that starts itself again",
+       [](Loop& loop) {
+         auto timer = std::make_shared<Timer>();
+         auto fired = std::make_shared<std::uint64_t>(0);
+         *timer = Timer(loop, 1ms, [raw = timer.get(), fired] {
+           ++*fired;
+           raw->start(10ms);
+         });
+         return std::function<std::uint64_t()>([timer, fired] { return *fired; });
+       }},
+      {"sample and publish",
+       [](Loop& loop) {
+         auto sensor = keep(Sensor<Number>(loop, {.name = "sensor", .rate = 100_Hz}, [] { return Number{1, 2}; }));
+         return std::function<std::uint64_t()>([sensor] { return sensor->counts().published; });
+       }},
+      {"publish by the program and by a feed",
+       [](Loop& loop) {
+         auto feed = keep(Feed<Number>(loop, {.name = "feed"}));
+         const auto topic = loop.topic<Number>("program");
+         auto ticker = keep(Ticker(loop, 10ms, [feed, topic](const Tick&) {
+           feed->publish({});
+           topic.publish({});
+         }));
+         return std::function<std::uint64_t()>([feed, ticker] { return feed->counts().published; });
+       }},
+      {"deliver to a typed handler",
+       [](Loop& loop) {
+         return std::function<std::uint64_t()>(count_events(loop.subscribe<Number>("sensor", [](const Event<Number>&) {})));
+       }},
+      {"deliver to a handler of views",
+       [](Loop& loop) { return std::function<std::uint64_t()>(count_events(loop.subscribe("#", [](const EventView&) {}))); }},
+      {"deliver with the fields mapped",
+       [](Loop& loop) {
+         auto feed = keep(Feed<Reordered>(loop, {.name = "reordered"}));
+         auto ticker = keep(Ticker(loop, 10ms, [feed](const Tick&) { feed->publish({}); }));
+         return std::function<std::uint64_t()>([ticker, count = count_events(loop.subscribe<Number>(
+                                                            "reordered", [](const Event<Number>&) {}))] { return count(); });
+       }},
+      {"copy for a sink, and hand over batches",
+       [](Loop& loop) {
+         auto sink = keep(Sink(loop, {.name = "sink", .batch_time = 20ms}, std::make_unique<Nowhere>()));
+         return std::function<std::uint64_t()>([sink] { return sink->counts().offered; });
+       }},
+  };
+  return all;
+}
+
+/// Runs the stages into their steady state, then counts allocations over `ticks` more.
+std::uint64_t allocations_of(Loop& loop, const std::vector<Stage>& chosen, std::uint64_t at_least) {
+  std::vector<std::function<std::uint64_t()>> counters;
+  std::vector<std::uint64_t> before;
+  for (const Stage& stage : chosen) counters.push_back(stage.set_up(loop));
+  loop.run_for(100ms);
+  for (const auto& counter : counters) before.push_back(counter());
+  const std::uint64_t start = allocations.load();
+  loop.run_for(200ms);
+  const std::uint64_t counted = allocations.load() - start;
+  for (std::size_t i = 0; i < counters.size(); ++i) {
+    INFO(chosen[i].name);
+    CHECK(counters[i]() - before[i] >= at_least);
+  }
+  return counted;
+}
+
+}  // namespace
+
+TEST_SUITE("allocation") {
+  TEST_CASE("NFR-4 nothing is allocated on the sampling path in its steady state, in virtual time") {
+    for (std::size_t upto = 1; upto <= stages().size(); ++upto) {
+      INFO("up to: ", std::string(stages()[upto - 1].name));
+      Loop loop(Loop::Manual{});
+      const std::vector<Stage> chosen(stages().begin(), stages().begin() + static_cast<std::ptrdiff_t>(upto));
+      CHECK(allocations_of(loop, chosen, 20) == 0);
+      CHECK(loop.runtime().balances());
+    }
+  }
+
+  TEST_CASE("NFR-4 nor in real time") {
+    Loop loop;
+    // run_for makes one timer for its end: a node.
+    CHECK(allocations_of(loop, stages(), 1) <= 1);
+  }
+}

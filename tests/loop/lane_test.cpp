@@ -1,0 +1,229 @@
+#include "rtdata/loop/lane.hpp"
+
+#include <doctest/doctest.h>
+#include <unistd.h>
+
+#include <functional>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
+
+#include "loop/loop_core.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using detail::Lane;
+using detail::LaneJob;
+using Outcome = LaneJob::Outcome;
+
+namespace {
+
+struct Job final : LaneJob {
+  std::function<void()> work;
+  std::function<void(Outcome)> told;
+  std::thread::id ran_on;
+  void run() noexcept override {
+    ran_on = std::this_thread::get_id();
+    if (work) work();
+  }
+  void done(Outcome outcome) override {
+    if (told) told(outcome);
+  }
+};
+
+std::shared_ptr<Job> job(std::function<void()> work, std::function<void(Outcome)> told) {
+  auto made = std::make_shared<Job>();
+  made->work = std::move(work);
+  made->told = std::move(told);
+  return made;
+}
+
+/// A device that does not answer: a read on an empty pipe, until it is released.
+struct Stuck {
+  int fds[2];
+  Stuck() { REQUIRE(::pipe(fds) == 0); }
+  void release() {
+    if (fds[1] >= 0) ::close(fds[1]);
+    fds[1] = -1;
+  }
+  std::function<void()> work() {
+    return [fd = fds[0]] {
+      char byte;
+      [[maybe_unused]] const auto got = ::read(fd, &byte, 1);
+    };
+  }
+  ~Stuck() { release(); }  // the end that is read stays open for a thread that may still be on its way to it
+};
+
+}  // namespace
+
+TEST_SUITE("loop") {
+  TEST_CASE("a lane runs its jobs on one thread, not the loop's, in order, and tells of each on the loop") {
+    Loop loop;
+    Lane& lane = loop.core().lane("device", 10s);
+    CHECK(&loop.core().lane("device", 10s) == &lane);
+    std::vector<int> ran;
+    std::vector<int> told;
+    std::vector<std::shared_ptr<Job>> jobs;
+    for (int i = 0; i < 20; ++i) {
+      jobs.push_back(job([&ran, i] { ran.push_back(i); }, [&told, i](Outcome outcome) {
+        CHECK(outcome == Outcome::finished);
+        told.push_back(i);
+      }));
+      CHECK(lane.submit(jobs.back()));
+    }
+    CHECK(told.empty());
+    loop.run();  // returns when the last one is told of
+    CHECK(told.size() == 20);
+    CHECK(ran == told);
+    CHECK(jobs[0]->ran_on != std::this_thread::get_id());
+    for (const auto& j : jobs) CHECK(j->ran_on == jobs[0]->ran_on);
+    CHECK(lane.submit(jobs[0]));  // a job may be used again
+    loop.run();
+    CHECK(told.size() == 21);
+  }
+
+  TEST_CASE("a lane takes so many jobs, and refuses the next until one is done") {
+    Loop loop;
+    Lane& lane = loop.core().lane("device", 10s);
+    Stuck stuck;
+    int finished = 0;
+    CHECK(lane.submit(job(stuck.work(), [&](Outcome) { ++finished; })));
+    for (std::size_t i = 1; i < Lane::capacity; ++i) CHECK(lane.submit(job({}, [&](Outcome) { ++finished; })));
+    CHECK_FALSE(lane.submit(job({}, [&](Outcome) { ++finished; })));
+    stuck.release();
+    loop.run();
+    CHECK(finished == static_cast<int>(Lane::capacity));
+    CHECK(lane.submit(job({}, [&](Outcome) { ++finished; })));
+    loop.run();
+    CHECK(finished == static_cast<int>(Lane::capacity) + 1);
+  }
+
+  TEST_CASE("a job that outlives the limit is given up, and the next goes on with a fresh thread") {
+    Loop loop;
+    Lane& lane = loop.core().lane("device", 20ms);
+    Stuck stuck;
+    std::vector<std::pair<char, Outcome>> told;
+    const auto blocked = job(stuck.work(), [&](Outcome outcome) { told.emplace_back('a', outcome); });
+    const auto next = job({}, [&](Outcome outcome) { told.emplace_back('b', outcome); });
+    CHECK(lane.submit(blocked));
+    CHECK(lane.submit(next));
+    loop.run();
+    REQUIRE(told.size() == 2);
+    bool saw_given_up = false;
+    for (const auto& [name, outcome] : told) {
+      if (name == 'a') saw_given_up = outcome == Outcome::given_up;
+      if (name == 'b') CHECK(outcome == Outcome::finished);
+    }
+    CHECK(saw_given_up);
+    CHECK(lane.left_behind() == 1);
+  }
+
+  TEST_CASE("so many threads are left behind; then nothing is taken, until one comes back") {
+    Loop loop;
+    Lane& lane = loop.core().lane("device", 10s);
+    std::vector<std::unique_ptr<Stuck>> stuck;
+    int given_up = 0;
+    const auto count = [&](Outcome outcome) { given_up += outcome == Outcome::given_up ? 1 : 0; };
+    for (std::size_t i = 0; i < Lane::most_left_behind; ++i) {
+      stuck.push_back(std::make_unique<Stuck>());
+      CHECK(lane.submit(job(stuck.back()->work(), count)));
+      if (i + 1 == Lane::most_left_behind) CHECK(lane.submit(job({}, count)));  // waits behind it
+      lane.give_up();
+    }
+    CHECK(given_up >= static_cast<int>(Lane::most_left_behind));
+    CHECK(lane.left_behind() <= Lane::most_left_behind);
+    if (lane.left_behind() == Lane::most_left_behind) CHECK_FALSE(lane.submit(job({}, count)));
+    stuck[0]->release();
+    while (lane.left_behind() == Lane::most_left_behind) std::this_thread::yield();
+    bool finished = false;
+    CHECK(lane.submit(job({}, [&](Outcome outcome) { finished = outcome == Outcome::finished; })));
+    loop.run();
+    CHECK(finished);
+  }
+
+  TEST_CASE("a lane that goes with its loop tells of every job that is outstanding") {
+    std::vector<Outcome> told;
+    auto stuck = std::make_unique<Stuck>();
+    {
+      Loop loop;
+      Lane& lane = loop.core().lane("device", 10ms);
+      CHECK(lane.submit(job(stuck->work(), [&](Outcome outcome) { told.push_back(outcome); })));
+      for (int i = 0; i < 3; ++i) {
+        CHECK(lane.submit(job([] {}, [&](Outcome outcome) {
+          told.push_back(outcome);
+          loop.core().lane("another", 10ms);  // asked for while the lanes go
+        })));
+      }
+    }
+    CHECK(told == std::vector<Outcome>(4, Outcome::cancelled));
+  }
+
+  TEST_CASE("a lane that goes waits for the running job and tells that it finished") {
+    std::vector<Outcome> told;
+    {
+      Stuck stuck;
+      Stuck begun;
+      Loop loop;  // goes first
+      Lane& lane = loop.core().lane("device", 10s);
+      CHECK(lane.submit(job(
+          [&, work = stuck.work()] {
+            CHECK(::write(begun.fds[1], "x", 1) == 1);
+            work();
+          },
+          [&](Outcome outcome) { told.push_back(outcome); })));
+      char byte;
+      CHECK(::read(begun.fds[0], &byte, 1) == 1);  // it runs
+      stuck.release();
+    }
+    CHECK(told == std::vector<Outcome>{Outcome::finished});
+  }
+
+  TEST_CASE("a job that is told of may submit the next, for ever and ever") {
+    Loop loop;
+    Lane& lane = loop.core().lane("device", 10s);
+    int rounds = 0;
+    const auto self = std::make_shared<Job>();
+    self->told = [&, raw = std::weak_ptr<Job>(self)](Outcome) {
+      if (++rounds < 1000) CHECK(lane.submit(raw.lock()));
+    };
+    CHECK(lane.submit(self));
+    loop.run();
+    CHECK(rounds == 1000);
+  }
+
+  TEST_CASE("on a manual loop jobs run at once and are told of after the scripted time, one after the other") {
+    Loop loop(Loop::Manual{});
+    loop.script_lane_duration(10ms);
+    Lane& lane = loop.core().lane("device", 1s);
+    std::vector<Duration> told;
+    int ran = 0;
+    const auto note = [&](Outcome outcome) {
+      CHECK(outcome == Outcome::finished);
+      told.push_back(loop.now().time_since_epoch());
+    };
+    CHECK(lane.submit(job([&] { ++ran; }, note)));
+    CHECK(lane.submit(job([&] { ++ran; }, note)));
+    CHECK(ran == 2);
+    CHECK(told.empty());
+    loop.run();
+    CHECK(told == std::vector<Duration>{10ms, 20ms});
+    loop.script_lane_duration(1h);
+    bool given_up = false;
+    CHECK(lane.submit(job({}, [&](Outcome outcome) { given_up = outcome == Outcome::given_up; })));
+    loop.run();
+    CHECK(given_up);
+    CHECK(loop.now().time_since_epoch() == 1020ms);
+    std::vector<Outcome> at_end;
+    {
+      Loop short_lived(Loop::Manual{});
+      short_lived.script_lane_duration(10ms);
+      CHECK(short_lived.core().lane("x", 1s).submit(job({}, [&](Outcome outcome) { at_end.push_back(outcome); })));
+    }
+    CHECK(at_end.size() == 1);
+  }
+}

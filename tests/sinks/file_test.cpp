@@ -1,0 +1,390 @@
+#include "rtdata/sinks/file.hpp"
+
+#include <doctest/doctest.h>
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+
+#include "data/payloads.hpp"
+#include "rtdata/config/read.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+
+namespace {
+
+struct Bench {
+  Directory directory;
+  std::vector<std::string> errors;
+
+  /// Publishes on topic "a" from `first` on, and closes.
+  void record(const FileConfig& config, int first, int count) {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    FileSink sink(loop, config);
+    const auto topic = loop.topic<Number>("a");
+    for (int i = 0; i < count; ++i) topic.publish({static_cast<double>(first + i)});
+  }
+  std::string refusal(const FileConfig& config) {
+    Loop loop{Loop::Manual{}};
+    loop.topic<Number>("a");
+    loop.topic<Number>("b/c");
+    try {
+      FileSink sink(loop, config);
+    } catch (const SetupError& error) {
+      return error.what();
+    }
+    return "";
+  }
+};
+
+template <class T>
+std::vector<T> read_back(const std::string& path, Codec& codec) {
+  const std::string text = content(path);
+  std::span<const std::byte> left = std::as_bytes(std::span(text));
+  if (!codec.header(*description_of<T>()).empty()) left = left.subspan(codec.first_event(left));
+  std::vector<T> all;
+  while (!left.empty()) {
+    const std::size_t size = codec.first_event(left);
+    REQUIRE(size > 0);
+    all.push_back(decode<T>(codec, left.first(size)).or_throw().data);
+    left = left.subspan(size);
+  }
+  return all;
+}
+
+std::vector<double> values(const std::string& path, std::string_view format) {
+  std::vector<double> all;
+  const auto codec = CodecRegistry::standard().make(format).or_throw();
+  for (const Number& number : read_back<Number>(path, *codec)) all.push_back(number.value);
+  return all;
+}
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-30 every format reads back equal") {
+    for (const char* format : {"jsonl", "csv", "raw"}) {
+      CAPTURE(format);
+      Bench bench;
+      payloads::Everything first;
+      first.name.assign("a\"b,\n").or_throw();
+      first.maybe = 2.5;
+      first.maybe_name.emplace().assign("x").or_throw();
+      first.maybe_state = payloads::State::broken;
+      first.maybe_flag = true;
+      first.maybes = {7U, 8U};
+      payloads::Everything second = first;
+      second.i64 = -5;
+      second.f64 = 0.1;
+      {
+        Loop loop{Loop::Manual{}};
+        FileSink sink(loop, {.path = bench.directory / "run", .format = format});
+        loop.topic<payloads::Everything>("a").publish(first);
+        loop.topic<payloads::Everything>("a").publish(second);
+        loop.advance(2s);
+        CHECK(sink.counts().stored == 2);
+      }
+      const auto codec = CodecRegistry::standard().make(std::string_view(format) == "jsonl" ? "json" : format).or_throw();
+      const auto events = read_back<payloads::Everything>(bench.directory / "run", *codec);
+      CHECK(events == std::vector<payloads::Everything>{first, second});
+    }
+  }
+
+  TEST_CASE("US-30 a second start appends; a CSV keeps its one header") {
+    for (const char* format : {"json", "csv", "raw"}) {
+      CAPTURE(format);
+      Bench bench;
+      const FileConfig config{.path = bench.directory / "run", .format = format};
+      bench.record(config, 1, 2);
+      bench.record(config, 3, 0);
+      bench.record(config, 3, 2);
+      CHECK(values(config.path, format) == std::vector<double>{1, 2, 3, 4});
+      CHECK(bench.errors.empty());
+    }
+  }
+
+  TEST_CASE("US-30 a file a topic") {
+    Bench bench;
+    Loop loop{Loop::Manual{}};
+    FileSink sink(loop, {.path = bench.directory / "run-{topic}.csv", .format = "csv"});
+    loop.topic<Number>("a").publish({1});
+    loop.topic<Number>("b/c").publish({2});
+    loop.topic<payloads::Climate>("d").publish({20, 40});
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    loop.topic<Number>("b-c").publish({3});
+    sink.close();
+    CHECK(values(bench.directory / "run-a.csv", "csv") == std::vector<double>{1});
+    CHECK(values(bench.directory / "run-b-c.csv", "csv") == std::vector<double>{2});
+    CHECK(content(bench.directory / "run-d.csv").starts_with("time,origin,sequence,temperature,humidity\n"));
+    REQUIRE(errors.size() == 1);
+    CHECK(errors[0] == "cannot record topic b-c: " + bench.directory.path +
+                           "/run-b-c.csv: the file holds topic b/c: give one of them a sink of its own");
+  }
+
+  TEST_CASE("US-30 mistakes are told by the constructor") {
+    Bench bench;
+    const std::string& directory = bench.directory.path;
+    const auto starts = [&](const FileConfig& config, const std::string& text) {
+      const std::string message = bench.refusal(config);
+      CAPTURE(message);
+      CHECK(message.starts_with(text));
+    };
+    starts({.path = ""}, "cannot make file sink: `path` is empty");
+    starts({.path = directory}, "cannot open the file: " + directory + ": it is a directory");
+    starts({.path = directory + "/no/run.jsonl"}, "cannot open the file: " + directory + "/no/run.jsonl: No such file or directory");
+    starts({.path = directory + "/no/{topic}"}, "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
+    starts({.path = directory + "/{topic}/run"}, "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
+    starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is no regular file");
+    starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
+    starts({.path = directory + "/run.csv", .format = "csv"},
+           "cannot record topic b/c: " + directory + "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
+    std::ofstream(directory + "/other.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
+    starts({.path = directory + "/other.csv", .format = "csv", .sink = {.topics = {"a"}}},
+           "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
+    std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
+    starts({.path = directory + "/text", .format = "raw"}, "cannot append to: " + directory + "/text: what it holds is no raw");
+    CHECK(content(directory + "/text") == "this is a text and not raw bytes\n");
+    if (::geteuid() == 0) {
+      MESSAGE("skipped: a directory without permission, since root may write everywhere");
+    } else {
+      ::chmod(directory.c_str(), 0500);
+      starts({.path = directory + "/new"}, "cannot open the file: " + directory + "/new: Permission denied");
+      ::chmod(directory.c_str(), 0700);
+    }
+  }
+
+  TEST_CASE("US-30 a second process on a file is refused, with the first one's number") {
+    Bench bench;
+    const std::string path = bench.directory / "run.jsonl";
+    int ready[2];
+    int release[2];
+    REQUIRE(::pipe2(ready, O_CLOEXEC) == 0);
+    REQUIRE(::pipe2(release, O_CLOEXEC) == 0);
+    const pid_t holder = ::fork();
+    if (holder == 0) {
+      ::close(release[1]);
+      const int fd = ::open(path.c_str(), O_RDWR | O_CREAT, 0644);
+      char byte = ::flock(fd, LOCK_EX) == 0 ? 'y' : 'n';
+      if (::write(ready[1], &byte, 1) == 1) [[maybe_unused]] const auto got = ::read(release[0], &byte, 1);
+      ::_exit(0);
+    }
+    char byte = 0;
+    REQUIRE(::read(ready[0], &byte, 1) == 1);
+    CHECK(byte == 'y');
+    const std::string message = bench.refusal({.path = path});
+    CAPTURE(message);
+    CHECK(message.starts_with("cannot record into: " + path + ": "));
+    CHECK(message.find("writes it: stop that one, or choose another path") != std::string::npos);
+    for (const int fd : {ready[0], ready[1], release[0], release[1]}) ::close(fd);
+    CHECK(::waitpid(holder, nullptr, 0) == holder);
+    bench.record({.path = path}, 1, 1);
+    CHECK(values(path, "json") == std::vector<double>{1});
+  }
+
+  TEST_CASE("US-30 half an event left by a kill does not spoil the next") {
+    Bench bench;
+    SUBCASE("a line of JSON is completed") {
+      const FileConfig config{.path = bench.directory / "run.jsonl"};
+      bench.record(config, 1, 2);
+      std::filesystem::resize_file(config.path, std::filesystem::file_size(config.path) - 7);
+      bench.record(config, 3, 2);
+      const std::string text = content(config.path);
+      CHECK(std::count(text.begin(), text.end(), '\n') == 4);
+      const auto codec = make_json_codec();
+      std::span<const std::byte> left = std::as_bytes(std::span(text));
+      std::string good;
+      while (!left.empty()) {
+        const std::size_t size = codec->first_event(left);
+        good += decode<Number>(*codec, left.first(size)) ? '+' : '-';
+        left = left.subspan(size);
+      }
+      CHECK(good == "+-++");
+    }
+    for (const char* format : {"csv", "raw"}) {
+      SUBCASE(format) {
+        const FileConfig config{.path = bench.directory / "run", .format = format};
+        bench.record(config, 1, 2);
+        const auto size = std::filesystem::file_size(config.path);
+        std::filesystem::resize_file(config.path, size - 1);
+        bench.record(config, 3, 2);
+        CHECK(values(config.path, format) == std::vector<double>{1, 3, 4});
+        CHECK(!content(config.path + ".half").empty());
+        // Within the header, or the first event.
+        bench.errors.clear();
+        std::filesystem::resize_file(config.path, 3);
+        bench.record(config, 5, 2);
+        CHECK(values(config.path, format) == std::vector<double>{5, 6});
+      }
+    }
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(bench.errors[0].starts_with("an event was cut off: "));
+  }
+
+  TEST_CASE("US-30 killed in the middle, then started again: all that was stored is there") {
+    for (const char* format : {"json", "csv", "raw"}) {
+      CAPTURE(format);
+      Bench bench;
+      const FileConfig config{.path = bench.directory / "run", .format = format, .sink = {.batch_rows = 10}};
+      const pid_t child = ::fork();
+      if (child == 0) {
+        Loop loop{Loop::Manual{}};
+        FileSink sink(loop, config);
+        const auto topic = loop.topic<Number>("a");
+        for (int i = 1; i <= 100; ++i) {
+          topic.publish({static_cast<double>(i)});
+          if (i % 10 == 0) loop.advance(1ms);
+          if (i == 55) ::raise(SIGKILL);
+        }
+        ::_exit(0);
+      }
+      int status = 0;
+      REQUIRE(::waitpid(child, &status, 0) == child);
+      CHECK(WIFSIGNALED(status));
+      bench.record(config, 101, 1);
+      std::vector<double> expected;
+      for (int i = 1; i <= 50; ++i) expected.push_back(i);
+      expected.push_back(101);
+      CHECK(values(config.path, format) == expected);
+      CHECK(bench.errors.empty());
+    }
+  }
+
+  TEST_CASE("US-30 events that do not fit the format are refused, counted and reported; the others are stored") {
+    Bench bench;
+    Loop loop{Loop::Manual{}};
+    FileSink sink(loop, {.path = bench.directory / "run.raw", .format = "raw"});
+    std::vector<std::string> errors;
+    sink.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    payloads::Everything absent;
+    payloads::Everything whole;
+    whole.maybe = 1;
+    whole.maybe_name.emplace();
+    whole.maybe_state = payloads::State::idle;
+    whole.maybe_flag = false;
+    whole.maybes = {7U, 8U};
+    for (int i = 0; i < 6; ++i) loop.topic<payloads::Everything>("a").publish(i % 2 == 0 ? absent : whole);
+    loop.advance(2s);
+    CHECK(sink.counts().stored == 3);
+    CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 3);
+    CHECK(sink.counts().balances());
+    REQUIRE(errors.size() == 1);
+    CHECK(errors[0].find("(the first of 3)") != std::string::npos);
+    const auto codec = make_raw_codec();
+    CHECK(read_back<payloads::Everything>(bench.directory / "run.raw", *codec).size() == 3);
+  }
+
+  TEST_CASE("NFR-1 a full disk: the events wait, and each is there once when there is room") {
+    Bench bench;
+    const std::string disk = bench.directory / "disk";
+    std::filesystem::create_directory(disk);
+    if (::mount("none", disk.c_str(), "tmpfs", 0, "size=64k") != 0) {
+      MESSAGE("skipped: mounting a small disk is not permitted here");
+      return;
+    }
+    for (const char* format : {"json", "csv", "raw"}) {
+      CAPTURE(format);
+      const std::string path = disk + "/run";
+      {
+        std::ofstream(disk + "/ballast") << std::string(50'000, 'x');
+        Loop loop{Loop::Manual{}};
+        std::vector<std::string> errors;
+        loop.on_error([&](const ErrorReport& report) { errors.push_back(std::string(report.error.id())); });
+        FileSink sink(loop, {.path = path, .format = format, .sync = FileSync::batch, .sink = {.name = "run", .batch_rows = 300}});
+        const auto topic = loop.topic<Number>("a");
+        for (int i = 1; i <= 600; ++i) {
+          topic.publish({static_cast<double>(i)});
+          if (i % 100 == 0) loop.advance(10ms);
+        }
+        loop.advance(5s);
+        CHECK(sink.health() == Health::faulted);
+        CHECK(sink.counts().queued > 0);
+        CHECK(sink.counts().balances());
+        REQUIRE(!errors.empty());
+        CHECK(errors[0] == "storage-full");
+        std::filesystem::remove(disk + "/ballast");
+        loop.advance(20s);
+        CHECK(sink.health() == Health::ok);
+        CHECK(sink.counts().stored == 600);
+      }
+      std::vector<double> expected;
+      for (int i = 1; i <= 600; ++i) expected.push_back(i);
+      CHECK(values(path, format) == expected);
+      std::filesystem::remove(path);
+    }
+    CHECK(::umount(disk.c_str()) == 0);
+  }
+
+  TEST_CASE("a file that somebody deletes is made anew, and that is reported") {
+    Bench bench;
+    const FileConfig config{.path = bench.directory / "run.csv", .format = "csv"};
+    {
+      Loop loop{Loop::Manual{}};
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+      FileSink sink(loop, config);
+      loop.topic<Number>("a").publish({1});
+      loop.advance(2s);
+      std::filesystem::remove(config.path);
+      loop.topic<Number>("a").publish({2});
+      loop.advance(3s);
+      CHECK(errors == std::vector<std::string>{"the file was deleted"});
+      CHECK(sink.counts().balances());
+    }
+    CHECK(values(config.path, "csv") == std::vector<double>{2});
+  }
+
+  TEST_CASE("US-30 formats of the program's own") {
+    class Bare final : public Codec {
+      std::string_view name() const noexcept override { return "bare"; }
+      Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
+        for (const char c : to_string(event.value(event.description().leaves().front())) + "\n") out.push_back(static_cast<std::byte>(c));
+        return {};
+      }
+      Result<DecodedEvent> decode(std::span<const std::byte>, const Description&) override {
+        return Error{Errc::bad_data, "not read here", "", "", ""};
+      }
+    };
+    Bench bench;
+    CodecRegistry formats = CodecRegistry::standard();
+    formats.add("bare", [] { return std::make_unique<Bare>(); }).or_throw();
+    {
+      Loop loop{Loop::Manual{}};
+      FileSink sink(loop, {.path = bench.directory / "run", .format = "bare"}, formats);
+      loop.topic<Number>("a").publish({1.5});
+      loop.topic<Number>("b").publish({2.5});
+    }
+    CHECK(content(bench.directory / "run") == "1.5\n2.5\n");
+  }
+
+  TEST_CASE("US-17 a file sink's parameters come from a configuration") {
+    ConfigItem item = ConfigItem::object();
+    item.set("path", "x.csv");
+    item.set("format", "csv");
+    item.set("sync", "batch");
+    item.set("topics", std::vector<std::string>{"a", "b/#"});
+    item.set("batch_rows", 7);
+    item.set("batch_time", "250 ms");
+    item.set("queue_bytes", 1 << 20);
+    item.set("when_full", "drop_oldest");
+    const auto config = read_config<FileConfig>(item);
+    CHECK(config.path == "x.csv");
+    CHECK(config.sync == FileSync::batch);
+    CHECK(config.sink.topics == std::vector<std::string>{"a", "b/#"});
+    CHECK(config.sink.batch_rows == 7);
+    CHECK(config.sink.batch_time == 250ms);
+    CHECK(config.sink.when_full == WhenFull::drop_oldest);
+    CHECK(parameters_of<FileConfig>().size() == 12);
+  }
+}

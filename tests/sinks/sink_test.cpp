@@ -1,0 +1,327 @@
+// What a sink does with its writer, told by a script.
+#include <doctest/doctest.h>
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <thread>
+
+#include "rtdata/loop/timer.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+
+namespace {
+
+using Script = ScriptedWriter::Script;
+
+SinkConfig config() {
+  return {.name = "script", .batch_rows = 10, .batch_time = 1s, .queue_bytes = 256 << 10, .retry_first = 100ms};
+}
+
+struct Large {
+  std::array<double, 500> values{};
+  friend constexpr auto describe(type_tag<Large>) { return record("large", field("values", &Large::values)); }
+};
+
+struct Bench {
+  Loop loop{Loop::Manual{}};
+  std::shared_ptr<Script> script = std::make_shared<Script>();
+  std::vector<std::string> errors;
+  std::vector<std::uint64_t> error_counts;
+  double published = 0;
+
+  Bench() {
+    loop.on_error(
+        [this](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.what); });
+  }
+  Sink make(SinkConfig with = config()) {
+    Sink sink(loop, std::move(with), std::make_unique<ScriptedWriter>(script));
+    sink.on_error([this](const ErrorReport& report) {
+      errors.push_back(std::string(report.object) + ": " + report.error.what);
+      error_counts.push_back(report.count);
+    });
+    return sink;
+  }
+  void publish(int count) {
+    for (int i = 0; i < count; ++i) loop.topic<Number>("a").publish({++published});
+  }
+  void check_all_once() const {
+    REQUIRE(script->rows.size() == static_cast<std::size_t>(published));
+    for (std::size_t i = 0; i < script->rows.size(); ++i)
+      CHECK(script->rows[i] == Row{"a", i + 1, static_cast<double>(i + 1)});
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("a batch that fails is tried again, with a delay that doubles, and nothing is lost or doubled") {
+    for (const bool throws : {false, true}) {
+      Bench bench;
+      bench.script->throws = throws;
+      Sink sink = bench.make();
+      bench.loop.advance(1ms);
+      const int before = bench.script->writes;
+      bench.script->failures = 3;
+      bench.publish(10);
+      CHECK(bench.script->writes == before + 1);
+      bench.loop.advance(99ms);
+      CHECK(sink.health() == Health::faulted);
+      CHECK(bench.script->writes == before + 1);
+      bench.loop.advance(1ms);  // 100 ms
+      CHECK(bench.script->writes == before + 2);
+      bench.publish(25);
+      bench.loop.advance(200ms);
+      CHECK(bench.script->writes == before + 3);
+      bench.loop.advance(399ms);
+      CHECK(bench.script->writes == before + 3);
+      bench.loop.advance(1ms);
+      CHECK(bench.script->writes > before + 3);
+      bench.loop.advance(2s);
+      bench.check_all_once();
+      CHECK(sink.health() == Health::ok);
+      CHECK(sink.counts().stored == 35);
+      CHECK(sink.counts().balances());
+      CHECK(bench.errors.size() == 3);
+      CHECK(bench.errors.front() == (throws ? "sink script: the writer threw" : "sink script: failed by the script"));
+    }
+  }
+
+  TEST_CASE("closing tries on while the deadline lasts") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.script->failures = 5;  // 100 + 200 + 400 + 800 + 1600 ms
+    bench.publish(7);
+    sink.close();
+    bench.check_all_once();
+    CHECK(bench.script->closes == 1);
+    CHECK(bench.script->has_last_account);
+    CHECK(bench.loop.now().time_since_epoch() == 3100ms);
+  }
+
+  TEST_CASE("what cannot be stored before the deadline of closing is counted as lost") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.publish(20);
+    bench.loop.advance(10ms);
+    bench.script->failures = 1'000'000;
+    bench.publish(13);
+    SUBCASE("of a sink") {
+      sink.close();
+      CHECK(bench.loop.now().time_since_epoch() == 10s + 10ms);
+    }
+    SUBCASE("of a loop") {
+      CHECK(bench.loop.close(5s) == 13);
+      CHECK(sink.counts().queued == 0);
+      CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 13);
+      bench.script->failures = 0;
+      bench.loop.advance(1min);
+    }
+    CHECK(bench.script->rows.size() == 20);
+    const SinkStatus last = bench.loop.runtime().sinks().front();
+    CHECK(last.counts.stored == 20);
+    CHECK(last.counts.dropped[static_cast<std::size_t>(DropReason::refused)] == 13);
+    CHECK(last.counts.balances());
+    CHECK(bench.loop.runtime().has_loss());
+    CHECK(bench.errors.back() == "sink script: lost 13 events");
+  }
+
+  TEST_CASE("refused events are counted and reported once, also when their batch is tried again") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.script->refused_value = 4;
+    bench.script->failures = 2;
+    bench.publish(10);
+    bench.loop.advance(1s);
+    CHECK(sink.counts().stored == 9);
+    CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 1);
+    CHECK(sink.counts().balances());
+    CHECK(bench.script->rows.size() == 9);
+    REQUIRE(bench.errors.size() == 3);
+    CHECK(bench.errors.back() == "sink script: refused by the script");
+    CHECK(bench.error_counts == std::vector<std::uint64_t>{1, 1, 1});
+  }
+
+  TEST_CASE("a writer that has ended is not tried again, and what comes is refused") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.publish(10);
+    bench.loop.advance(1ms);
+    bench.script->ends = true;
+    bench.publish(10);
+    bench.loop.advance(1min);
+    const int writes = bench.script->writes;
+    bench.publish(15);
+    bench.loop.advance(1min);
+    CHECK(bench.script->writes == writes);
+    CHECK(sink.health() == Health::faulted);
+    CHECK(sink.counts().stored == 10);
+    CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 25);
+    CHECK(sink.counts().balances());
+    CHECK(bench.errors == std::vector<std::string>{"sink script: it has ended"});
+    CHECK(bench.loop.close(1s) == 0);
+    CHECK(bench.loop.runtime().sinks().front().health == Health::faulted);
+  }
+
+  TEST_CASE("large events do not wait for the queue to be full") {
+    Bench bench;
+    SinkConfig with = config();
+    with.batch_rows = 100;
+    Sink sink = bench.make(with);
+    for (int i = 0; i < 1000; ++i) {
+      bench.loop.topic<Large>("large").publish({});
+      if (i % 20 == 0) bench.loop.advance(1us);  // so that the end of a batch is noticed
+    }
+    CHECK(sink.counts().all_dropped() == 0);
+    bench.loop.advance(2s);
+    CHECK(sink.counts().stored == 1000);
+  }
+
+  TEST_CASE("a stalled writer does not make the queue small: slow events share its memory") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.loop.advance(1500ms);
+    bench.script->failures = 20;  // for minutes
+    for (int second = 0; second < 100; ++second) {
+      bench.publish(1);
+      bench.loop.advance(1s);
+    }
+    CHECK(sink.counts().all_dropped() == 0);
+    CHECK(sink.counts().offered == 100);
+    bench.loop.advance(5min);
+    bench.check_all_once();
+  }
+
+  TEST_CASE("a topic that the writer refuses is a set-up error, or reported when it comes later") {
+    Bench bench;
+    bench.script->on_topic = [](std::string_view topic) -> Result<void> {
+      if (topic == "no") return Error{Errc::bad_argument, "not this one", std::string(topic), "", ""};
+      return {};
+    };
+    {
+      Sink sink = bench.make();
+      bench.loop.topic<Number>("no").publish({1});
+      bench.publish(1);
+      bench.loop.advance(2s);
+      CHECK(bench.errors == std::vector<std::string>{"sink script: not this one"});
+      CHECK(sink.counts().offered == 1);
+    }
+    CHECK(bench.script->rows.size() == 1);
+    CHECK_THROWS_WITH_AS(bench.make(), "not this one: no", SetupError);
+    bench.publish(1);  // no tap is left
+    CHECK(bench.loop.runtime().sinks().size() == 1);
+  }
+
+  TEST_CASE("a sink may be closed from its own error handler, and from the loop's") {
+    for (const bool own : {true, false}) {
+      Bench bench;
+      Sink sink(bench.loop, config(), std::make_unique<ScriptedWriter>(bench.script));
+      int reports = 0;
+      const auto handler = [&](const ErrorReport&) {
+        ++reports;
+        bench.script->failures = 0;
+        sink.close();
+      };
+      if (own) {
+        sink.on_error(handler);
+      } else {
+        bench.loop.on_error(handler);
+      }
+      bench.script->failures = 1;
+      bench.publish(10);
+      bench.loop.advance(1s);
+      CHECK(reports == 1);
+      CHECK(!sink.is_open());
+      bench.check_all_once();
+      CHECK(bench.loop.runtime().balances());
+    }
+  }
+
+  TEST_CASE("a sink closed while its loop drains tells both") {
+    Bench bench;
+    bench.loop.script_lane_duration(1s);
+    Sink sink = bench.make();
+    bench.publish(30);
+    std::vector<std::uint64_t> lost;
+    bench.loop.drain(10s, [&](std::uint64_t count) { lost.push_back(count); });
+    bench.loop.drain(10s, [&](std::uint64_t count) { lost.push_back(count); });
+    CHECK(lost.empty());
+    sink.close();
+    CHECK(lost == std::vector<std::uint64_t>{0, 0});
+    bench.check_all_once();
+  }
+
+  TEST_CASE("every account reaches the writer, the last one last") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.script->failures = 8;  // longer than four accounts would take
+    for (int second = 0; second < 10; ++second) {
+      bench.publish(3);
+      bench.loop.advance(1s);
+    }
+    CHECK(bench.loop.close(1min) == 0);
+    CHECK(bench.script->has_last_account);
+    bench.check_all_once();
+  }
+
+  TEST_CASE("NFR-1 a writer that hangs delays the end by the deadline only, and its events count as lost") {
+    // In real time: the writer is stuck until the test lets it go.
+    int ends[2];
+    REQUIRE(::pipe2(ends, O_CLOEXEC) == 0);
+    const auto released = std::make_shared<std::atomic<bool>>(false);
+    const auto script = std::make_shared<Script>();
+    const auto stuck = std::make_shared<std::atomic<bool>>(false);
+    script->before_write = [reader = ends[0], released, stuck] {
+      stuck->store(true);
+      char byte = 0;
+      CHECK(::read(reader, &byte, 1) == 1);
+      released->store(true);
+    };
+    for (const bool by_loop : {false, true}) {
+      released->store(false);
+      stuck->store(false);
+      Loop loop;
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+      SinkConfig with = config();
+      with.close_deadline = 20ms;
+      Sink sink(loop, with, std::make_unique<ScriptedWriter>(script));
+      const auto topic = loop.topic<Number>("a");
+      for (int i = 0; i < 25; ++i) topic.publish({1});
+      Ticker ticker(loop, 1ms, [&](const Tick&) {
+        if (stuck->load()) loop.stop();
+      });
+      loop.run();
+      ticker.close();
+      if (by_loop) {
+        CHECK(loop.close(20ms) == 25);
+      } else {
+        sink.close();
+      }
+      CHECK(!released->load());
+      const SinkStatus last = loop.runtime().sinks().front();
+      CHECK(last.counts.offered == 25);
+      CHECK(last.counts.dropped[static_cast<std::size_t>(DropReason::refused)] == 25);
+      CHECK(last.counts.balances());
+      CHECK(errors.back() == "lost 25 events");
+      // The loop goes on, and a second sink works.
+      const auto other = std::make_shared<Script>();
+      Sink next(loop, config(), std::make_unique<ScriptedWriter>(other));
+      topic.publish({2});
+      next.close();
+      CHECK(other->rows.size() == 1);
+      sink.close();
+      CHECK(::write(ends[1], "x", 1) == 1);
+      // The thread left behind ends by itself, and what it held goes with it.
+      while (script->writers.load() > 0) std::this_thread::yield();
+      CHECK(released->load());
+    }
+    CHECK(script->rows.size() <= 40);
+    ::close(ends[0]);
+    ::close(ends[1]);
+  }
+}
