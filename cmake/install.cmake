@@ -11,6 +11,10 @@ install(TARGETS ${RTDATA_TARGETS} EXPORT rtdata-targets
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 install(EXPORT rtdata-targets NAMESPACE rtdata:: DESTINATION ${RTDATA_CMAKE_DIR})
 
+set(RTDATA_WITH_PROGRAM OFF)
+if(TARGET rtdata_program)
+  set(RTDATA_WITH_PROGRAM ON)
+endif()
 configure_package_config_file(cmake/rtdata-config.cmake.in rtdata-config.cmake INSTALL_DESTINATION ${RTDATA_CMAKE_DIR})
 write_basic_package_version_file(rtdata-config-version.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config.cmake ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config-version.cmake

@@ -28,7 +28,7 @@ def run(command, **options):
 
 
 def pages(source):
-    return sorted(source.glob("*.md")) + sorted((source / "docs").glob("*.md"))
+    return sorted(source.glob("*.md")) + sorted((source / "docs").glob("*.md")) + [source / "examples/README.md"]
 
 
 def check_blocks(source, build, compiler, program):

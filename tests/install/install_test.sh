@@ -40,9 +40,13 @@ PYTHON
 }
 
 project find_package
+cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
 cmake --build out >>cmake.log || { cat cmake.log >&2; exit 1; }
 check out/record
+if [ -x out/own_types ]; then
+    out/own_types check "$source/examples/06_own_types.json"
+fi
 
 project pkg_config
 PKG_CONFIG_PATH="$pkgconfig" sh build.sh
