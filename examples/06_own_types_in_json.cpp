@@ -13,7 +13,7 @@ struct WaveConfig {
   double amplitude = 1;
   friend constexpr auto parameters(rtdata::type_tag<WaveConfig>) {
     return rtdata::parameter_list(
-        rtdata::parameter("amplitude", &WaveConfig::amplitude, "its height", rtdata::unit("V"), rtdata::range(0.0, 9.0)));
+        rtdata::parameter("amplitude", &WaveConfig::amplitude, "height", rtdata::unit("V"), rtdata::range(0.0, 9.0)));
   }
 };
 struct TallyConfig {

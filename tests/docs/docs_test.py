@@ -45,7 +45,8 @@ def check_blocks(source, build, compiler, program):
                 elif kind == "compile":
                     file = Path(folder) / "block.cpp"
                     file.write_text(block["text"])
-                    done = run([compiler, "-std=c++20", "-fsyntax-only", "-Wall", "-Wextra", f"-I{source}/include", file])
+                    flags = ["-std=c++20", "-fsyntax-only", "-Wall", "-Wextra", f"-I{source}/include"]
+                    done = run([compiler, *flags, file])
                     if done.returncode != 0 or done.stderr:
                         problem(where, "does not compile:\n" + done.stderr)
                 elif kind not in ("configuration", "run"):
@@ -76,7 +77,8 @@ def check_links(source):
 
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
-    listed = re.search(r"Ids in use: (.*?)\. They do not", (source / "include/rtdata/config/problem.hpp").read_text(), re.S)
+    header = (source / "include/rtdata/config/problem.hpp").read_text()
+    listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
     headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))
     for name in sorted(set(ids) - {"ok"} - headings):
@@ -151,7 +153,8 @@ def check_requirements(source, rewrite):
         match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)
         if match and rewrite:
             tests = tests_of(match[1], names)
-            line = f"| {match[1]} | {match[2]} | " + ("<br>".join(f"`{test}`" for test in tests) or match[3].strip()) + " |"
+            shown = "<br>".join(f"`{test}`" for test in tests) or match[3].strip()
+            line = f"| {match[1]} | {match[2]} | {shown} |"
         elif match:
             listed = re.findall(r"`([^`]+)`", match[3])
             for test in listed:
