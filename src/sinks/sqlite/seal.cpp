@@ -92,17 +92,6 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       sum.rows += count.rows;
     }
   }
-  for (const auto& [origin, count] : counted) {  // began after the last account
-    if (std::any_of(rows->begin(), rows->end(), [&name = origin](const LedgerRow& row) { return row.origin == name; })) continue;
-    auto insert = database.prepare(
-        "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, "
-        "published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, last_sequence) "
-        "VALUES(?,?,?,-1,0,0,0,0,0,0,0,?,?,0,0,?,?,0,0,0,?,?)");
-    if (!insert) return std::move(insert).error();
-    insert->bind(1, run.run).bind(2, topic).bind(3, origin).bind(4, count.rows).bind(5, count.rows).bind(6, count.rows).bind(7, count.rows);
-    insert->bind(8, count.first_sequence).bind(9, count.last_sequence);
-    if (auto done = insert->run(); !done) return done;
-  }
   for (const LedgerRow& row : *rows) {
     // Every ledger row of a topic says up to where its count goes; an older one is counted from there.
     std::int64_t added = 0;
@@ -131,9 +120,11 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
       lost += unsaved;
     }
+    // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
     auto update = database.prepare(
-        "UPDATE rtdata_ledger SET offered = ?, stored = ?, dropped_newest = dropped_newest + ?, dropped_unsaved = ?, first_sequence = ?, "
-        "last_sequence = ? WHERE run = ? AND topic = ? AND origin = ?");
+        "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
+        "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = dropped_newest + ?3, "
+        "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
     if (!update) return std::move(update).error();
     update->bind(1, offered).bind(2, row.stored + added).bind(3, dropped_more).bind(4, unsaved).bind(5, first_sequence).bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);

@@ -139,6 +139,10 @@ Result<void> SqliteWriter::prepare_account() {
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, period=excluded.period"},
+      {slot_,
+       "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, "
+       "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, "
+       "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source) VALUES(?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
@@ -154,7 +158,9 @@ Result<void> SqliteWriter::prepare_account() {
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
+  const auto slots = static_cast<std::uint32_t>(batch.slots());
   auto done = begin_.run();
+  if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
   if (done) done = commit_.run();
@@ -163,11 +169,24 @@ Result<void> SqliteWriter::write(Batch& batch) {
     tables_.clear();  // what was made in the transaction is gone with it
     return done;
   }
+  known_slots_ = slots;
   if (batch.account() != nullptr) {
     last_account_ = batch.account()->at;
     look_at_space();
   }
   if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
+  return {};
+}
+
+Result<void> SqliteWriter::write_slots(const Batch& batch) {
+  // Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
+  for (std::uint32_t i = known_slots_; i < batch.slots(); ++i) {
+    const SlotInfo& slot = batch.slot(i);
+    const bool has_table = slot.topic_number < tables_.size() && tables_[slot.topic_number] != nullptr;
+    slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
+    slot_.bind(5, has_table ? tables_[slot.topic_number]->last_rowid() : 0);
+    if (auto done = slot_.run(); !done) return done;
+  }
   return {};
 }
 
@@ -273,7 +292,7 @@ void SqliteWriter::look_at_space() {
 Result<void> SqliteWriter::close() {
   if (is_closed_) return {};
   tables_.clear();
-  for (Statement* statement : {&begin_, &commit_, &ledger_, &schedule_, &gap_, &clock_, &error_, &run_end_}) *statement = Statement();
+  for (Statement* statement : {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &clock_, &error_, &run_end_}) *statement = Statement();
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();

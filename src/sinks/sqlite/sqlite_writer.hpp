@@ -39,6 +39,7 @@ class SqliteWriter final : public Writer {
  private:
   Result<void> configure();
   Result<void> begin_run(const RunInfo& run);
+  Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
@@ -52,6 +53,7 @@ class SqliteWriter final : public Writer {
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
   Statement begin_;
   Statement commit_;
+  Statement slot_;
   Statement ledger_;
   Statement schedule_;
   Statement gap_;
@@ -64,6 +66,7 @@ class SqliteWriter final : public Writer {
   Time limits_looked_at_{};
   Time last_account_{};
   int wal_pages_ = 0;
+  std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool is_closed_ = false;
 };
 
