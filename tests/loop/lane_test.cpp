@@ -171,8 +171,8 @@ TEST_SUITE("loop") {
       Loop loop;  // goes first
       Lane& lane = loop.core().lane("device", 10s);
       CHECK(lane.submit(job(
-          [&, work = stuck.work()] {
-            CHECK(::write(begun.fds[1], "x", 1) == 1);
+          [fd = begun.fds[1], work = stuck.work()] {
+            CHECK(::write(fd, "x", 1) == 1);
             work();
           },
           [&](Outcome outcome) { told.push_back(outcome); })));
