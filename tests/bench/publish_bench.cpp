@@ -12,8 +12,8 @@
 namespace bench {
 namespace {
 
-constexpr unsigned events_a_callback = 256;
-constexpr unsigned callbacks = 400;
+constexpr unsigned events_a_callback = 1000;
+constexpr unsigned callbacks = 100;
 
 /// One callback publishes, the loop delivers; the feed keeps its account and gives sequence and time.
 class Published {
@@ -29,7 +29,7 @@ class Published {
   }
 
   double measure() {
-    const std::int64_t begin = monotonic_ns();
+    const std::int64_t begin = thread_cpu_ns();
     for (unsigned i = 0; i < callbacks; ++i) {
       loop_.post([this] {
         rtdata::Time time = loop_.time();
@@ -37,7 +37,7 @@ class Published {
       });
       loop_.poll();
     }
-    const std::int64_t end = monotonic_ns();
+    const std::int64_t end = thread_cpu_ns();
     keep(sum_);
     if (count_ != std::uint64_t{callbacks} * events_a_callback * subscriptions_.size()) return 1e9;
     count_ = 0;
@@ -66,7 +66,7 @@ class Direct {
   }
 
   double measure() {
-    const std::int64_t begin = monotonic_ns();
+    const std::int64_t begin = thread_cpu_ns();
     rtdata::Time time{};
     for (unsigned i = 0; i < callbacks * events_a_callback; ++i) {
       rtdata::Event<Eight> event;
@@ -77,7 +77,7 @@ class Direct {
       keep(event);
       for (const auto& function : functions_) function(event);
     }
-    const std::int64_t end = monotonic_ns();
+    const std::int64_t end = thread_cpu_ns();
     keep(sum_);
     return static_cast<double>(end - begin) / (callbacks * events_a_callback);
   }
