@@ -351,7 +351,7 @@ CallbackTimes AnySensor::times() const noexcept {
   return s != nullptr ? s->callback_times() : CallbackTimes{};
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = source(node())) s->on_error = std::move(handler);
+  if (auto* s = source(node())) s->set_on_error(std::move(handler));
 }
 
 }  // namespace rtdata
