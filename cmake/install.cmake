@@ -10,15 +10,23 @@ endforeach()
 install(TARGETS ${RTDATA_TARGETS} EXPORT rtdata-targets
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 install(EXPORT rtdata-targets NAMESPACE rtdata:: DESTINATION ${RTDATA_CMAKE_DIR})
-if(TARGET rtdata_app)
-  install(TARGETS rtdata_app RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
-endif()
 
+set(RTDATA_WITH_PROGRAM OFF)
+if(TARGET rtdata_program)
+  set(RTDATA_WITH_PROGRAM ON)
+endif()
 configure_package_config_file(cmake/rtdata-config.cmake.in rtdata-config.cmake INSTALL_DESTINATION ${RTDATA_CMAKE_DIR})
 write_basic_package_version_file(rtdata-config-version.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config.cmake ${CMAKE_CURRENT_BINARY_DIR}/rtdata-config-version.cmake
   DESTINATION ${RTDATA_CMAKE_DIR})
 
+# Relative to the .pc file, so that the package can be installed with another prefix, or moved.
+if(IS_ABSOLUTE "${CMAKE_INSTALL_LIBDIR}")
+  set(RTDATA_PC_PREFIX ${CMAKE_INSTALL_PREFIX})
+else()
+  file(RELATIVE_PATH RTDATA_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
+  string(REGEX REPLACE "/$" "" RTDATA_PC_PREFIX "\${pcfiledir}/${RTDATA_PC_PREFIX}")
+endif()
 foreach(module rtdata rtdata-sqlite)
   configure_file(cmake/${module}.pc.in ${module}.pc @ONLY)
   install(FILES ${CMAKE_CURRENT_BINARY_DIR}/${module}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)

@@ -7,6 +7,13 @@ target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata::rtdata doctest
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
   RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+if(RTDATA_PROGRAM)
+  # The program as the tests run it, with sensor and sink types of their own.
+  add_executable(rtdata_test_program tests/app/test_program.cpp)
+  target_link_libraries(rtdata_test_program PRIVATE rtdata_options rtdata::program)
+  target_include_directories(rtdata_test_program PRIVATE tests)
+  add_dependencies(rtdata_tests rtdata_test_program rtdata_main)
+endif()
 foreach(suite data loop sensors sinks config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
@@ -23,4 +30,20 @@ find_package(Python3 COMPONENTS Interpreter)
 if(Python3_FOUND)
   add_test(NAME compile_fail COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/data/compile_fail.py
     ${CMAKE_CXX_COMPILER} ${CMAKE_CURRENT_SOURCE_DIR}/include)
+endif()
+
+include(cmake/examples.cmake)
+
+# The documentation agrees with the product.
+if(Python3_FOUND)
+  add_test(NAME docs COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/docs/docs_test.py
+    ${CMAKE_CURRENT_SOURCE_DIR} ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CXX_COMPILER})
+  set_tests_properties(docs PROPERTIES TIMEOUT 300)
+endif()
+
+# Projects of others find and use what is installed. Sanitized libraries would want sanitized users.
+if(TARGET rtdata_sqlite AND NOT RTDATA_SANITIZE)
+  add_test(NAME install COMMAND sh ${CMAKE_CURRENT_SOURCE_DIR}/tests/install/install_test.sh
+    ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  set_tests_properties(install PROPERTIES TIMEOUT 900 LABELS slow ENVIRONMENT "CXX=${CMAKE_CXX_COMPILER}")
 endif()

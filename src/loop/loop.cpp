@@ -149,7 +149,7 @@ void LoopCore::arm_clock() noexcept {
 }
 
 LoopCore::~LoopCore() {
-  runtime.flush_repeats(RuntimeCore::Repeats::all);
+  on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
   while (nodes_ != nullptr) {
     nodes_->retain();
     Node* node = nodes_;
@@ -586,7 +586,9 @@ Loop::Loop(Runtime& runtime, Config config)
                                                dynamic_cast<ManualClock*>(&runtime.core().clock()) != nullptr
                                                    ? detail::LoopCore::Time::manual
                                                    : detail::LoopCore::Time::real)) {}
-Loop::~Loop() = default;
+Loop::~Loop() {
+  if (own_runtime_ != nullptr) own_runtime_->on_log({});  // as for on_error
+}
 
 void Loop::run() { core_->run(); }
 void Loop::run_for(Duration duration) { core_->run_for(duration); }

@@ -184,7 +184,9 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   void tick(const Tick&) override {
     Call call(*this);
-    loop()->runtime.look_at_clock();  // may log, and a user's handler may close this sink
+    RuntimeCore& runtime = loop()->runtime;
+    runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
+    runtime.flush_repeats(RuntimeCore::Repeats::old);
     if (is_open()) flush();
   }
   std::string blame_name() const override { return object_name(); }

@@ -166,18 +166,18 @@ TEST_SUITE("loop") {
   TEST_CASE("a lane that goes waits for the running job and tells that it finished") {
     std::vector<Outcome> told;
     {
-      Loop loop;
       Stuck stuck;
       Stuck begun;
+      Loop loop;  // goes first
       Lane& lane = loop.core().lane("device", 10s);
       CHECK(lane.submit(job(
           [&, work = stuck.work()] {
-            begun.release();
+            CHECK(::write(begun.fds[1], "x", 1) == 1);
             work();
           },
           [&](Outcome outcome) { told.push_back(outcome); })));
       char byte;
-      CHECK(::read(begun.fds[0], &byte, 1) == 0);  // it runs
+      CHECK(::read(begun.fds[0], &byte, 1) == 1);  // it runs
       stuck.release();
     }
     CHECK(told == std::vector<Outcome>{Outcome::finished});

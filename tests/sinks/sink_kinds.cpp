@@ -15,6 +15,8 @@
 #include "rtdata/data/codec.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/database.hpp"
 
 namespace sinks {
 namespace {
@@ -87,6 +89,28 @@ class ConsoleStore final : public Store {
   std::string text_;
 };
 
+class SqliteStore final : public Store {
+ public:
+  Sink make(Loop& loop, SinkConfig config) override {
+    return SqliteSink(loop, {.path = directory_ / "run.db", .sink = std::move(config)});
+  }
+  std::vector<Row> rows() override {
+    std::vector<Row> all;
+    const auto database = sqlite::Database::open(directory_ / "run.db", sqlite::Database::Mode::read).or_throw();
+    auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic").or_throw();
+    while (topics.step().or_throw()) {
+      auto rows = database.prepare("SELECT sequence, value FROM " + sqlite::quoted(topics.text(1)) + " ORDER BY rowid").or_throw();
+      while (rows.step().or_throw()) {
+        all.push_back({std::string(topics.text(0)), static_cast<std::uint64_t>(rows.integer(0)), rows.real(1)});
+      }
+    }
+    return all;
+  }
+
+ private:
+  Directory directory_;
+};
+
 class ScriptedStore final : public Store {
  public:
   ScriptedStore(Duration lane_duration, int fail_every) : lane_duration_(lane_duration) {
@@ -111,6 +135,7 @@ const std::vector<SinkKind>& sink_kinds() {
       {"file, JSON lines", [] { return std::make_unique<FileStore>("jsonl"); }},
       {"file, CSV", [] { return std::make_unique<FileStore>("csv"); }},
       {"file, raw bytes", [] { return std::make_unique<FileStore>("raw"); }},
+      {"SQLite", [] { return std::make_unique<SqliteStore>(); }},
       {"console", [] { return std::make_unique<ConsoleStore>(); }},
       {"slow writer", [] { return std::make_unique<ScriptedStore>(300ms, 0); }},
       {"failing writer", [] { return std::make_unique<ScriptedStore>(0ms, 3); }},

@@ -2,6 +2,7 @@
 /// more entry in `sink_kinds`.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -74,8 +75,12 @@ class ScriptedWriter : public rtdata::Writer {
     std::function<void()> before_write;
     std::function<rtdata::Result<void>(std::string_view topic)> on_topic;
     bool has_last_account = false;
+    std::atomic<int> writers{0};  // that live
   };
-  explicit ScriptedWriter(std::shared_ptr<Script> script) : script_(std::move(script)) {}
+  explicit ScriptedWriter(std::shared_ptr<Script> script) : script_(std::move(script)) {
+    script_->writers.fetch_add(1);
+  }
+  ~ScriptedWriter() override { script_->writers.fetch_sub(1); }
   rtdata::Result<void> open() override;
   rtdata::Result<void> write(rtdata::Batch& batch) override;
   rtdata::Result<void> close() override;

@@ -122,7 +122,8 @@ class Loop {
   template <class T, class F>
   [[nodiscard]] Subscription subscribe(std::string_view pattern, F&& handler);
 
-  /// Errors met at run time that no object of its own handled. Default: the runtime's log.
+  /// Errors met at run time that no object of its own handled. Default: the runtime's log. Not called any more once the
+  /// loop is being destroyed; `drain` and `close` hand out what was held back.
   void on_error(Callback<void(const ErrorReport&)> handler);
 
   /// Stops every sensor (reads under way may finish), hands every sink what is queued, closes and writes the ledger,

@@ -26,7 +26,7 @@ constexpr auto describe(type_tag<ConsoleTime>) {
 }
 
 struct ConsoleConfig {
-  int descriptor = 1;                   ///< 1: standard output, 2: standard error; it stays the program's
+  int descriptor = 1;                   ///< 1: standard output, 2: standard error; a copy is used
   ConsoleTime time = ConsoleTime::utc;  ///< local: as TZ or /etc/localtime says
   /// Smaller and quicker than other sinks': a person reads it.
   SinkConfig sink = {.name = "console",

@@ -60,7 +60,7 @@ struct LedgerEntry {
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none
   std::uint64_t pruned = 0;
-  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account; 0: not said
+  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
@@ -181,7 +181,7 @@ struct TopicSummary {
   std::size_t origins = 0;
   std::uint64_t rows = 0;
   double wanted_hertz = 0;   ///< from the schedule, summed over the origins; 0: no schedule
-  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, between first and last
+  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, in the run
   /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};

@@ -45,14 +45,19 @@ class NoSigpipe {
 
 class ConsoleWriter final : public Writer {
  public:
-  explicit ConsoleWriter(const ConsoleConfig& config) : fd_(config.descriptor), time_(config.time) {
-    const int flags = ::fcntl(fd_, F_GETFL);
+  explicit ConsoleWriter(const ConsoleConfig& config)
+      : where_("descriptor " + std::to_string(config.descriptor)), time_(config.time) {
+    const int flags = ::fcntl(config.descriptor, F_GETFL);
     if (flags < 0 || (flags & O_ACCMODE) == O_RDONLY) {
-      throw SetupError({Errc::bad_argument, "cannot print", "descriptor " + std::to_string(fd_),
+      throw SetupError({Errc::bad_argument, "cannot print", where_,
                         flags < 0 ? "it is not open" : "it is open for reading only",
                         "use 1 (standard output) or 2 (standard error)"});
     }
+    // A copy: a lane that is left behind must not write into what has this number by then.
+    fd_ = ::fcntl(config.descriptor, F_DUPFD_CLOEXEC, 3);
+    if (fd_ < 0) throw SetupError(system_error(errno, "cannot print", where_));
   }
+  ~ConsoleWriter() override { ::close(fd_); }
 
   Result<void> open() override { return {}; }
 
@@ -71,11 +76,11 @@ class ConsoleWriter final : public Writer {
 
  private:
   Result<void> write_some() {
-    const std::string where = "descriptor " + std::to_string(fd_);
     constexpr int patience = 500;  // ms; then the lane is free to end
     pollfd ready{fd_, POLLOUT, 0};
     const int count = ::poll(&ready, 1, patience);
-    if (count == 0) return Error{Errc::timed_out, "cannot print", where, "nobody reads it", "events wait in the queue"};
+    if (count == 0)
+      return Error{Errc::timed_out, "cannot print", where_, "nobody reads it", "events wait in the queue"};
     if (count < 0 && errno == EINTR) return {};
     // A pipe that is ready takes this much without blocking.
     const ssize_t written = ::write(fd_, text_.data() + done_, std::min<std::size_t>(text_.size() - done_, PIPE_BUF));
@@ -85,8 +90,8 @@ class ConsoleWriter final : public Writer {
     }
     const int reason = errno;
     if (reason == EINTR || reason == EAGAIN) return {};
-    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where, "its reader has gone", ""};
-    return system_error(reason, "cannot print", where);
+    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has gone", ""};
+    return system_error(reason, "cannot print", where_);
   }
 
   void append(const Record& record) {
@@ -139,7 +144,8 @@ class ConsoleWriter final : public Writer {
     }
   }
 
-  const int fd_;
+  const std::string where_;
+  int fd_ = -1;
   const ConsoleTime time_;
   std::string text_;      // of the batch under way
   std::size_t done_ = 0;  // bytes of it that were written

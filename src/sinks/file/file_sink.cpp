@@ -1,7 +1,6 @@
 #include "rtdata/sinks/file.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -23,7 +22,8 @@ constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // a batch is written
 
 class FileWriter final : public Writer {
  public:
-  FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec) : config_(config), codec_(std::move(codec)) {
+  FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
+      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
@@ -44,7 +44,7 @@ class FileWriter final : public Writer {
 
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override {
     const std::string path = path_of(topic);
-    const std::string header = codec_->header(description);
+    const std::string header = header_codec_->header(description);
     if (is_pattern_ || !header.empty()) {
       if (const auto [other, is_new] = topic_by_path_.try_emplace(path, topic); !is_new && other->second != topic) {
         return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
@@ -53,19 +53,10 @@ class FileWriter final : public Writer {
                      is_pattern_ ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
       }
     }
-    if (is_working_.load(std::memory_order_acquire)) return {};  // the lane opens it
-    auto done = prepare(number, path, header);
-    if (!done) {  // the number goes to the next topic
-      by_topic_[number] = none;
-      topic_by_path_.erase(path);
-    }
-    return done;
+    return is_set_up_ ? Result<void>{} : prepare(number, path, header);  // later ones are opened by the lane
   }
 
-  Result<void> open() override {
-    is_working_.store(true, std::memory_order_release);
-    return {};
-  }
+  Result<void> open() override { return {}; }
 
   Result<void> write(Batch& batch) override {
     for (OutputFile& file : files_) {
@@ -112,6 +103,9 @@ class FileWriter final : public Writer {
     repairs_.clear();
     return Error{Errc::damaged, "an event was cut off", config_.path, all, "the run before did not end in good order"};
   }
+
+  /// The constructor of the sink has ended: from here on the files are the lane's.
+  void set_up() noexcept { is_set_up_ = true; }
 
  private:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
@@ -168,20 +162,22 @@ class FileWriter final : public Writer {
   }
 
   const FileConfig config_;
-  std::unique_ptr<Codec> codec_;
+  std::unique_ptr<Codec> codec_;         // of whoever the files are
+  std::unique_ptr<Codec> header_codec_;  // loop
   bool is_pattern_ = false;
   // loop
   std::map<std::string, std::string> topic_by_path_;
-  std::atomic<bool> is_working_{false};
-  // loop until is_working_, then lane
+  bool is_set_up_ = false;
+  // loop until it is set up, then lane
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
 };
 
 std::unique_ptr<FileWriter> make_writer(const FileConfig& config, const CodecRegistry& formats) {
-  auto codec = formats.make(config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format);
-  return std::make_unique<FileWriter>(config, std::move(codec).or_throw());
+  const std::string format = config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+  auto codec = formats.make(format).or_throw();
+  return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
 }
 
 SinkConfig with_name(const FileConfig& config) {
@@ -190,17 +186,16 @@ SinkConfig with_name(const FileConfig& config) {
   return sink;
 }
 
-/// Reports what the writer found in its files before it goes to the lane.
-std::unique_ptr<Writer> reported(Loop& loop, const FileConfig& config, std::unique_ptr<FileWriter> writer) {
-  if (auto found = writer->take_repairs(); !found) {
-    loop.core().runtime.report(&loop.core(), "sink " + with_name(config).name, found.error());
-  }
-  return writer;
-}
-
 }  // namespace
 
-FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats)
-    : Sink(loop, with_name(config), reported(loop, config, make_writer(config, formats))) {}
+FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {
+  auto made = make_writer(config, formats);
+  FileWriter& writer = *made;
+  static_cast<Sink&>(*this) = Sink(loop, with_name(config), std::move(made));
+  writer.set_up();
+  if (auto found = writer.take_repairs(); !found) {
+    loop.core().runtime.report(&loop.core(), "sink " + with_name(config).name, found.error());
+  }
+}
 
 }  // namespace rtdata

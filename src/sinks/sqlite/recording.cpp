@@ -76,7 +76,8 @@ Result<Database> open_file(const std::string& path) {
   auto opened = Database::open(path, Database::Mode::read);
   if (!opened) return opened;
   auto application = opened->integer("PRAGMA application_id");
-  if (!application && sqlite3_errcode(opened->raw()) == SQLITE_CANTOPEN && is_at_rest(path)) {
+  const int code = sqlite3_errcode(opened->raw()) & 0xff;
+  if (!application && (code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
     opened = Database::open(path, Database::Mode::read_at_rest);
     if (!opened) return opened;
     application = opened->integer("PRAGMA application_id");

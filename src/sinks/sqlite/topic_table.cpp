@@ -20,9 +20,10 @@ const char* type_of(const Leaf& leaf) {
     case Kind::f64:
       return "REAL";
     case Kind::text:
+      return "TEXT";
     case Kind::character:
     case Kind::enumeration:
-      return "TEXT";
+      return "";  // keeps a text and a number as they are: in a TEXT column the char 7 would become the char '7'
     default:
       return "INTEGER";
   }

@@ -154,7 +154,7 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.topic = entry.topic;
       origin.origin = entry.origin;
       origin.run = info.run;
-      if (!is_ended && entry.rows_up_to != 0) origin.account_ends = entry.rows_up_to;
+      if (!is_ended) origin.account_ends = entry.rows_up_to;
       constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
       origin.earliest = to_nanoseconds(info.started) - tolerance;
       if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;

@@ -13,7 +13,8 @@ constexpr std::size_t most_sentences = 100;
 /// Collects what does not agree.
 struct Findings {
   RunReport& report;
-  bool is_exact;  // closed: every equation holds; otherwise what the last account may leave open is a note
+  bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
+  std::vector<std::string>& open;
 
   void problem(std::string text) const {
     if (report.problems.size() < most_sentences) {
@@ -26,7 +27,7 @@ struct Findings {
     if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
   }
   /// Of what is exact only once the run is closed.
-  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : note(std::move(text) + " (approximate: the run was not closed)"); }
+  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
 
 std::string number(std::uint64_t value) { return std::to_string(value); }
@@ -103,10 +104,13 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     std::uint64_t explained = entry.dropped() + entry.pruned;
     // What was never committed at the end may be beyond the last sequence of the account.
     if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
-    if (absent != explained) {
+    const bool is_known = found.is_exact || found.report.info.lost.has_value();
+    if (absent < explained || (absent > explained && is_known)) {
       found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " + number(entry.last_sequence) +
                     (absent == 1 ? " is" : " are") + " not there, the ledger says " + number(entry.dropped()) + " dropped" +
                     (entry.pruned != 0 ? " and " + number(entry.pruned) + " pruned" : "") + which + ".");
+    } else if (absent > explained) {
+      found.note(place + number(absent - explained) + " were dropped after the last account" + which + ".");
     }
   } else if (rows.missing > entry.dropped() + entry.pruned) {
     found.problem(place + "the ledger says " + number(entry.dropped()) + " dropped" + which + ".");
@@ -147,7 +151,7 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
   }
   const Term dropped{"dropped", entry.dropped()}, stored{"stored", entry.stored};
   if (found.is_exact || found.report.info.state == RunState::sealed) {
-    check_sum(Findings{found.report, true}, place, {"offered", entry.offered}, {stored, dropped});
+    check_sum(Findings{found.report, true, found.open}, place, {"offered", entry.offered}, {stored, dropped});
   } else if (entry.offered > entry.stored + entry.dropped()) {
     found.note(place + number(entry.offered - entry.stored - entry.dropped()) + " of " + number(entry.offered) +
                " offered were still queued at the last account.");
@@ -279,7 +283,8 @@ void note_end(const Findings& found) {
 
 Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report) {
   const RunInfo& info = report.info;
-  const Findings found{report, info.state == RunState::closed};
+  std::vector<std::string> left_open;
+  const Findings found{report, info.state == RunState::closed, left_open};
   report.verdict = info.state == RunState::closed   ? Verdict::balanced
                    : info.state == RunState::sealed ? Verdict::sealed
                    : is_alive(info)                 ? Verdict::recording
@@ -315,7 +320,9 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
     }
   }
   std::sort(unaccounted.begin(), unaccounted.end());
-  for (std::string& sentence : unaccounted) found.problem(std::move(sentence));
+  for (std::string& sentence : unaccounted) {
+    info.state == RunState::recording ? found.note(sentence + " It began after the last account.") : found.problem(sentence);
+  }
   const auto strays = [&](const auto& of, const char* what) {
     std::vector<std::string> sentences;
     for (const auto& [key, list] : of) {
@@ -330,6 +337,10 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   strays(gaps_of, "gap");
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
+  if (!left_open.empty()) {
+    found.note("Its account ends before the run did, so it holds only approximately: " + plural(left_open.size(), "equation") +
+               " left open, for example " + left_open.front());
+  }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
   return {};
 }

@@ -1,0 +1,166 @@
+/// Registry: the sensor and sink types that configurations can name, and what each makes of its item.
+///
+///     Registry registry;
+///     registry.add_sensor<AnalogConfig>(
+///         "analog", "a sensor behind a converter of the kernel",
+///         [](const AnalogConfig& config) { return analog_description(config.unit); },
+///         [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
+///           return AnalogSensor(loop, common, config);
+///         });
+///     registry.add_sink<LinesConfig>(
+///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
+///         [](Loop& loop, const LinesConfig& config) {
+///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
+///         });
+///
+/// A factory may return any class derived from AnySensor or Sink. One that takes a FeedConfig instead of a SensorConfig
+/// makes sensors without a schedule: they have no `rate` and what belongs to it.
+///
+/// Owner: the program; nothing is global. Filled by one thread, then read by any.
+/// Errors: adding a type twice throws SetupError (bad_argument).
+#pragma once
+
+#include <concepts>
+#include <functional>
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "rtdata/config/registry.hpp"
+#include "rtdata/sensors/sensor_parameters.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata {
+
+/// Owns an object of a class derived from Base. Move-only; empty when default-made or moved from.
+template <class Base>
+class Owned {
+ public:
+  Owned() noexcept = default;
+  template <std::derived_from<Base> T>
+  Owned(T object) : holder_(std::make_unique<HolderOf<T>>(std::move(object))), object_(holder_->object()) {}
+  Owned(Owned&& other) noexcept
+      : holder_(std::move(other.holder_)), object_(std::exchange(other.object_, nullptr)) {}
+  Owned& operator=(Owned&& other) noexcept {
+    object_ = std::exchange(other.object_, nullptr);
+    holder_ = std::move(other.holder_);
+    return *this;
+  }
+
+  explicit operator bool() const noexcept { return object_ != nullptr; }
+  Base& operator*() const noexcept { return *object_; }
+  Base* operator->() const noexcept { return object_; }
+
+ private:
+  struct Holder {
+    virtual ~Holder() = default;
+    virtual Base* object() noexcept = 0;
+  };
+  template <class T>
+  struct HolderOf final : Holder {
+    explicit HolderOf(T held) : object_(std::move(held)) {}
+    Base* object() noexcept override { return &object_; }
+    T object_;
+  };
+  std::unique_ptr<Holder> holder_;
+  Base* object_ = nullptr;
+};
+
+/// A sensor as its item says, checked and not made yet.
+struct SensorPlan {
+  std::string type;
+  std::string name;
+  std::string topic;                               ///< never empty
+  std::shared_ptr<const Description> description;  ///< of its events; null: known only once it is made
+  ConfigItem item;                                 ///< it was made from
+  std::function<Owned<AnySensor>(Loop&)> make;
+};
+
+/// A sink as its item says, checked and not made yet.
+struct SinkPlan {
+  std::string type;
+  std::string name;
+  std::string path;  ///< the file it writes; "-" for standard output, empty for none
+  std::vector<std::string> topics;
+  Duration close_deadline{0};  ///< how long closing may wait for it
+  ConfigItem item;
+  std::function<Owned<Sink>(Loop&)> make;
+};
+
+namespace config_detail {
+
+/// A sensor type's own parameters behind those of all sensors, on one level.
+template <class Common, class Own>
+struct Joined {
+  Common common{};
+  Own own{};
+  friend constexpr auto parameters(type_tag<Joined>) {
+    return parameter_list(include_member(&Joined::common), include_member(&Joined::own));
+  }
+  friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
+    if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
+  }
+};
+
+SensorPlan sensor_plan(const std::string& name, const std::string& topic,
+                       Result<std::shared_ptr<const Description>> description);
+SinkPlan sink_plan(const std::string& type, std::string path, const SinkConfig& config);
+
+}  // namespace config_detail
+
+/// For a type without parameters of its own.
+struct NoParameters {
+  friend constexpr auto parameters(type_tag<NoParameters>) { return parameter_list(); }
+};
+
+class Registry {
+ public:
+  Registry() : sensors_("sensor"), sinks_("sink") {}
+
+  /// `doc`: a phrase in lower case. `describe(const C&)`: the description of its events, or a Result of one; null when
+  /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
+  template <Configurable C, class Describe, class Make>
+  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
+    constexpr bool is_scheduled = std::is_invocable_v<const Make&, Loop&, const SensorConfig&, const C&>;
+    static_assert(is_scheduled || std::is_invocable_v<const Make&, Loop&, const FeedConfig&, const C&>,
+                  "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
+                  "schedule, by (Loop&, const FeedConfig&, const Config&)");
+    using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
+    using All = config_detail::Joined<Common, C>;
+    sensors_.add<All>(type, std::move(doc), [type, describe, make](const All& all) {
+      SensorPlan plan = config_detail::sensor_plan(all.common.name, all.common.topic, describe(all.own));
+      plan.type = type;
+      plan.make = [make, all](Loop& loop) { return Owned<AnySensor>(make(loop, all.common, all.own)); };
+      return plan;
+    });
+  }
+
+  /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
+  /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
+  /// for none. `make(Loop&, const C&)`.
+  template <Configurable C, class Path, class Make>
+  void add_sink(const std::string& type, std::string doc, Path path, Make make) {
+    static_assert(requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
+                  "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
+    sinks_.add<C>(type, std::move(doc), [type, path, make](const C& config) {
+      SinkPlan plan = config_detail::sink_plan(type, path(config), config.sink);
+      C named = config;
+      named.sink.name = plan.name;
+      plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
+      return plan;
+    });
+  }
+
+  const TypeRegistry<SensorPlan>& sensors() const noexcept { return sensors_; }
+  const TypeRegistry<SinkPlan>& sinks() const noexcept { return sinks_; }
+  /// The JSON Schema (draft-07) of a whole configuration file.
+  std::string schema() const;
+
+ private:
+  TypeRegistry<SensorPlan> sensors_;
+  TypeRegistry<SinkPlan> sinks_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,152 @@
+/// System: the sensors and sinks that a configuration file names, made and running on a loop.
+///
+///     Registry registry = ...;                                // which types there are
+///     SystemPlan plan = plan_system(registry, load_config("bench.json"));
+///     if (!plan.good()) { std::cerr << plan.report(); return 2; }
+///     Runtime runtime(plan.runtime_config());
+///     Loop loop(runtime, plan.loop_config());
+///     System system(loop, registry, plan);
+///     system.sensor("chamber").set_rate(50_Hz);
+///     system.add_sensor(item);
+///     system.remove_sensor("chamber");
+///     loop.run_for(10s);
+///
+/// A plan is made without touching a device: it finds every mistake of the whole file, those of single items as well as
+/// names used twice, payloads that meet on one topic, and files written twice. It can be checked on another machine than
+/// the one that runs it. Relative paths are relative to the working directory.
+///
+/// Keys of the file: name, notes, log, loop, sensors, sinks. Ids of problems, beside those of problem.hpp: bad-name,
+/// description-differs, duplicate-name, duplicate-path, not-available; of warnings: matches-nothing, no-sensors.
+///
+/// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
+/// Thread: plans any, systems the loop's.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/parts.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata {
+
+/// Where log lines go.
+struct LogSettings {
+  std::string file = {};            ///< empty: the program's default
+  LogLevel level = LogLevel::info;  ///< lesser ones are left out
+
+  friend constexpr auto parameters(type_tag<LogSettings>) {
+    return parameter_list(
+        parameter("file", &LogSettings::file,
+                  "the log file; default: the configuration file's name with .log, in the working directory"),
+        parameter("level", &LogSettings::level, "the least important lines that are written",
+                  choices(value("debug", LogLevel::debug), value("info", LogLevel::info),
+                          value("warning", LogLevel::warning), value("error", LogLevel::error))));
+  }
+};
+
+/// See Loop::Config.
+struct LoopSettings {
+  Duration hold_limit = Loop::Config{}.hold_limit;
+  Duration delivery_budget = Loop::Config{}.delivery_budget;
+  Duration phase_grid = Loop::Config{}.phase_grid;
+
+  friend constexpr auto parameters(type_tag<LoopSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("hold_limit", &LoopSettings::hold_limit, "a callback that takes longer is reported by its name",
+                  range(10us, 1h)),
+        parameter("delivery_budget", &LoopSettings::delivery_budget,
+                  "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+        parameter("phase_grid", &LoopSettings::phase_grid,
+                  "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
+  }
+};
+
+/// The file's keys that belong to no sensor or sink.
+struct SystemSettings {
+  std::string name = {};
+  std::string notes = {};
+  LogSettings log = {};
+  LoopSettings loop = {};
+  std::vector<ConfigItem> sensors = {};
+  std::vector<ConfigItem> sinks = {};
+
+  friend constexpr auto parameters(type_tag<SystemSettings>) {
+    return parameter_list(
+        parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name"),
+        parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings"),
+        parameter("log", &SystemSettings::log, "the log file"),
+        parameter("loop", &SystemSettings::loop, "settings of the loop"),
+        parameter("sensors", &SystemSettings::sensors, "what is read; each has a `type`"),
+        parameter("sinks", &SystemSettings::sinks, "where it goes; each has a `type`"));
+  }
+};
+
+/// Everything that a configuration says, checked. Only one without problems can be made into a System.
+struct SystemPlan {
+  ConfigDocument document;
+  SystemSettings settings;
+  std::vector<SensorPlan> sensors;
+  std::vector<SinkPlan> sinks;
+  Problems problems;  ///< in the order of the file
+  Problems warnings;  ///< the system runs, but perhaps not as it was meant
+
+  bool good() const noexcept { return problems.empty(); }
+  /// Every problem with its line of the file, for people.
+  std::string report() const;
+  /// What the Runtime and the Loop of this system are to be made of.
+  Runtime::Config runtime_config() const;
+  Loop::Config loop_config() const;
+};
+
+/// Checks the whole document. Never throws for what is in it: see `problems`.
+SystemPlan plan_system(const Registry& registry, ConfigDocument document);
+
+class System {
+ public:
+  /// Makes all sinks, then all sensors, which start unless they are configured not to. Throws ConfigError with every
+  /// problem of the plan before anything is made; SetupError, with the place in the file, what a sensor or sink threw:
+  /// then nothing of the system is left on the loop.
+  System(Loop& loop, const Registry& registry, const SystemPlan& plan);
+  /// On a loop of the program's own, whose settings stay as they are.
+  System(Loop& loop, const Registry& registry, const ConfigDocument& document);
+  ~System();
+  System(const System&) = delete;
+  System& operator=(const System&) = delete;
+
+  /// To start, stop or change while it runs. Valid until it is removed. SetupError (not-found) with the nearest name.
+  AnySensor& sensor(std::string_view name);
+  Sink& sink(std::string_view name);
+  /// In the order they were made.
+  std::vector<std::string> sensor_names() const;
+  std::vector<std::string> sink_names() const;
+
+  /// Makes one more, from an item as in the lists of the file. Throws ConfigError with every mistake, or SetupError
+  /// (busy, description-differs: with the name or topic of another), and leaves the system as it was.
+  AnySensor& add_sensor(const ConfigItem& item);
+  Sink& add_sink(const ConfigItem& item);
+  /// Afterwards not one more event of it appears; a sink stores what is queued first. SetupError (not-found).
+  void remove_sensor(std::string_view name);
+  void remove_sink(std::string_view name);
+
+ private:
+  template <class Base>
+  struct Part {
+    std::string name;
+    Owned<Base> object;
+  };
+  AnySensor& make(const SensorPlan& plan);
+  Sink& make(const SinkPlan& plan);
+
+  Loop& loop_;
+  const Registry& registry_;
+  std::vector<Part<Sink>> sinks_;
+  std::vector<Part<AnySensor>> sensors_;  // gone before the sinks
+};
+
+}  // namespace rtdata

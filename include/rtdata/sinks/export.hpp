@@ -1,0 +1,47 @@
+/// export_rows: writes recorded rows as CSV, JSON lines or any other format of a CodecRegistry.
+///
+///     rtdata::export_rows(recording, {.format = "csv", .filter = {.topic = "room/climate"}}, std::cout).or_throw();
+///     rtdata::export_files(recording, {.format = "csv", .time = rtdata::ExportTime::utc}, "out").or_throw();
+///
+/// Thread: that of the recording. Errors: not-found (format), bad-argument, those of `Rows`, those of files.
+#pragma once
+
+#include <iosfwd>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata {
+
+enum class ExportTime {
+  recorded,  ///< as stored: never jumps within a run
+  utc,       ///< see wall_time
+};
+
+struct ExportConfig {
+  std::string format = "csv";  ///< name of a codec; "jsonl" is "json", an object a line
+  RowFilter filter = {};
+  ExportTime time = ExportTime::recorded;
+  enum class TimeText { nanoseconds, iso8601 };
+  TimeText time_text = TimeText::nanoseconds;  ///< of CSV; the other formats have their own
+  enum class Header { names, names_and_units };
+  Header header = Header::names;  ///< of CSV
+};
+
+struct ExportCount {
+  std::string path;  ///< empty for a stream
+  std::uint64_t rows = 0;
+};
+
+/// All rows to one stream. A format that does not name topics (CSV) takes the rows of one description only: otherwise
+/// bad-argument, before anything is written.
+Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
+
+/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description. Files
+/// that are there are replaced.
+Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config, const std::string& folder,
+                                              const CodecRegistry& registry = CodecRegistry::standard());
+
+}  // namespace rtdata

@@ -1,0 +1,22 @@
+#include <iostream>
+
+#include "app/subcommands.hpp"
+#include "rtdata/config/system.hpp"
+
+namespace rtdata::app {
+
+int check(const Registry& registry, const std::string& file) {
+  const SystemPlan plan = plan_system(registry, load_config(file));
+  if (!plan.good()) {
+    std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems") << std::endl;
+    return exit_configuration;
+  }
+  for (const Problem& warning : plan.warnings) {
+    std::cout << "warning: " << warning.text() << "\n" << plan.document.excerpt(warning);
+  }
+  const auto counted = [](std::size_t count, const char* what) { return std::to_string(count) + " " + what + (count == 1 ? "" : "s"); };
+  std::cout << "ok: " << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink") << std::endl;
+  return exit_good;
+}
+
+}  // namespace rtdata::app

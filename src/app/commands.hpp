@@ -1,0 +1,47 @@
+// The subcommands of rtdata that read recordings. Each prints to `out`, its errors to `err`, and returns the exit code.
+#pragma once
+
+#include <cstdint>
+#include <iosfwd>
+#include <optional>
+#include <string>
+
+namespace rtdata::app {
+
+enum class Output { text, json };
+
+struct VerifyOptions {
+  std::string database;
+  Output output = Output::text;
+};
+/// 0 balanced, sealed or being recorded; 1 not balanced or not sealed; 2 unreadable.
+int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
+
+struct InfoOptions {
+  std::string database;
+  std::optional<std::int64_t> run = {};  // the last one unless given
+  Output output = Output::text;
+};
+/// 0; 1 when there is no such run; 2 unreadable.
+int info(const InfoOptions& options, std::ostream& out, std::ostream& err);
+
+struct ExportOptions {
+  std::string database;
+  std::string topic = "#";
+  std::string format = "csv";  // csv, json or jsonl, raw
+  std::string folder = {};     // a file a topic in it; empty: everything to `out`
+  std::optional<std::int64_t> run = {};
+  std::optional<std::string> origin = {};
+  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded; empty: from the start
+  std::string until = {};  // first time not taken
+  std::uint64_t limit = 0;
+  std::uint64_t every = 1;
+  enum class Times { recorded, utc };
+  Times times = Times::recorded;  // utc: --utc, after the clock was set right, as ISO 8601 in CSV
+  enum class Header { names, names_and_units };
+  Header header = Header::names;
+};
+/// 0; 1 when it cannot be exported so; 2 unreadable.
+int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
+
+}  // namespace rtdata::app

@@ -1,0 +1,33 @@
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <iostream>
+
+#include "app/async_writer.hpp"
+#include "app/starter.hpp"
+#include "app/subcommands.hpp"
+
+namespace rtdata::app {
+
+int init(const Registry& registry, const std::string& file) {
+  const std::string text = starter_file(registry, file);
+  const int fd = ::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+  if (fd < 0) {
+    const Error error = system_error(errno, "cannot write the starter file", file,
+                                     errno == EEXIST ? "choose another name, or move that file away" : "");
+    std::cerr << "rtdata: " << error.text() << std::endl;
+    return exit_other;
+  }
+  int failed = write_fully(fd, text.data(), text.size());
+  if (::close(fd) != 0 && failed == 0) failed = errno;
+  if (failed != 0) {
+    std::cerr << "rtdata: " << system_error(failed, "cannot write the starter file", file).text() << std::endl;
+    ::unlink(file.c_str());
+    return exit_other;
+  }
+  std::cout << "wrote " << file << "\nnext: rtdata run " << file << " --for 10s" << std::endl;
+  return exit_good;
+}
+
+}  // namespace rtdata::app

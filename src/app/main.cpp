@@ -1,0 +1,4 @@
+#include "rtdata/app/program.hpp"
+#include "rtdata/app/standard.hpp"
+
+int main(int argc, char** argv) { return rtdata::run_program(rtdata::standard_registry(), argc, argv); }

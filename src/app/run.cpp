@@ -1,0 +1,212 @@
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <iostream>
+
+#include "app/account.hpp"
+#include "app/async_writer.hpp"
+#include "app/live_view.hpp"
+#include "app/log.hpp"
+#include "app/stop_signals.hpp"
+#include "app/subcommands.hpp"
+#include "app/table.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration redraw_period = std::chrono::milliseconds{500};
+constexpr unsigned redraws_per_line = 20;  // in a pipe: a line every 10 s
+
+std::string default_log_file(const std::string& configuration) {
+  const std::string stem = std::filesystem::path(configuration).stem().string();
+  return (stem.empty() ? "rtdata" : stem) + ".log";
+}
+
+/// One run, from the file to the exit status. Members in the order in which they may go.
+class Run {
+ public:
+  Run(const Registry& registry, const RunOptions& options) : registry_(registry), options_(options), terminal_(64) {}
+
+  int execute() {
+    terminal_.open(STDOUT_FILENO);
+    messages_.open(STDERR_FILENO);
+    SystemPlan plan = plan_system(registry_, load_config(options_.file));
+    open_log(plan);
+    const FatalSignals fatal(log_);
+    log_.write(LogLevel::info, "program", "started with " + options_.file);
+    int status = exit_other;
+    try {
+      status = plan.good() ? run(plan) : refuse(plan);
+    } catch (const SetupError& error) {
+      say(LogLevel::error, "program", error.what(), error.error().id());
+    } catch (const std::exception& error) {
+      say(LogLevel::error, "program", error.what());
+    }
+    log_.write(LogLevel::info, "program", "ended with status " + std::to_string(status));
+    messages_.wait_until_written(std::chrono::seconds{2});
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    return status;
+  }
+
+ private:
+  void open_log(const SystemPlan& plan) {
+    const LogSettings& settings = plan.settings.log;
+    std::string file = !options_.log_file.empty() ? options_.log_file : settings.file;
+    if (file.empty()) file = default_log_file(options_.file);
+    if (auto opened = log_.open(file, settings.level); !opened) {
+      say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
+    }
+  }
+
+  int refuse(const SystemPlan& plan) {
+    for (const Problem& problem : plan.problems) log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
+    messages_.write(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
+                    (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
+    return exit_configuration;
+  }
+
+  int run(const SystemPlan& plan) {
+    for (const Problem& warning : plan.warnings) say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    Runtime runtime(plan.runtime_config());
+    runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
+    Loop loop(runtime, plan.loop_config());
+    std::map<std::string, std::string> paths;
+    bool uses_stdout = false;
+    Duration deadline{0};
+    for (const SinkPlan& sink : plan.sinks) {
+      paths[sink.name] = sink.path;
+      uses_stdout = uses_stdout || sink.path == "-";
+      deadline = std::max(deadline, sink.close_deadline);
+    }
+    System system(loop, registry_, plan);
+    signals_.attach(loop, {[&](const char* signal) { stop(loop, signal); }, [&] { return account_of(runtime).queued; },
+                           [this](const char* signal, std::uint64_t queued) { end_at_once(signal, queued); }});
+    struct Detach {
+      StopSignals& signals;
+      ~Detach() { signals.detach(); }
+    } const detach{signals_};
+    tell_start(plan);
+
+    if (options_.talk == Talk::normal && !uses_stdout && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+    {
+      Ticker ticker(loop, Ticker::Config{.period = redraw_period, .name = "display"}, [&](const Tick&) { show(runtime); });
+      if (options_.duration) {
+        loop.run_for(*options_.duration);
+      } else {
+        loop.run();
+      }
+      loop.close(deadline);
+    }
+    close_view();
+    return report(runtime, paths, uses_stdout);
+  }
+
+  void tell_start(const SystemPlan& plan) {
+    std::string text = "running " + plan.settings.name + ": " + std::to_string(plan.sensors.size()) + " sensors, " +
+                       std::to_string(plan.sinks.size()) + " sinks";
+    if (options_.duration) text += ", for " + to_string(*options_.duration);
+    text += log_.file().empty() ? "" : "; log " + log_.file();
+    if (!options_.duration) text += "; Ctrl-C ends it";
+    say(LogLevel::info, "", text);
+  }
+
+  void stop(Loop& loop, const char* signal) {
+    say(LogLevel::info, "program", std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+    loop.stop();
+  }
+
+  /// On the signals' thread.
+  [[noreturn]] void end_at_once(const char* signal, std::uint64_t queued) {
+    const std::string text = std::string("ended at once by a second ") + signal + ": " + std::to_string(queued) +
+                             " queued events were not stored";
+    log_.write(LogLevel::error, "program", text);
+    log_.wait_until_written(std::chrono::seconds{1});
+    const std::string line = "\nrtdata: " + text + "\n";
+    if (view_is_shown_) {
+      const char* const show_cursor = "\x1b[?25h";
+      write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
+    }
+    write_fully(STDERR_FILENO, line.data(), line.size());
+    ::_exit(exit_other);
+  }
+
+  /// To the log file, and to people. Never waits.
+  void say(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) {
+    log_.write(level, object, text, error_id);
+    if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
+    std::string line = "rtdata: ";
+    if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
+    line.append(object).append(object.empty() ? "" : ": ").append(text);
+    if (!error_id.empty()) line.append(" [").append(error_id).append("]");
+    if (view_) {
+      note_ = line;
+    } else {
+      messages_.write(line + "\n");
+    }
+  }
+
+  void show(const Runtime& runtime) {
+    signals_.look();
+    if (const int failed = log_.counts().last_errno.load(); failed != 0 && !log_failure_told_) {
+      log_failure_told_ = true;
+      say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+    }
+    if (view_) {
+      winsize size{};
+      if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
+      terminal_.write(view_->frame(account_of(runtime), size.ws_col, size.ws_row, note_));
+      view_is_shown_ = true;
+    } else if (++shows_ % redraws_per_line == 1 && shows_ > 1) {
+      say(LogLevel::info, "", progress(account_of(runtime)));
+    }
+  }
+
+  void close_view() {
+    if (!view_) return;
+    terminal_.write(view_->end());
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    view_is_shown_ = false;
+    view_.reset();
+    if (!note_.empty()) messages_.write(note_ + "\n");
+  }
+
+  int report(const Runtime& runtime, const std::map<std::string, std::string>& paths, bool uses_stdout) {
+    const RunAccount account = account_of(runtime);
+    const bool balances = runtime.balances();
+    const bool has_loss = runtime.has_loss();
+    const std::string verdict = std::string(balances ? "ledger balances" : "ledger does NOT balance") +
+                                (has_loss ? "; something was lost: " : ": ") + progress(account);
+    log_.write(balances ? LogLevel::info : LogLevel::error, "program", verdict);
+    if (options_.talk == Talk::normal) {
+      const std::string text = summary(account, paths) + "\n" + verdict + "\n";
+      (uses_stdout ? messages_ : terminal_).write(text);
+    } else if (!balances) {
+      messages_.write("rtdata: error: " + verdict + "\n");
+    }
+    if (!balances) return exit_other;
+    return has_loss && options_.on_loss == OnLoss::fail ? exit_loss : exit_good;
+  }
+
+  const Registry& registry_;
+  const RunOptions& options_;
+  StopSignals signals_;  // first: the threads of the others are not to take the signals
+  AsyncWriter terminal_;
+  AsyncWriter messages_{1024};
+  Log log_;
+  std::optional<LiveView> view_;
+  std::atomic<bool> view_is_shown_{false};
+  std::string note_;
+  unsigned shows_ = 0;
+  bool log_failure_told_ = false;
+};
+
+}  // namespace
+
+int run(const Registry& registry, const RunOptions& options) { return Run(registry, options).execute(); }
+
+}  // namespace rtdata::app

@@ -1,0 +1,76 @@
+#include "rtdata/app/standard.hpp"
+
+#include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sinks/console.hpp"
+#include "rtdata/sinks/file.hpp"
+#ifdef RTDATA_WITH_SQLITE
+#include "rtdata/sinks/sqlite.hpp"
+#endif
+
+namespace rtdata {
+
+#ifdef RTDATA_WITH_SQLITE
+static constexpr auto parameters(type_tag<SqliteConfig>) {
+  return parameter_list(
+      parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required),
+      parameter("profile", &SqliteConfig::profile,
+                "what a power cut may cost: normal: the last commits, safe: nothing committed, fast: the file",
+                choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
+                        value("fast", SqliteProfile::fast))),
+      parameter("max_bytes", &SqliteConfig::max_bytes, "the oldest rows are deleted above this size; 0: no limit", unit("By")),
+      parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit"),
+      include_member(&SqliteConfig::sink));
+}
+#endif
+
+namespace {
+
+std::shared_ptr<const Description> host_description(HostQuantity what) {
+  switch (what) {
+    case HostQuantity::cpu: return description_of<HostCpu>();
+    case HostQuantity::load: return description_of<HostLoad>();
+    case HostQuantity::memory: return description_of<HostMemory>();
+    case HostQuantity::disk: return description_of<HostDisk>();
+    case HostQuantity::network: return description_of<HostNetwork>();
+    case HostQuantity::scheduler: return description_of<HostScheduler>();
+    case HostQuantity::process: return description_of<HostProcess>();
+    case HostQuantity::temperature: return description_of<HostTemperature>();
+    case HostQuantity::frequency: return description_of<HostFrequency>();
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+Registry standard_registry() {
+  Registry registry;
+  registry.add_sensor<AnalogConfig>(
+      "analog", "a sensor behind an analog-to-digital converter of the kernel",
+      [](const AnalogConfig& config) { return analog_description(config.unit); },
+      [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) { return AnalogSensor(loop, common, config); });
+  registry.add_sensor<HostConfig>(
+      "host", "what this computer knows of itself: load, memory, temperature and so on",
+      [](const HostConfig& config) { return host_description(config.what); },
+      [](Loop& loop, const SensorConfig& common, const HostConfig& config) { return HostSensor(loop, common, config); });
+  registry.add_sensor<SerialConfig>(
+      "serial", "a device that sends lines of CSV or JSON over a serial line",
+      [](const SerialConfig& config) { return line_description(config.fields); },
+      [](Loop& loop, const FeedConfig& common, const SerialConfig& config) { return SerialLineSensor(loop, common, config); });
+#ifdef RTDATA_WITH_SQLITE
+  registry.add_sink<SqliteConfig>(
+      "sqlite", "a SQLite file that describes itself and can be verified", [](const SqliteConfig& config) { return config.path; },
+      [](Loop& loop, const SqliteConfig& config) { return SqliteSink(loop, config); });
+#endif
+  registry.add_sink<FileConfig>(
+      "file", "a file of JSON lines, CSV or raw bytes", [](const FileConfig& config) { return config.path; },
+      [](Loop& loop, const FileConfig& config) { return FileSink(loop, config); });
+  registry.add_sink<ConsoleConfig>(
+      "console", "lines for people, on standard output",
+      [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },
+      [](Loop& loop, const ConsoleConfig& config) { return ConsoleSink(loop, config); });
+  return registry;
+}
+
+}  // namespace rtdata

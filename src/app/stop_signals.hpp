@@ -1,0 +1,41 @@
+// SIGINT, SIGTERM and SIGHUP: the first one asks the run to end, a second one ends the process.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::app {
+
+/// While it lives, the three signals are taken by a thread of its own, so that they are seen also when the loop is held.
+/// Those that are ignored stay so. Make it before any other thread: they inherit that the signals are blocked.
+class StopSignals {
+ public:
+  StopSignals();
+  StopSignals(const StopSignals&) = delete;
+  StopSignals& operator=(const StopSignals&) = delete;
+  ~StopSignals();
+
+  struct Actions {
+    /// On the loop, once.
+    std::function<void(const char* signal)> first;
+    /// On the loop: how many events wait to be stored.
+    std::function<std::uint64_t()> queued;
+    /// On the signals' thread. `queued`: as it was now (or, when the loop does not answer, at the last look). Does not
+    /// return.
+    std::function<void(const char* signal, std::uint64_t queued)> second;
+  };
+  /// `loop` must live until `detach`. A signal that came before counts as the first.
+  void attach(Loop& loop, Actions actions);
+  void detach() noexcept;
+  /// On the loop, now and then.
+  void look();
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace rtdata::app

@@ -1,0 +1,34 @@
+// The subcommands that work on configurations. Each returns the exit status.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "rtdata/config/parts.hpp"
+
+namespace rtdata::app {
+
+inline constexpr int exit_good = 0;
+inline constexpr int exit_other = 1;
+inline constexpr int exit_configuration = 2;
+inline constexpr int exit_loss = 3;
+
+enum class OnLoss { ignore, fail };
+enum class Talk { normal, quiet };
+
+struct RunOptions {
+  std::string file;
+  std::optional<Duration> duration;  ///< none: until a signal
+  std::string log_file;              ///< empty: as the configuration says
+  OnLoss on_loss = OnLoss::ignore;
+  Talk talk = Talk::normal;  ///< quiet: warnings and errors only
+};
+
+int run(const Registry& registry, const RunOptions& options);
+int check(const Registry& registry, const std::string& file);
+int init(const Registry& registry, const std::string& file);
+enum class TypesAs { text, schema };
+/// `name`: only this type; empty: all.
+int types(const Registry& registry, const std::string& name, TypesAs format);
+
+}  // namespace rtdata::app

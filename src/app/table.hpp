@@ -1,0 +1,33 @@
+// Columns of text. Private to the program.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace rtdata::app {
+
+/// A table for people: first row the heading; columns whose heading begins with '>' are aligned to the right. Columns are
+/// parted by two blanks, lines end with a newline and have no blanks before it.
+class Table {
+ public:
+  explicit Table(std::vector<std::string> heading);
+  void add(std::vector<std::string> row);
+  bool empty() const noexcept { return rows_.size() < 2; }
+  std::string text(std::string_view indent = "") const;
+
+ private:
+  std::vector<bool> to_the_right_;
+  std::vector<std::vector<std::string>> rows_;
+};
+
+/// Characters (code points) of UTF-8 text.
+std::size_t width_of(std::string_view text) noexcept;
+/// At most so many characters; what is cut ends with "~". Control characters become '?'.
+std::string fitted(std::string_view text, std::size_t width);
+/// "1.2 kHz", "12.5 Hz", "0 Hz", at most 9 characters.
+std::string frequency_text(double hertz);
+/// "12.3k", "4.5M" for large counts: at most 7 characters.
+std::string short_count(std::uint64_t count);
+
+}  // namespace rtdata::app

@@ -1,0 +1,75 @@
+#include <iostream>
+
+#include "app/subcommands.hpp"
+#include "app/table.hpp"
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/data/codec.hpp"
+
+namespace rtdata::app {
+namespace {
+
+void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, const std::string& indent) {
+  for (const ParameterInfo& parameter : parameters) {
+    std::string type = parameter.type.name();
+    if (parameter.type.kind == ParameterType::Kind::choice) {
+      type.clear();
+      for (const std::string& choice : parameter.type.choices) type += (type.empty() ? "" : "|") + choice;
+    }
+    const std::string range = parameter.type.range();
+    std::string fallback = parameter.required ? "required" : parameter.default_text();
+    const bool has_members = !parameter.type.members.empty();
+    table.add({indent + parameter.key, type, parameter.unit, has_members ? "" : fallback,
+               parameter.doc + (range.empty() ? "" : " (" + range + ")")});
+    add_parameters(table, parameter.type.members, indent + "  ");
+    for (const ParameterType& element : parameter.type.element) add_parameters(table, element.members, indent + "  ");
+  }
+}
+
+std::string described(const TypeInfo& type) {
+  Table table({"parameter", "type", "unit", "default", "meaning"});
+  add_parameters(table, type.parameters, "");
+  return type.name + "  " + type.doc + "\n" + (table.empty() ? "" : table.text("  "));
+}
+
+void print_all(const char* title, const std::vector<TypeInfo>& types) {
+  std::cout << title << "\n\n";
+  for (const TypeInfo& type : types) std::cout << described(type) << "\n";
+}
+
+}  // namespace
+
+int types(const Registry& registry, const std::string& name, TypesAs format) {
+  if (name.empty() && format == TypesAs::schema) {
+    std::cout << registry.schema() << std::endl;
+    return exit_good;
+  }
+  if (name.empty()) {
+    print_all("sensor types", registry.sensors().types());
+    print_all("sink types", registry.sinks().types());
+    std::cout << "formats of events\n\n ";
+    for (const std::string& codec : CodecRegistry::standard().names()) std::cout << " " << codec;
+    std::cout << "\n\nformats of configuration files\n\n ";
+    for (const std::string& extension : ConfigFormats().extensions()) std::cout << " " << (extension.empty() ? "(none)" : extension);
+    std::cout << std::endl;
+    return exit_good;
+  }
+  std::vector<std::string> names;
+  int found = 0;
+  for (const TypeRegistryBase* types : {static_cast<const TypeRegistryBase*>(&registry.sensors()),
+                                        static_cast<const TypeRegistryBase*>(&registry.sinks())}) {
+    for (const TypeInfo& type : types->types()) {
+      names.push_back(type.name);
+      if (type.name != name) continue;
+      ++found;
+      std::cout << (format == TypesAs::schema ? type.schema() + "\n" : described(type));
+    }
+  }
+  if (found > 0) return exit_good;
+  const std::string nearest = nearest_name(name, names);
+  std::cerr << "rtdata: there is no type \"" << name << "\"" << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)")
+            << "; `rtdata types` lists all" << std::endl;
+  return exit_other;
+}
+
+}  // namespace rtdata::app

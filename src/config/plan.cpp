@@ -1,0 +1,276 @@
+#include "config/plan.hpp"
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <utility>
+
+#include "rtdata/config/system.hpp"
+
+namespace rtdata {
+namespace {
+
+/// Keys of the design that this version does not know yet: said so, instead of "unknown key".
+constexpr std::string_view later_sensor_keys[] = {"tier", "bus"};
+constexpr std::string_view later_document_keys[] = {"tiers", "buses"};
+
+void refuse_later_key(ConfigItem& item, std::string_view key, Problems& problems) {
+  for (const ConfigChild& child : item.children()) {
+    if (child.key != key) continue;
+    Problem problem = child.item.problem("not-available", "\"" + std::string(key) + "\" is not available in this version");
+    problem.place = child.item.key_place();
+    problems.add(std::move(problem));
+    break;
+  }
+  if (item.is_object()) item.remove(key);
+}
+
+/// The child of an item that a problem is best shown at: that of the key, or the item itself.
+const ConfigItem& child_or_self(const ConfigItem& item, std::string_view key) {
+  for (const ConfigChild& child : item.children())
+    if (child.key == key) return child.item;
+  return item;
+}
+
+template <class Plan>
+bool plan_item(const TypeRegistry<Plan>& types, const ConfigItem& item, Plan& plan, Problems& problems) {
+  try {
+    plan = types.create(item);
+  } catch (const ConfigError& error) {
+    problems.append(error.problems());
+    return false;
+  } catch (const SetupError& error) {  // it cannot say what it will publish
+    const Error& e = error.error();
+    Error rest{e.code, e.what, "", e.why, e.advice};
+    problems.add(item.problem("bad-value", rest.text()));
+    return false;
+  }
+  plan.item = item;
+  return true;
+}
+
+std::string place_of(const ConfigItem& item) {
+  const std::string place = item.place().text();
+  return place.empty() ? item.path() : place;
+}
+
+std::string topic_advice(std::string_view topic) {
+  return "\"" + std::string(topic) +
+         "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
+}
+
+bool check_names(const SensorPlan& plan, Problems& problems) {
+  const std::size_t before = problems.size();
+  const auto is_control = [](unsigned char c) { return c < ' '; };
+  if (plan.name.empty() || plan.name.size() > 200 || std::any_of(plan.name.begin(), plan.name.end(), is_control)) {
+    problems.add(child_or_self(plan.item, "name")
+                     .problem("bad-name", "a name has 1 to 200 characters and no control characters"));
+  } else if (!is_topic_name(plan.topic)) {
+    const ConfigItem& topic = child_or_self(plan.item, "topic");
+    std::string message = topic_advice(plan.topic);
+    if (topic.path() == plan.item.path()) message += "; give the sensor a `topic`, or another name";
+    problems.add((topic.path() == plan.item.path() ? child_or_self(plan.item, "name") : topic).problem("bad-name", message));
+  } else if (plan.topic.starts_with("$")) {
+    problems.add(child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
+  }
+  return problems.size() == before;
+}
+
+std::string lower(std::string_view text) {
+  std::string result(text);
+  for (char& c : result)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
+  return result;
+}
+
+/// What must hold between the items of a document.
+class AcrossItems {
+ public:
+  explicit AcrossItems(SystemPlan& plan) : plan_(plan) {}
+
+  void check(const std::vector<SensorPlan>& sensors, const std::vector<SinkPlan>& sinks) {
+    for (const SensorPlan& sensor : sensors) {
+      check_name("sensor", sensor.name, sensor.item, sensor_names_);
+      check_topic(sensor);
+    }
+    for (const SinkPlan& sink : sinks) {
+      if (!sink.path.empty() && sink.path != "-") check_path(sink);
+    }
+    for (const SinkPlan& sink : sinks) check_name("sink", sink.name, sink.item, sink_names_);
+  }
+
+  void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
+    for (const SinkPlan& sink : sinks) {
+      const ConfigItem& list = child_or_self(sink.item, "topics");
+      for (std::size_t i = 0; i < sink.topics.size(); ++i) {
+        const std::string& pattern = sink.topics[i];
+        const auto matches = [&](const auto& topic) { return topic_matches(pattern, topic.first); };
+        if (pattern.starts_with("$") || std::any_of(topics_.begin(), topics_.end(), matches)) continue;
+        const ConfigItem* element = list.is_array() ? list.find(i) : nullptr;
+        std::vector<std::string> names;
+        for (const auto& [name, sensor] : topics_) names.push_back(name);
+        plan_.warnings.add((element != nullptr ? *element : list)
+                               .problem("matches-nothing", "no sensor of this file publishes on \"" + pattern + "\"",
+                                        nearest_name(pattern, names)));
+      }
+    }
+  }
+
+ private:
+  using Names = std::map<std::string, const ConfigItem*>;
+
+  void check_name(const char* what, const std::string& name, const ConfigItem& item, Names& names) {
+    const auto [known, is_new] = names.try_emplace(name, &item);
+    if (is_new) return;
+    const ConfigItem& named = child_or_self(item, "name");
+    const ConfigItem& first = child_or_self(*known->second, "name");
+    if (named.path() == item.path() && first.path() == known->second->path() && refused_paths_.contains(item.path())) return;
+    plan_.problems.add(named.problem("duplicate-name", std::string("there is a ") + what + " \"" + name + "\" already, at " +
+                                                           place_of(first) + "; give each a `name` of its own"));
+  }
+
+  void check_topic(const SensorPlan& sensor) {
+    const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(lower(sensor.topic), &sensor);
+    if (!is_new_case && other_case->second->topic != sensor.topic) {
+      plan_.problems.add(topic_item(sensor).problem(
+          "bad-name", "the topic \"" + sensor.topic + "\" differs in case only from \"" + other_case->second->topic +
+                          "\", at " + place_of(topic_item(*other_case->second))));
+      return;
+    }
+    const auto [known, is_new] = topics_.try_emplace(sensor.topic, &sensor);
+    if (is_new || known->second->description == nullptr || sensor.description == nullptr) return;
+    const SensorPlan& first = *known->second;
+    if (first.description->same_meaning(*sensor.description)) return;
+    std::string message = "the topic \"" + sensor.topic + "\" carries \"" + first.description->name() + "\" of sensor " +
+                          first.name + ", at " + place_of(topic_item(first)) + ", and \"" + sensor.description->name() +
+                          "\" of this one";
+    for (const std::string& difference : first.description->differences(*sensor.description)) message += "; " + difference;
+    message += "; give one of them a topic of its own";
+    plan_.problems.add(topic_item(sensor).problem("description-differs", std::move(message)));
+  }
+
+  void check_path(const SinkPlan& sink) {
+    std::error_code ignored;
+    const std::string path = std::filesystem::weakly_canonical(std::filesystem::absolute(sink.path, ignored), ignored).string();
+    const auto [known, is_new] = paths_.try_emplace(path.empty() ? sink.path : path, &sink);
+    if (is_new) return;
+    refused_paths_.try_emplace(sink.item.path(), &sink.item);
+    plan_.problems.add(child_or_self(sink.item, "path")
+                           .problem("duplicate-path", "the sink at " + place_of(known->second->item) +
+                                                          " writes \"" + known->second->path + "\" already; two writers on one file destroy it"));
+  }
+
+  /// Where a sensor's topic is said: its `topic`, or else its `name`.
+  static const ConfigItem& topic_item(const SensorPlan& sensor) {
+    const ConfigItem& topic = child_or_self(sensor.item, "topic");
+    return topic.path() == sensor.item.path() ? child_or_self(sensor.item, "name") : topic;
+  }
+
+  SystemPlan& plan_;
+  Names sensor_names_;
+  Names sink_names_;
+  Names refused_paths_;
+  std::map<std::string, const SensorPlan*> topics_;
+  std::map<std::string, const SensorPlan*> topic_by_lower_case_;
+  std::map<std::string, const SinkPlan*> paths_;
+};
+
+std::string stem_of(const std::string& file) { return std::filesystem::path(file).stem().string(); }
+
+}  // namespace
+
+namespace config_detail {
+
+bool plan_sensor(const Registry& registry, const ConfigItem& item, SensorPlan& plan, Problems& problems) {
+  ConfigItem known = item;
+  const std::size_t before = problems.size();
+  for (const std::string_view key : later_sensor_keys) {
+    const TypeInfo* type = nullptr;
+    if (const std::string* name = child_or_self(item, "type").as_string()) type = registry.sensors().find(*name);
+    const auto has_key = [&](const ParameterInfo& parameter) { return parameter.key == key; };
+    if (type != nullptr && std::any_of(type->parameters.begin(), type->parameters.end(), has_key)) continue;
+    refuse_later_key(known, key, problems);
+  }
+  if (!plan_item(registry.sensors(), known, plan, problems)) return false;
+  return check_names(plan, problems) && problems.size() == before;
+}
+
+bool plan_sink(const Registry& registry, const ConfigItem& item, SinkPlan& plan, Problems& problems) {
+  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
+  const std::size_t before = problems.size();
+  const ConfigItem& list = child_or_self(item, "topics");
+  for (std::size_t i = 0; i < plan.topics.size(); ++i) {
+    if (is_topic_pattern(plan.topics[i])) continue;
+    const ConfigItem* element = list.find(i);
+    problems.add((element != nullptr ? *element : list)
+                     .problem("bad-name", "\"" + plan.topics[i] + "\" is no topic or pattern: levels joined by /, + for "
+                                                                  "one level, # at the end for all below"));
+  }
+  return problems.size() == before;
+}
+
+}  // namespace config_detail
+
+SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
+  SystemPlan plan;
+  plan.document = std::move(document);
+  plan.problems = plan.document.problems;
+  if (plan.document.root.is_null() && !plan.problems.empty()) return plan;  // there is nothing to look at
+
+  ConfigItem root = plan.document.root;
+  for (const std::string_view key : later_document_keys) refuse_later_key(root, key, plan.problems);
+  const std::size_t before = plan.problems.size();
+  read_config(root, plan.settings, plan.problems);
+  if (!root.is_object()) return plan;
+  const bool has_lists = child_or_self(root, "sensors").is_array() && plan.problems.size() == before;
+  if (plan.settings.name.empty()) plan.settings.name = stem_of(plan.document.file);
+
+  bool all_sensors_known = true;
+  std::vector<SensorPlan> sensors;
+  for (const ConfigItem& item : plan.settings.sensors) {
+    SensorPlan sensor;
+    const bool good = config_detail::plan_sensor(registry, item, sensor, plan.problems);
+    all_sensors_known = all_sensors_known && good;
+    if (good) sensors.push_back(std::move(sensor));
+  }
+  std::vector<SinkPlan> sinks;
+  for (const ConfigItem& item : plan.settings.sinks) {
+    SinkPlan sink;
+    if (config_detail::plan_sink(registry, item, sink, plan.problems)) sinks.push_back(std::move(sink));
+  }
+  AcrossItems across(plan);
+  across.check(sensors, sinks);
+  if (all_sensors_known && !sensors.empty()) across.warn_of_patterns(sinks);
+  if (plan.settings.sensors.empty() && (has_lists || plan.problems.empty())) {
+    plan.warnings.add(child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
+  }
+  plan.problems.sort();
+  plan.warnings.sort();
+  plan.sensors = std::move(sensors);
+  plan.sinks = std::move(sinks);
+  return plan;
+}
+
+std::string SystemPlan::report() const {
+  std::string text;
+  for (const Problem& problem : problems) text += problem.text() + "\n" + document.excerpt(problem);
+  return text;
+}
+
+Runtime::Config SystemPlan::runtime_config() const {
+  Runtime::Config config;
+  config.name = settings.name;
+  config.notes = settings.notes;
+  config.configuration = document.text;
+  return config;
+}
+
+Loop::Config SystemPlan::loop_config() const {
+  Loop::Config config;
+  config.hold_limit = settings.loop.hold_limit;
+  config.delivery_budget = settings.loop.delivery_budget;
+  config.phase_grid = settings.loop.phase_grid;
+  return config;
+}
+
+}  // namespace rtdata

@@ -1,0 +1,174 @@
+// What each topic of a run came to: rows, rates, lateness, losses.
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <map>
+#include <unordered_map>
+
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata {
+namespace {
+
+/// Durations counted in buckets of at most 1/64 of their value: percentiles without keeping the values.
+class Histogram {
+ public:
+  void add(Duration value) {
+    const auto ns = static_cast<std::uint64_t>(std::max<std::int64_t>(0, value.count()));
+    ++counts_[bucket_of(ns)];
+    ++total_;
+    largest_ = std::max(largest_, ns);
+  }
+  std::uint64_t total() const noexcept { return total_; }
+  Duration largest() const noexcept { return Duration{static_cast<std::int64_t>(largest_)}; }
+  /// The value that this part of all is not above.
+  Duration percentile(double part) const {
+    auto wanted = static_cast<std::uint64_t>(part * static_cast<double>(total_));
+    if (static_cast<double>(wanted) < part * static_cast<double>(total_)) ++wanted;
+    std::uint64_t seen = 0;
+    for (std::size_t i = 0; i < counts_.size(); ++i) {
+      seen += counts_[i];
+      if (seen >= wanted && seen != 0) return Duration{static_cast<std::int64_t>(std::min(end_of(i), largest_))};
+    }
+    return largest();
+  }
+
+ private:
+  static constexpr unsigned sub_bits = 6;
+  static std::size_t bucket_of(std::uint64_t ns) {
+    if (ns < (1u << sub_bits)) return ns;
+    const auto shift = static_cast<unsigned>(std::bit_width(ns)) - sub_bits - 1;
+    return (static_cast<std::size_t>(shift) << sub_bits) + (ns >> shift);
+  }
+  /// The largest value of a bucket.
+  static std::uint64_t end_of(std::size_t bucket) {
+    if (bucket < (2u << sub_bits)) return bucket;
+    const std::size_t shift = (bucket >> sub_bits) - 1;
+    return ((std::uint64_t{bucket} - (shift << sub_bits) + 1) << shift) - 1;
+  }
+  std::array<std::uint64_t, (64 - sub_bits + 1) << sub_bits> counts_{};
+  std::uint64_t total_ = 0;
+  std::uint64_t largest_ = 0;
+};
+
+struct OriginTimes {
+  std::vector<Segment> segments;
+  std::size_t current = 0;
+  std::uint64_t rows = 0;
+
+  /// The segment that a time belongs to, or null. Times ascend, so it is mostly that of the time before.
+  const Segment* segment_of(Time time) {
+    if (segments.empty()) return nullptr;
+    if (time < segments[current].first_due || (current + 1 < segments.size() && time >= segments[current + 1].first_due)) {
+      const auto after = std::upper_bound(segments.begin(), segments.end(), time, [](Time t, const Segment& s) { return t < s.first_due; });
+      if (after == segments.begin()) return nullptr;
+      current = static_cast<std::size_t>(after - segments.begin()) - 1;
+    }
+    return &segments[current];
+  }
+};
+
+struct TopicTimes {
+  TopicSummary summary;
+  std::map<std::string, OriginTimes, std::less<>> origins;
+  Histogram lateness;
+};
+
+Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
+  auto statement = file.prepare("SELECT t.time, t.origin FROM " + sqlite::quoted(topic.table) + " t WHERE t.run = ? ORDER BY t.rowid");
+  if (!statement) return std::move(statement).error();
+  statement->bind(1, run);
+  OriginTimes* current = nullptr;
+  std::string_view name;
+  for (;;) {
+    auto row = statement->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return {};
+    const std::int64_t ns = statement->integer(0);
+    const std::string_view origin = statement->text(1);
+    if (current == nullptr || name != origin) {
+      auto found = into.origins.find(origin);
+      if (found == into.origins.end()) found = into.origins.emplace(std::string(origin), OriginTimes{}).first;
+      current = &found->second;
+      name = found->first;
+    }
+    ++current->rows;
+    const Time time = from_nanoseconds(ns);
+    TopicSummary& summary = into.summary;
+    ++summary.rows;
+    if (!summary.first || time < *summary.first) summary.first = time;
+    if (!summary.last || time > *summary.last) summary.last = time;
+    if (const Segment* segment = current->segment_of(time); segment != nullptr && segment->period.count() > 0) {
+      into.lateness.add((time - segment->first_due) % segment->period);
+    }
+  }
+}
+
+/// `length`: of the run.
+void add_rates(TopicTimes& topic, Duration length) {
+  for (const auto& [name, origin] : topic.origins) {
+    double seconds = 0, ticks = 0;
+    for (const Segment& segment : origin.segments) {
+      ticks += static_cast<double>(segment.scheduled);
+      seconds += static_cast<double>(segment.scheduled) * static_cast<double>(segment.period.count()) / 1e9;
+    }
+    if (seconds > 0) {
+      topic.summary.wanted_hertz += ticks / seconds;
+      topic.summary.reached_hertz += static_cast<double>(origin.rows) / seconds;
+    } else if (length.count() > 0) {
+      topic.summary.reached_hertz += static_cast<double>(origin.rows) * 1e9 / static_cast<double>(length.count());
+    }
+  }
+}
+
+}  // namespace
+
+Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run) {
+  auto snapshot = detail::Snapshot::take(recording.file());
+  if (!snapshot) return std::move(snapshot).error();
+  auto ledger = recording.ledger(run);
+  if (!ledger) return std::move(ledger).error();
+  auto schedule = recording.schedule(run);
+  if (!schedule) return std::move(schedule).error();
+  auto recorded = recording.topics();
+  if (!recorded) return std::move(recorded).error();
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  Duration length{0};
+  for (const RunInfo& info : *runs) {
+    if (info.run == run && info.ended) length = *info.ended - info.started;
+  }
+  std::map<std::string, TopicTimes> topics;
+  for (const LedgerEntry& entry : *ledger) {
+    TopicTimes& topic = topics[entry.topic];
+    topic.origins[entry.origin];
+    TopicSummary& sum = topic.summary;
+    sum.missed += entry.sensor.missed;
+    sum.failed += entry.sensor.failed;
+    sum.late += entry.sensor.late;
+    sum.dropped += entry.dropped();
+    if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
+  }
+  for (const RecordedSegment& segment : *schedule) topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
+  for (const RecordedTopic& topic : *recorded) {
+    if (auto scanned = scan(*recording.file(), topic, run, topics[topic.topic]); !scanned) return std::move(scanned).error();
+  }
+  std::vector<TopicSummary> summaries;
+  for (auto& [name, topic] : topics) {
+    if (topic.origins.empty()) continue;
+    TopicSummary& sum = topic.summary;
+    sum.topic = name;
+    sum.origins = topic.origins.size();
+    add_rates(topic, length);
+    if (topic.lateness.total() != 0) {
+      sum.has_lateness = true;
+      sum.lateness_p50 = topic.lateness.percentile(0.5);
+      sum.lateness_p99 = topic.lateness.percentile(0.99);
+      sum.lateness_max = topic.lateness.largest();
+    }
+    summaries.push_back(std::move(sum));
+  }
+  return summaries;
+}
+
+}  // namespace rtdata

@@ -1,0 +1,285 @@
+// The real program, as a user runs it.
+#include <doctest/doctest.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <nlohmann/json.hpp>
+
+#include "app/process.hpp"
+
+using rtdata::test::Folder;
+using rtdata::test::Process;
+
+namespace {
+
+const std::string program = RTDATA_BINARY_DIR "/rtdata_test_program";
+const std::string shipped = RTDATA_BINARY_DIR "/rtdata";
+
+constexpr const char* bench = R"({
+  "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"} ],
+  "sinks": [ {"type": "file", "path": "bench.jsonl"}, {"type": "discard"} ]
+})";
+
+std::size_t count_of(const std::string& text, const std::string& part) {
+  std::size_t count = 0;
+  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + part.size())) ++count;
+  return count;
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("US-17 run --for records, prints a table and exits 0 when the ledger balances") {
+    const Folder folder;
+    folder.write("bench.json", bench);
+    Process run(folder, program, {"run", "bench.json", "--for", "300ms"});
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+    CHECK(has(run.out, "count/a"));
+    CHECK(has(run.out, "bench.jsonl"));
+    CHECK(has(run.err, "running bench: 1 sensors, 2 sinks, for 300 ms; log bench.log"));
+    // What the table says was stored is in the file.
+    const std::string lines = folder.read("bench.jsonl");
+    const auto at = run.out.find("\nbench.jsonl  ");
+    REQUIRE(at != std::string::npos);
+    CHECK(std::stoul(run.out.substr(at + 13)) == count_of(lines, "\n"));
+    CHECK(count_of(lines, "\n") > 0);
+    CHECK(has(folder.read("bench.log"), "info program: ended with status 0\n"));
+  }
+
+  TEST_CASE("US-9 SIGINT and SIGTERM drain and close") {
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+      const Folder folder;
+      folder.write("bench.json", bench);
+      Process run(folder, program, {"run", "bench.json"});
+      REQUIRE(run.wait_for("running bench"));
+      run.signal(signal);
+      CHECK(run.end() == 0);
+      CHECK(has(run.err, "stopping on SIG"));
+      CHECK(has(run.out, "ledger balances"));
+      CHECK(has(run.out, ", 0 queued"));
+      CHECK(has(folder.read("bench.log"), "info program: stopping on SIG"));
+    }
+  }
+
+  TEST_CASE("US-9 a second signal ends at once and says what was lost") {
+    const Folder folder;
+    folder.write("bench.json", R"({
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "1 h"} ] })");
+    Process run(folder, program, {"run", "bench.json"});
+    REQUIRE(run.wait_for("it stalls on purpose"));
+    run.signal(SIGINT);
+    REQUIRE(run.wait_for("stopping on SIGINT"));
+    run.signal(SIGINT);
+    CHECK(run.end() == 1);
+    CHECK(has(run.err, "ended at once by a second SIGINT: "));
+    CHECK(has(run.err, " queued events were not stored"));
+    CHECK_FALSE(has(run.err, ": 0 queued events"));
+    CHECK(has(folder.read("bench.log"), "error program: ended at once by a second SIGINT"));
+  }
+
+  TEST_CASE("NFR-5 a live view on a terminal, 80 columns wide, with the cursor shown again at the end") {
+    const Folder folder;
+    folder.write("bench.json", bench);
+    Process run(folder, program, {"run", "bench.json"}, Process::Output::terminal);
+    REQUIRE(run.wait_for("last value"));
+    CHECK(has(run.out, "\x1b[?25l"));
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "last value"));
+    CHECK(has(run.out, "count/a"));
+    const auto shown = run.out.rfind("\x1b[?25h");
+    REQUIRE(shown != std::string::npos);
+    CHECK(run.out.rfind("\x1b[?25l") < shown);
+    CHECK(run.out.find("ledger balances") > shown);
+    // No line of the view is wider than the terminal.
+    const std::string view = run.out.substr(0, shown);
+    for (std::size_t begin = 0, end; (end = view.find("\r\n", begin)) != std::string::npos; begin = end + 2) {
+      std::string line = view.substr(begin, end - begin);
+      for (std::size_t escape; (escape = line.find('\x1b')) != std::string::npos;)
+        line.erase(escape, line.find_first_of("ABCDEFGHIJKlmh", escape) - escape + 1);
+      CHECK(line.size() <= 80);
+    }
+  }
+
+  TEST_CASE("US-17 check prints every problem with its place, and exits 2") {
+    const Folder folder;
+    folder.write("bad.json", "{\n  \"sensors\": [ {\"name\": \"a\", \"type\": \"countr\"},\n    {\"name\": \"b\", \"type\": \"counter\", \"rtae\": \"1 Hz\"} ]\n}\n");
+    Process check(folder, program, {"check", "bad.json"});
+    CHECK(check.end() == 2);
+    CHECK(has(check.out, "bad.json:2:38: sensors[0].type: there is no sensor type \"countr\" (did you mean \"counter\"?)\n"));
+    CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?)\n"));
+    CHECK(has(check.out, "^\n"));
+    CHECK(has(check.out, "2 problems"));
+    folder.write("good.json", bench);
+    Process good(folder, program, {"check", "good.json"});
+    CHECK(good.end() == 0);
+    CHECK(good.out == "ok: 1 sensor, 2 sinks\n");
+    CHECK_FALSE(folder.has("bench.jsonl"));
+  }
+
+  TEST_CASE("NFR-7 a run of a wrong configuration exits 2 with every problem in the log file") {
+    const Folder folder;
+    folder.write("bad.json", R"({"sensors": [{"name": "a", "type": "countr"}, {"name": "b", "type": "counter"}]})");
+    Process run(folder, program, {"run", "bad.json"});
+    CHECK(run.end() == 2);
+    CHECK(has(run.err, "nothing was started: 2 mistakes in bad.json"));
+    const std::string log = folder.read("bad.log");
+    CHECK(has(log, "[unknown-type]"));
+    CHECK(has(log, "[missing-key]"));
+    CHECK(has(log, "ended with status 2"));
+  }
+
+  TEST_CASE("US-17 a file that is missing, a directory, unreadable or empty is told") {
+    const Folder folder;
+    folder.write("empty.json", "");
+    folder.write("secret.json", bench);
+    ::chmod((folder.path() + "/secret.json").c_str(), 0);
+    ::mkdir((folder.path() + "/folder.json").c_str(), 0755);
+    for (const char* file : {"missing.json", "folder.json", "empty.json", "secret.json"}) {
+      if (std::string(file) == "secret.json" && ::geteuid() == 0) continue;  // root may read it
+      for (const char* command : {"run", "check"}) {
+        Process run(folder, program, {command, file});
+        CHECK_MESSAGE(run.end() == 2, command, " ", file);
+        CHECK(has(run.out + run.err, file));
+      }
+    }
+  }
+
+  TEST_CASE("US-17 --fail-on-loss exits 3 when something failed, and 0 without it") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
+    Process strict(folder, program, {"run", "bench.json", "--for", "200ms", "--fail-on-loss"});
+    CHECK(strict.end() == 3);
+    CHECK(has(strict.out, "ledger balances; something was lost"));
+    Process mild(folder, program, {"run", "bench.json", "--for", "200ms"});
+    CHECK(mild.end() == 0);
+  }
+
+  TEST_CASE("NFR-7 errors are in the log file after SIGTERM, and with --quiet on the terminal too") {
+    const Folder folder;
+    folder.write("bench.json", R"({"log": {"file": "errors.log", "level": "warning"},
+      "sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "device": "/dev/missing_thing"} ], "sinks": [{"type": "discard"}]})");
+    Process run(folder, program, {"run", "bench.json", "-q"});
+    REQUIRE(run.wait_for("/dev/missing_thing"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(run.out.empty());
+    CHECK_FALSE(has(run.err, "stopping"));
+    const std::string log = folder.read("errors.log");
+    CHECK(has(log, "error sensor a: cannot open the device: /dev/missing_thing: No such file or directory: plug it in [not-found]\n"));
+    CHECK_FALSE(has(log, " info "));
+  }
+
+  TEST_CASE("NFR-7 a fatal signal is in the log file, behind the errors before it") {
+    for (const int signal : {SIGSEGV, SIGABRT, SIGBUS}) {
+      const Folder folder;
+      folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz"} ]})");
+      Process run(folder, program, {"run", "bench.json"});
+      REQUIRE(run.wait_for("running bench"));
+      run.signal(signal);
+      const int status = run.end();
+      CHECK(status != 0);  // the signal, or what a sanitizer makes of it
+      const std::string log = folder.read("bench.log");
+      CHECK(log.find("cannot open the device") < log.find("error program: fatal signal " + std::to_string(signal)));
+      CHECK(has(log, "error program: fatal signal " + std::to_string(signal)));
+    }
+  }
+
+  TEST_CASE("NFR-7 a log file that cannot be written is a warning, not the end") {
+    const Folder folder;
+    folder.write("bench.json", bench);
+    Process run(folder, program, {"run", "bench.json", "--for", "50ms", "--log", "/nonexistent/x.log"});
+    CHECK(run.end() == 0);
+    CHECK(has(run.err, "warning: log: cannot write the log file: /nonexistent/x.log: No such file or directory"));
+    Process full(folder, program, {"run", "bench.json", "--for", "700ms", "--log", "/dev/full"});
+    CHECK(full.end() == 0);
+    CHECK(has(full.err, "No space left on device"));
+  }
+
+  TEST_CASE("NFR-7 an error that ends the start is in the log file") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "required": true} ]})");
+    Process run(folder, program, {"run", "bench.json"});
+    CHECK(run.end() == 1);
+    CHECK(has(folder.read("bench.log"), "bench.json:1:15: sensor a: /dev/absent: No such file or directory: plug it in [not-found]"));
+  }
+
+  TEST_CASE("US-9 after kill -9 the next run goes on") {
+    const Folder folder;
+    folder.write("bench.json", bench);
+    {
+      Process run(folder, program, {"run", "bench.json"});
+      REQUIRE(run.wait_for("running bench"));
+      run.signal(SIGKILL);
+      CHECK(run.end() == 128 + SIGKILL);
+    }
+    Process again(folder, program, {"run", "bench.json", "--for", "100ms"});
+    CHECK(again.end() == 0);
+    CHECK(has(again.out, "ledger balances"));
+  }
+
+  TEST_CASE("US-5 a reading that holds the loop is missed ticks, not a hung program") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "slow", "type": "counter", "rate": "100 Hz", "hold": "35 ms"} ], "sinks": [{"type": "discard"}]})");
+    Process run(folder, program, {"run", "bench.json", "--for", "400ms", "--fail-on-loss"});
+    CHECK(run.end() == 3);
+    CHECK(has(run.err, "held the loop"));
+    CHECK(has(folder.read("bench.log"), "[held-too-long]"));
+  }
+
+  TEST_CASE("US-22 types lists every type with its parameters, and --schema is JSON") {
+    const Folder folder;
+    Process all(folder, program, {"types"});
+    CHECK(all.end() == 0);
+    for (const char* type : {"\nanalog  ", "\nhost  ", "\nserial  ", "\ncounter  ", "\nfile  ", "\nconsole  ", "quantization_bits", "batch_rows"})
+      CHECK_MESSAGE(has(all.out, type), type);
+    Process one(folder, program, {"types", "counter"});
+    CHECK(one.end() == 0);
+    CHECK(one.out.starts_with("counter  counts its readings\n"));
+    Process wrong(folder, program, {"types", "countr"});
+    CHECK(wrong.end() == 1);
+    CHECK(has(wrong.err, "did you mean \"counter\"?"));
+    Process schema(folder, program, {"types", "--schema"});
+    CHECK(schema.end() == 0);
+    CHECK(nlohmann::json::parse(schema.out)["properties"].contains("sinks"));
+  }
+
+  TEST_CASE("NFR-5 init writes a file that runs as it is, and overwrites nothing") {
+    const Folder folder;
+    Process init(folder, shipped, {"init", "first.json"});
+    CHECK(init.end() == 0);
+    const std::string text = folder.read("first.json");
+    CHECK(has(text, "\"1 kHz\""));
+    CHECK(has(text, "\"first.jsonl\""));
+    Process check(folder, shipped, {"check", "first.json"});
+    CHECK(check.end() == 0);
+    CHECK_FALSE(has(check.out, "warning"));
+    Process run(folder, shipped, {"run", "first.json", "--for", "300ms"});
+    CHECK(run.end() == 0);
+    CHECK(has(folder.read("first.jsonl"), "host/process"));
+    Process again(folder, shipped, {"init", "first.json"});
+    CHECK(again.end() == 1);
+    CHECK(has(again.err, "first.json: File exists"));
+    CHECK(folder.read("first.json") == text);
+  }
+
+  TEST_CASE("NFR-5 the command line explains itself") {
+    const Folder folder;
+    Process help(folder, shipped, {"--help"});
+    CHECK(help.end() == 0);
+    for (const char* word : {"init", "run", "check", "types", "examples:"}) CHECK(has(help.out, word));
+    Process version(folder, shipped, {"--version"});
+    CHECK(version.end() == 0);
+    CHECK(version.out.starts_with("rtdata "));
+    for (const auto& arguments : std::vector<std::vector<std::string>>{
+             {}, {"rnu"}, {"run"}, {"run", "x.json", "--for", "10"}, {"run", "x.json", "--for", "0s"}, {"run", "x.json", "--fro", "1s"}}) {
+      Process wrong(folder, shipped, arguments);
+      CHECK(wrong.end() == 1);
+      CHECK_FALSE(wrong.err.empty());
+    }
+  }
+}

@@ -1,0 +1,41 @@
+#!/usr/bin/env python3
+"""The CMake and the meson build are made from the same lists of sources, targets, version and needed libraries."""
+import pathlib
+import re
+import sys
+
+root = pathlib.Path(__file__).resolve().parents[2]
+cmake = (root / "CMakeLists.txt").read_text() + "".join(p.read_text() for p in sorted((root / "cmake").glob("*.cmake")))
+meson = (root / "meson.build").read_text()
+problems = []
+
+version = re.search(r"project\(rtdata VERSION ([\d.]+)", cmake).group(1)
+if f"version: '{version}'" not in meson:
+    problems.append(f"CMake builds version {version}, meson another")
+
+lists = sorted(p.relative_to(root).as_posix() for p in root.glob("src/**/*.sources")) + ["tests/tests.sources"]
+for name in lists:
+    for build, text in (("CMake", cmake), ("meson", meson)):
+        if name not in text:
+            problems.append(f"{build} does not use {name}")
+
+listed = []
+for name in lists:
+    for line in (root / name).read_text().split("\n"):
+        if line and not line.startswith("#"):
+            listed.append(line)
+            if not (root / line).is_file():
+                problems.append(f"{name} lists {line}, which is not there")
+for path in sorted(root.glob("src/**/*.cpp")):
+    name = path.relative_to(root).as_posix()
+    if listed.count(name) != 1 and name != "src/app/main.cpp":
+        problems.append(f"{name} is in {listed.count(name)} lists of sources")
+
+for package, least in re.findall(r"pkg_check_modules\(\w+ (?:REQUIRED )?IMPORTED_TARGET (\w+)>=([\d.]+)\)", cmake):
+    if not re.search(rf"dependency\('{package}', version: '>= ?{re.escape(least)}'", meson):
+        problems.append(f"CMake needs {package} >= {least}, meson does not say so")
+
+for problem in problems:
+    print(problem)
+print(f"{len(listed)} sources in {len(lists)} lists, {len(problems)} problems")
+sys.exit(1 if problems else 0)

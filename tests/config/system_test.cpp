@@ -1,0 +1,286 @@
+#include "rtdata/config/system.hpp"
+
+#include <doctest/doctest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "config/test_types.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using test::Count;
+
+namespace {
+
+Registry registry() {
+  Registry registry;
+  test::add_test_types(registry);
+  return registry;
+}
+
+SystemPlan planned(std::string_view text) { return plan_system(registry(), parse_config(text, "f.json")); }
+
+std::string problems_of(std::string_view text) { return planned(text).problems.text(); }
+
+ConfigItem item(std::string_view text) { return parse_config(text, "item.json").or_throw(); }
+
+constexpr const char* bench = R"({
+  "name": "bench", "notes": "first run",
+  "loop": {"hold_limit": "20 ms", "phase_grid": "0 s"},
+  "sensors": [
+    {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
+    {"name": "b", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 100, "start": false},
+    {"name": "c", "type": "fed", "topic": "count/c"}
+  ],
+  "sinks": [ {"type": "discard", "path": "x.out", "topics": ["count/#"], "queue_bytes": 1048576} ]
+})";
+
+/// What a System does, on virtual time.
+struct Running {
+  explicit Running(std::string_view text = bench) : plan(plan_system(types, parse_config(text, "f.json"))) {}
+  Registry types = registry();
+  SystemPlan plan;
+  Loop loop{Loop::Manual{}, plan.loop_config()};
+  System system{loop, types, plan};
+  std::vector<std::uint64_t> seen_a, seen_b;
+  Subscription on_a = loop.subscribe<Count>("count/a", [this](const Event<Count>& e) { seen_a.push_back(e->number); });
+  Subscription on_b = loop.subscribe<Count>("count/b", [this](const Event<Count>& e) { seen_b.push_back(e->number); });
+};
+
+}  // namespace
+
+TEST_SUITE("config") {
+  TEST_CASE("US-17 a file becomes a running system") {
+    Running run;
+    CHECK(run.plan.warnings.empty());
+    CHECK(run.plan.runtime_config().name == "bench");
+    CHECK(run.plan.runtime_config().notes == "first run");
+    CHECK(run.plan.runtime_config().configuration == bench);
+    CHECK(run.loop.config().hold_limit == std::chrono::milliseconds{20});
+    CHECK(run.system.sensor_names() == std::vector<std::string>{"a", "b", "c"});
+    CHECK(run.system.sink_names() == std::vector<std::string>{"x.out"});
+    run.loop.advance(95ms);
+    CHECK(run.seen_a == std::vector<std::uint64_t>{1, 2, 3, 4, 5, 6, 7, 8, 9, 10});
+    CHECK(run.seen_b.empty());
+    run.loop.close();
+    CHECK(run.loop.runtime().balances());
+    CHECK(run.loop.runtime().sinks().at(0).counts.stored == 10);
+  }
+
+  TEST_CASE("US-9 a configured sensor starts and stops at any time") {
+    Running run;
+    CHECK_FALSE(run.system.sensor("b").is_running());
+    run.system.sensor("b").start();
+    run.loop.advance(250ms);
+    CHECK(run.seen_b == std::vector<std::uint64_t>{100, 101, 102});
+    run.system.sensor("b").stop();
+    run.system.sensor("a").stop();
+    const auto before = run.seen_a.size();
+    run.loop.advance(1s);
+    CHECK(run.seen_b.size() == 3);
+    CHECK(run.seen_a.size() == before);
+    run.system.sensor("b").start();
+    run.loop.advance(50ms);
+    CHECK(run.seen_b.size() == 4);
+  }
+
+  TEST_CASE("US-5 the rate of a configured sensor changes while it runs") {
+    Running run;
+    run.loop.advance(95ms);
+    CHECK(run.seen_a.size() == 10);
+    run.system.sensor("a").set_rate(1_kHz);
+    run.loop.advance(99ms);
+    CHECK(run.seen_a.size() == 110);
+  }
+
+  TEST_CASE("US-7 a sensor added to a running system starts at once") {
+    Running run;
+    run.loop.advance(1s);
+    run.system.add_sensor(item(R"({"name": "d", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 500})"));
+    CHECK(run.system.sensor("d").is_running());
+    run.loop.advance(150ms);
+    CHECK(run.seen_b == std::vector<std::uint64_t>{500, 501});
+  }
+
+  TEST_CASE("US-7 an added sensor with mistakes leaves the system as it was") {
+    Running run;
+    const auto message = [&](std::string_view text) -> std::string {
+      try {
+        run.system.add_sensor(item(text));
+      } catch (const SetupError& error) {
+        return error.what();
+      }
+      return "";
+    };
+    CHECK(message(R"({"name": "d", "type": "countr", "rate": "10 Hz"})").find("\"counter\"") != std::string::npos);
+    CHECK(message(R"({"name": "a", "type": "counter", "rate": "10 Hz", "topic": "count/a"})").find("there is one of that name already") !=
+          std::string::npos);
+    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "topic": "count/a"})").find("\"level\"") != std::string::npos);
+    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "required": true})").find("plug it in") != std::string::npos);
+    CHECK(run.system.sensor_names().size() == 3);
+    run.loop.advance(95ms);
+    CHECK(run.seen_a.size() == 10);
+  }
+
+  TEST_CASE("US-8 a removed sensor gives not one more event, and its name is free") {
+    Running run;
+    run.loop.advance(95ms);
+    run.system.remove_sensor("a");
+    run.loop.advance(1s);
+    CHECK(run.seen_a.size() == 10);
+    CHECK_THROWS_WITH_AS((void)run.system.sensor("a"), doctest::Contains("no such sensor"), SetupError);
+    run.system.add_sensor(item(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a", "first": 70})"));
+    run.loop.advance(5ms);
+    CHECK(run.seen_a.back() == 70);
+    run.loop.close();
+    CHECK(run.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-8 a sensor is removed from a handler of its own event") {
+    Running run;
+    const Subscription remover = run.loop.subscribe("count/a", [&](const EventView& e) {
+      if (e.sequence() == 3) run.system.remove_sensor("a");
+    });
+    run.loop.advance(1s);
+    CHECK(run.seen_a.size() == 3);
+  }
+
+  TEST_CASE("US-8 sinks are added and removed while the system runs") {
+    Running run;
+    run.loop.advance(95ms);
+    run.system.add_sink(item(R"({"type": "discard", "name": "second", "topics": ["count/a"]})"));
+    CHECK_THROWS_WITH_AS(run.system.add_sink(item(R"({"type": "discard", "name": "second"})")), doctest::Contains("already"), ConfigError);
+    run.loop.advance(100ms);
+    CHECK(run.system.sink("second").counts().offered == 10);
+    run.system.remove_sink("second");
+    CHECK(run.system.sink_names() == std::vector<std::string>{"x.out"});
+    run.loop.close();
+    CHECK(run.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-17 every mistake of a file is told at once, in its order") {
+    const std::string text = problems_of(R"({
+  "nam": "bench",
+  "log": {"levle": "info", "file": 3},
+  "sensors": [
+    {"name": "a", "type": "counter", "rtae": "100 Hz"},
+    {"name": "b", "type": "countr", "rate": "1 Hz"},
+    {"name": "c", "type": "counter", "rate": "100"},
+    {"name": "d", "type": "counter", "rate": "1 Hz", "first": -1},
+    {"name": "e e", "type": "counter", "rate": "1 Hz"},
+    {"name": "f", "type": "counter", "rate": "1 Hz", "topic": "a//b"},
+    {"name": "g", "type": "counter", "rate": "1 Hz", "topic": "$rtdata/x"}
+  ],
+  "sinks": [
+    {"type": "discard", "topics": ["a/#/b", "x y"]},
+    {"type": "discard", "queue_bytes": 3},
+    {"type": "discard", "when_full": "drop"}
+  ]
+})");
+    std::string places;
+    for (std::size_t begin = 0, end; (end = text.find('\n', begin)) != std::string::npos; begin = end + 1) {
+      const std::string line = text.substr(begin, end - begin);
+      places += line.substr(0, line.find(": ", line.find(": ") + 2)) + "\n";
+    }
+    CHECK_MESSAGE(places == R"(f.json:2:3: nam
+f.json:3:11: log.levle
+f.json:3:36: log.file
+f.json:5:38: sensors[0].rtae
+f.json:6:27: sensors[1].type
+f.json:7:46: sensors[2].rate
+f.json:8:63: sensors[3].first
+f.json:9:14: sensors[4].name
+f.json:10:63: sensors[5].topic
+f.json:11:63: sensors[6].topic
+f.json:14:36: sinks[0].topics[0]
+f.json:14:45: sinks[0].topics[1]
+f.json:15:40: sinks[1].queue_bytes
+f.json:16:38: sinks[2].when_full
+)",
+                  text);
+    CHECK(text.find("(did you mean \"name\"?)") != std::string::npos);
+    CHECK(text.find("(did you mean \"rate\"?)") != std::string::npos);
+    CHECK(text.find("(did you mean \"counter\"?)") != std::string::npos);
+  }
+
+  TEST_CASE("US-17 names used twice are told with both places") {
+    const std::string text = problems_of(R"({"sensors": [
+  {"name": "a", "type": "counter", "rate": "1 Hz"},
+  {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "b"}],
+ "sinks": [
+  {"type": "discard", "path": "out"},
+  {"type": "discard", "path": "./out"},
+  {"type": "discard"}, {"type": "discard"}]})");
+    CHECK(text ==
+          "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its own\n"
+          "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy it\n"
+          "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
+  }
+
+  TEST_CASE("US-17 two payloads on one topic are told with both places before anything starts") {
+    const std::string text = problems_of(R"({"sensors": [
+  {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x"},
+  {"name": "b", "type": "absent", "rate": "1 Hz", "topic": "x"},
+  {"name": "c", "type": "counter", "rate": "1 Hz", "topic": "X"},
+  {"name": "d", "type": "fed", "topic": "x"}]})");
+    CHECK(text.starts_with("f.json:3:60: sensors[1].topic: the topic \"x\" carries \"count\" of sensor a, at f.json:2:61, and "
+                           "\"level\" of this one; "));
+    CHECK(text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61\n") !=
+          std::string::npos);
+    CHECK(text.find("sensors[3]") == std::string::npos);  // the same payload may share a topic
+  }
+
+  TEST_CASE("US-17 keys of later versions are refused as such") {
+    const std::string text = problems_of(R"({"tiers": {}, "buses": {},
+ "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "fast"}]})");
+    CHECK(text == "f.json:1:2: tiers: \"tiers\" is not available in this version\n"
+                  "f.json:1:15: buses: \"buses\" is not available in this version\n"
+                  "f.json:2:63: sensors[0].tier: \"tier\" is not available in this version\n");
+  }
+
+  TEST_CASE("US-17 what is probably not meant is a warning") {
+    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "counter", "rate": "1 Hz"}],
+  "sinks": [{"type": "discard", "topics": ["presure", "pressure"]}]})").warnings.text() ==
+          "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean \"pressure\"?)\n");
+    const SystemPlan empty = planned(R"({"sensors": []})");
+    CHECK(empty.good());
+    CHECK(empty.warnings.text() == "f.json:1:13: sensors: there are no sensors: nothing will be recorded\n");
+    CHECK(planned("{}").warnings.size() == 1);
+  }
+
+  TEST_CASE("US-17 what is no object, or no file, is told") {
+    CHECK(problems_of("[]") != "");
+    CHECK(problems_of("3") != "");
+    CHECK(problems_of("null") != "");
+    CHECK(problems_of("") != "");
+    CHECK(problems_of(R"({"sensors": {}, "sinks": 3})").find("sinks") != std::string::npos);
+    CHECK(problems_of(R"({"sensors": [3]})").find("sensors[0]") != std::string::npos);
+    CHECK_FALSE(plan_system(registry(), load_config("/nonexistent/f.json")).good());
+  }
+
+  TEST_CASE("US-17 a plan with problems makes nothing") {
+    const Registry types = registry();
+    Loop loop{Loop::Manual{}};
+    CHECK_THROWS_AS(System(loop, types, planned(R"({"sensors": [{"name": "a", "type": "counter"}]})")), ConfigError);
+    CHECK(loop.runtime().sensors().empty());
+  }
+
+  TEST_CASE("US-17 an error of making a sensor says where it is configured, and leaves nothing behind") {
+    const Registry types = registry();
+    Loop loop{Loop::Manual{}};
+    const SystemPlan plan = planned(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"},
+  {"name": "b", "type": "absent", "rate": "1 Hz", "required": true}], "sinks": [{"type": "discard"}]})");
+    CHECK_THROWS_WITH_AS(System(loop, types, plan),
+                         "cannot open the device: f.json:2:3: sensor b: /dev/absent: No such file or directory: plug it in", SetupError);
+    CHECK(loop.runtime().sensors().empty());
+  }
+
+  TEST_CASE("US-22 the schema covers the whole document") {
+    const auto schema = nlohmann::json::parse(registry().schema());
+    CHECK(schema["properties"]["log"]["properties"].contains("level"));
+    CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"] == nlohmann::json{"counter", "absent", "fed"});
+    CHECK(schema["properties"]["sinks"]["items"]["allOf"][0]["then"]["properties"].contains("queue_bytes"));
+    CHECK_FALSE(schema["properties"]["sensors"]["items"]["allOf"][2]["then"]["properties"].contains("rate"));
+    CHECK(schema["additionalProperties"] == false);
+  }
+}

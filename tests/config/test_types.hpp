@@ -1,0 +1,113 @@
+// Sensor and sink types for tests of configurations and of the program.
+#pragma once
+
+#include <time.h>
+
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "rtdata/config/parts.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata::test {
+
+struct Count {
+  std::uint64_t number = 0;
+  friend constexpr auto describe(type_tag<Count>) { return record("count", field("number", &Count::number)); }
+};
+struct Level {
+  double level = 0;
+  friend constexpr auto describe(type_tag<Level>) { return record("level", field("level", &Level::level, "bar")); }
+};
+
+/// Counts its readings; can fail and take its time.
+struct CounterConfig {
+  std::uint64_t first = 1;
+  std::uint64_t fail_every = 0;
+  Duration hold{0};
+  friend constexpr auto parameters(type_tag<CounterConfig>) {
+    return parameter_list(parameter("first", &CounterConfig::first, "where it begins"),
+                          parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
+                          parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
+  }
+};
+
+struct Counter {
+  CounterConfig config;
+  std::uint64_t count = 0;
+  Result<Count> read() {
+    const std::uint64_t number = config.first + count++;
+    if (config.hold.count() > 0) {
+      timespec wait{config.hold.count() / 1'000'000'000, config.hold.count() % 1'000'000'000};
+      ::nanosleep(&wait, nullptr);  // the tests that ask for it want a loop that is held
+    }
+    if (config.fail_every != 0 && count % config.fail_every == 0) {
+      return Error{Errc::bad_data, "cannot count", "the counter", "it fails on purpose", "leave fail_every out"};
+    }
+    return Count{number};
+  }
+};
+
+/// Cannot be opened.
+struct AbsentConfig {
+  std::string device = "/dev/absent";
+  friend constexpr auto parameters(type_tag<AbsentConfig>) {
+    return parameter_list(parameter("device", &AbsentConfig::device, "what is not there"));
+  }
+};
+struct Absent {
+  std::string device;
+  Result<void> open() { return Error{Errc::not_found, "cannot open the device", device, "No such file or directory", "plug it in"}; }
+  Level read() { return {}; }
+};
+
+/// Throws its events away, perhaps slowly.
+struct DiscardConfig {
+  std::string path = {};
+  bool stalls = false;
+  SinkConfig sink = {};
+  friend constexpr auto parameters(type_tag<DiscardConfig>) {
+    return parameter_list(parameter("path", &DiscardConfig::path, "a file that it does not write"),
+                          parameter("stalls", &DiscardConfig::stalls, "it never stores anything"),
+                          include_member(&DiscardConfig::sink));
+  }
+};
+class Discard final : public Writer {
+ public:
+  explicit Discard(DiscardConfig config) : config_(std::move(config)) {}
+  Result<void> open() override { return {}; }
+  Result<void> write(Batch&) override {
+    if (config_.stalls) return Error{Errc::storage_full, "cannot store", config_.path, "it stalls on purpose", ""};
+    return {};
+  }
+
+ private:
+  DiscardConfig config_;
+};
+
+inline void add_test_types(Registry& registry) {
+  registry.add_sensor<CounterConfig>(
+      "counter", "counts its readings", [](const CounterConfig&) { return description_of<Count>(); },
+      [](Loop& loop, const SensorConfig& common, const CounterConfig& config) {
+        return Sensor<Count>(loop, common, Counter{config});
+      });
+  registry.add_sensor<AbsentConfig>(
+      "absent", "is never there", [](const AbsentConfig&) { return description_of<Level>(); },
+      [](Loop& loop, const SensorConfig& common, const AbsentConfig& config) {
+        return Sensor<Level>(loop, common, Absent{config.device});
+      });
+  registry.add_sensor<NoParameters>(
+      "fed", "is fed by the program", [](const NoParameters&) { return description_of<Count>(); },
+      [](Loop& loop, const FeedConfig& common, const NoParameters&) { return Feed<Count>(loop, common); });
+  registry.add_sink<DiscardConfig>(
+      "discard", "throws its events away", [](const DiscardConfig& config) { return config.path; },
+      [](Loop& loop, const DiscardConfig& config) {
+        return Sink(loop, config.sink, std::make_unique<Discard>(config));
+      });
+}
+
+}  // namespace rtdata::test

@@ -1,0 +1,188 @@
+"""Holds the documentation to the product:  docs_test.py SOURCE_DIR BUILD_DIR CXX
+
+A comment on the line before a code block says what is done with it:
+  <!-- test: configuration -->   `rtdata check` finds no mistake in it
+  <!-- test: compile -->         it compiles
+  <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
+  <!-- test: file PATH -->       the file has it, word for word
+Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
+that there are into the tables of docs/requirements.md.
+"""
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+problems = []
+BLOCK = re.compile(r"<!-- test: (?P<test>.+?) -->\n+```(?P<language>\w*)\n(?P<text>.*?)^```$", re.S | re.M)
+
+
+def problem(where, what):
+    problems.append(f"{where}: {what}")
+
+
+def run(command, **options):
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
+
+
+def pages(source):
+    return sorted(source.glob("*.md")) + sorted((source / "docs").glob("*.md")) + [source / "examples/README.md"]
+
+
+def check_blocks(source, build, compiler, program):
+    skipped = 0
+    for page in pages(source):
+        text = page.read_text()
+        with tempfile.TemporaryDirectory() as folder:
+            for block in BLOCK.finditer(text):
+                where = f"{page.relative_to(source)}:{text.count(chr(10), 0, block.start()) + 1}"
+                kind, _, argument = block["test"].partition(" ")
+                if kind == "file":
+                    if block["text"] not in (source / argument).read_text():
+                        problem(where, f"{argument} does not have this text")
+                elif kind == "compile":
+                    file = Path(folder) / "block.cpp"
+                    file.write_text(block["text"])
+                    flags = ["-std=c++20", "-fsyntax-only", "-Wall", "-Wextra", f"-I{source}/include"]
+                    done = run([compiler, *flags, file])
+                    if done.returncode != 0 or done.stderr:
+                        problem(where, "does not compile:\n" + done.stderr)
+                elif kind not in ("configuration", "run"):
+                    problem(where, f"unknown mark: {block['test']}")
+                elif program is None:
+                    skipped += 1
+                elif kind == "configuration":
+                    file = Path(folder) / "block.json"
+                    file.write_text(block["text"])
+                    done = run([program, "check", file])
+                    if done.returncode != 0:
+                        problem(where, "is no good configuration:\n" + done.stdout + done.stderr)
+                else:
+                    environment = dict(os.environ, PATH=f"{build}:{os.environ['PATH']}")
+                    done = run(["sh", "-euc", block["text"]], cwd=folder, env=environment)
+                    if done.returncode != 0:
+                        problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
+    if skipped:
+        print(f"skipped: {skipped} blocks that need the program, which is not built")
+
+
+def check_links(source):
+    for page in pages(source):
+        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text()):
+            if not (page.parent / target).exists():
+                problem(page.relative_to(source), f"a link to {target}, which is not there")
+
+
+def check_errors(source):
+    ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    header = (source / "include/rtdata/config/problem.hpp").read_text()
+    listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
+    ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
+    headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))
+    for name in sorted(set(ids) - {"ok"} - headings):
+        problem("docs/errors.md", f"no heading for {name}")
+
+
+def documented(source):
+    """Of each section of configuration.md: the default of each parameter in its tables."""
+    sections, rows = {}, {}
+    for line in (source / "docs/configuration.md").read_text().splitlines():
+        if line.startswith("#"):
+            rows = sections.setdefault(line.strip("# `"), {})
+        elif line.startswith("| `"):
+            cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+            rows[cells[0].strip("`")] = cells[3].strip("`")
+    return sections
+
+
+def check_types(source, program):
+    if program is None:
+        print("skipped: the parameters of `rtdata types`, since the program is not built")
+        return
+    sections, group, name, parent, columns = documented(source), "", "", "", {}
+    for line in run([program, "types"]).stdout.splitlines():
+        if line in ("sensor types", "sink types"):
+            group = "Every sensor" if line.startswith("sensor") else "Every sink"
+        elif line.startswith("formats"):
+            break
+        elif match := re.match(r"([a-z][\w-]*)  \S", line):
+            name = match[1]
+            if name not in sections:
+                problem("docs/configuration.md", f"no section for the type {name}")
+        elif line.startswith("  parameter "):
+            columns = {word: line.index(word, line.index("type")) for word in ("default", "meaning")}
+        elif match := re.match(r"( +)([a-z]\w*)  ", line):
+            key, default = match[2], line[columns["default"]:columns["meaning"]].strip()
+            is_member = len(match[1]) > 2  # of the parameter before it
+            parent = parent if is_member else key
+            places = [f"{name}`: `{parent}"] if is_member else [name, group]
+            wanted = next((sections[s][key] for s in places if key in sections.get(s, {})), None)
+            if wanted is None:
+                problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")
+            elif wanted != default:
+                problem("docs/configuration.md", f"the default of {key} of {name} is {default!r}, not {wanted!r}")
+
+
+def test_names(source):
+    names = []
+    for file in sorted((source / "tests").rglob("*.cpp")):
+        names += re.findall(r'TEST_CASE(?:_TEMPLATE)?\(\s*"([^"]+)"', file.read_text())
+    return names
+
+
+def tests_of(identifier, names):
+    """US-13/42 is US-13 or US-42."""
+    first, *others = identifier.split("/")
+    ids = {first} | {first.split("-")[0] + "-" + other for other in others}
+    return [name for name in names if ids & set(re.findall(r"\b(?:US|NFR|FW)-\d+", name))]
+
+
+def check_handles(source):
+    names = test_names(source)
+    for test in re.findall(r"`(handle rule [^`]+)`", (source / "docs/handles.md").read_text()):
+        if test not in names:
+            problem("docs/handles.md", f"there is no test {test!r}")
+
+
+def check_requirements(source, rewrite):
+    page, names = source / "docs/requirements.md", test_names(source)
+    lines = []
+    for line in page.read_text().splitlines():
+        match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)
+        if match and rewrite:
+            tests = tests_of(match[1], names)
+            shown = "<br>".join(f"`{test}`" for test in tests) or match[3].strip()
+            line = f"| {match[1]} | {match[2]} | {shown} |"
+        elif match:
+            listed = re.findall(r"`([^`]+)`", match[3])
+            for test in listed:
+                if test not in names and not (source / test).exists():
+                    problem(f"docs/requirements.md, {match[1]}", f"there is no test {test!r}")
+            if not listed and "later" not in match[3]:
+                problem(f"docs/requirements.md, {match[1]}", "names no test and does not say later")
+        lines.append(line)
+    if rewrite:
+        page.write_text("\n".join(lines) + "\n")
+
+
+def main():
+    source, build, compiler = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve(), sys.argv[3]
+    if "--write-requirements" in sys.argv:
+        check_requirements(source, rewrite=True)
+        return 0
+    program = build / "rtdata" if (build / "rtdata").exists() else None
+    check_blocks(source, build, compiler, program)
+    check_links(source)
+    check_errors(source)
+    check_types(source, program)
+    check_handles(source)
+    check_requirements(source, rewrite=False)
+    print("\n".join(problems))
+    print(f"{len(problems)} problems" if problems else "the documentation agrees with the product")
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+#!/bin/sh
+# install_test.sh BUILD_DIR SOURCE_DIR: installs into a temporary prefix; then strangers' projects find the library in
+# each of the ways that the README names, compile the README's program, run it and read its recording.
+set -eu
+build=$(cd "$1" && pwd)
+source=$(cd "$2" && pwd)
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT INT TERM
+
+cmake --install "$build" --prefix "$work/prefix" >"$work/install.log"
+config=$(find "$work/prefix" -name rtdata-config.cmake)
+pkgconfig=$(find "$work/prefix" -name pkgconfig -type d)
+if grep -rq "$source\|$build" "$(dirname "$config")" "$pkgconfig"; then
+    echo "what was installed names the tree it was built in:" >&2
+    grep -r "$source\|$build" "$(dirname "$config")" "$pkgconfig" >&2
+    exit 1
+fi
+if [ -x "$work/prefix/bin/rtdata" ]; then
+    "$work/prefix/bin/rtdata" --version
+fi
+
+# A project of the way $1, with the README's program made shorter.
+project() {
+    cp -r "$source/tests/install/$1" "$work/$1"
+    sed 's/run_for(1s)/run_for(200ms)/' "$source/examples/01_record.cpp" >"$work/$1/record.cpp"
+    cd "$work/$1"
+}
+# Runs the program $1 and looks whether its rows are there.
+check() {
+    timeout 30 "$1" >output
+    [ -s output ]
+    python3 - run.db <<'PYTHON'
+import sqlite3, sys
+db = sqlite3.connect(sys.argv[1])
+rows, = db.execute('SELECT count(*) FROM "room/climate"').fetchone()
+stored, state = db.execute("SELECT stored, state FROM rtdata_ledger JOIN rtdata_run USING (run)").fetchone()
+sys.exit(0 if rows == stored > 0 and state == "closed" else f"{rows} rows, {stored} stored, {state}")
+PYTHON
+    echo "$(basename "$PWD"): good"
+}
+
+project find_package
+cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
+cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
+cmake --build out >>cmake.log || { cat cmake.log >&2; exit 1; }
+check out/record
+if [ -x out/own_types ]; then
+    out/own_types check "$source/examples/06_own_types.json"
+fi
+
+project pkg_config
+PKG_CONFIG_PATH="$pkgconfig" sh build.sh
+LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check ./record
+
+project add_subdirectory
+cmake -S . -B out -DRTDATA_TREE="$source" -DCMAKE_BUILD_TYPE=Debug >cmake.log
+cmake --build out >>cmake.log || { tail -n 50 cmake.log >&2; exit 1; }
+check out/record

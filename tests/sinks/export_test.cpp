@@ -1,0 +1,139 @@
+#include "rtdata/sinks/export.hpp"
+
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <sstream>
+
+#include "app/commands.hpp"
+#include "sinks/recordings.hpp"
+
+using namespace rtdata;
+using namespace recordings;
+
+TEST_SUITE_BEGIN("sinks");
+
+namespace {
+
+struct Other {
+  std::int64_t temperature = 7;
+  RTDATA_FIELDS(Other, (temperature, "K"))
+};
+
+std::vector<std::string> lines_of(const std::string& text) {
+  std::istringstream stream(text);
+  std::vector<std::string> lines;
+  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  return lines;
+}
+
+std::string content_of(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+}  // namespace
+
+TEST_CASE("FW-5 one topic as CSV, with a header") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder)).or_throw();
+  std::ostringstream out;
+  const auto count = export_rows(recording, {.filter = {.topic = "room/climate"}}, out).or_throw();
+  CHECK(count.rows == 999);
+  const auto lines = lines_of(out.str());
+  REQUIRE(lines.size() == 1000);
+  CHECK(lines[0] == "time,origin,sequence,temperature,humidity");
+  const std::string start = std::to_string(to_nanoseconds(recording.runs().or_throw()[0].started));
+  CHECK(lines[1] == start + ",room,1,1,40");
+  CHECK(lines[999].find(",room,999,1001,40") != std::string::npos);
+}
+
+TEST_CASE("FW-5 several topics do not fit one CSV text; JSON lines take them, and read back equal") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder)).or_throw();
+  std::ostringstream out;
+  const auto refused = export_rows(recording, {}, out);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().id() == "bad-argument");
+  CHECK(refused.error().why.find("every/thing, room/climate") != std::string::npos);
+  CHECK(out.str() == "");
+  CHECK(export_rows(recording, {.format = "jsonl"}, out).or_throw().rows == 1001);
+  const auto lines = lines_of(out.str());
+  REQUIRE(lines.size() == 1001);
+  const auto line = std::find_if(lines.begin(), lines.end(), [](const std::string& l) { return l.find("every/thing") != std::string::npos; });
+  REQUIRE(line != lines.end());
+  const auto codec = make_json_codec();
+  const auto same = decode<Everything>(*codec, std::as_bytes(std::span(*line))).or_throw();
+  CHECK(same.data == full());
+  CHECK(same.origin == "program feed");
+  CHECK(export_rows(recording, {.format = "jsom"}, out).error().id() == "not-found");
+}
+
+TEST_CASE("FW-5 a folder gets a file a topic") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .folder = folder / "out"}, out, err) == 0);
+  CHECK(err.str() == "");
+  CHECK(lines_of(content_of(folder / "out/room/climate.csv")).size() == 1000);
+  CHECK(lines_of(content_of(folder / "out/every/thing.csv")).size() == 4);  // one text has a line end
+  CHECK(out.str().find("climate.csv: 999 rows") != std::string::npos);
+}
+
+TEST_CASE("FW-5 a topic whose fields changed has a file for each description") {
+  const Folder folder;
+  const std::string path = make(folder);
+  Loop loop{Loop::Manual{}};
+  SqliteSink sink(loop, {.path = path});
+  Feed<Other> feed(loop, {.name = "room", .topic = "room/climate"});
+  feed.publish(Other{});
+  feed.close();
+  loop.close();
+  const auto recording = Recording::open(path).or_throw();
+  std::ostringstream out;
+  CHECK_FALSE(export_rows(recording, {.filter = {.topic = "room/climate"}}, out));
+  CHECK(export_rows(recording, {.filter = {.topic = "room/climate", .run = 2}}, out).or_throw().rows == 1);
+  const auto files = export_files(recording, {.filter = {.topic = "room/climate"}}, folder / "out").or_throw();
+  REQUIRE(files.size() == 2);
+  CHECK(files[0].rows == 999);
+  CHECK(files[1].rows == 1);
+  CHECK(lines_of(content_of(folder / "out/room/climate~2.csv"))[0] == "time,origin,sequence,temperature");
+}
+
+TEST_CASE("FW-5 --utc gives rows from before the clock was set the right time") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  Loop loop{Loop::Manual{}};
+  loop.manual_clock().set_realtime(Time{5s});
+  {
+    SqliteSink sink(loop, {.path = path});
+    Sensor<Climate> room(loop, {.name = "room", .rate = 1_Hz}, [] { return Climate{1, 2}; });
+    loop.advance(3500ms);
+    loop.manual_clock().set_realtime(Time{1'800'000'000s} + loop.now().time_since_epoch());
+    loop.advance(3500ms);
+    room.close();
+    loop.close();
+  }
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .times = app::ExportOptions::Times::utc, .header = app::ExportOptions::Header::names_and_units}, out, err) == 0);
+  const auto lines = lines_of(out.str());
+  REQUIRE(lines.size() == 9);
+  CHECK(lines[0] == "time [ns],origin,sequence,temperature [Cel],humidity [%RH]");
+  CHECK(lines[1].starts_with("2027-01-15T08:00:00.000000000Z,room,1,"));
+  CHECK(lines[8].starts_with("2027-01-15T08:00:07.000000000Z,room,8,"));
+}
+
+TEST_CASE("FW-5 the subcommand export takes filters and says what is wrong with them") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .limit = 2, .every = 10}, out, err) == 0);
+  CHECK(lines_of(out.str()).size() == 3);
+  CHECK(app::export_recording({.database = path, .from = "yesterday"}, out, err) == 1);
+  CHECK(app::export_recording({.database = path, .topic = "room/#/x"}, out, err) == 1);
+  CHECK(app::export_recording({.database = folder / "none"}, out, err) == 2);
+}
+
+TEST_SUITE_END();

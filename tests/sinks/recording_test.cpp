@@ -1,0 +1,330 @@
+#include "rtdata/sinks/recording.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/stat.h>
+
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "app/commands.hpp"
+#include "rtdata/sinks/verify.hpp"
+#include "sinks/recordings.hpp"
+
+using namespace rtdata;
+using namespace recordings;
+
+TEST_SUITE_BEGIN("sinks");
+
+namespace {
+
+template <class T>
+std::vector<T> payloads_of(const std::string& path, const std::string& topic) {
+  auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({.topic = topic}).or_throw();
+  std::vector<T> found;
+  while (const RecordedRow* row = rows.next().or_throw()) {
+    REQUIRE(row->event().as<T>() != nullptr);
+    found.push_back(*row->event().as<T>());
+  }
+  return found;
+}
+
+std::vector<std::uint64_t> sequences(const Recording& recording, const RowFilter& filter) {
+  auto rows = recording.rows(filter).or_throw();
+  std::vector<std::uint64_t> found;
+  while (const RecordedRow* row = rows.next().or_throw()) found.push_back(row->header().sequence);
+  return found;
+}
+
+Error refusal(const std::string& path) {
+  auto opened = Recording::open(path);
+  if (!opened) return opened.error();
+  auto report = verify(*opened);
+  REQUIRE_FALSE(report);
+  return report.error();
+}
+
+void write_file(const std::string& path, const std::string& content) { std::ofstream(path, std::ios::binary) << content; }
+
+}  // namespace
+
+TEST_CASE("FW-5 every kind comes back equal") {
+  const Folder folder;
+  Everything nan = full();
+  nan.f64 = nan.maybe.emplace(std::numeric_limits<double>::quiet_NaN());
+  nan.f32 = std::numeric_limits<float>::quiet_NaN();
+  const std::string path = make(folder, [&](Feed<Everything>& feed) {
+    feed.publish(full());
+    feed.publish(Everything{});
+    feed.publish(nan);
+    for (int c = -128; c < 128; ++c) {
+      Everything e;
+      e.letter = static_cast<char>(c);
+      feed.publish(e);
+    }
+  });
+  const auto found = payloads_of<Everything>(path, "every/thing");
+  REQUIRE(found.size() == 259);
+  CHECK(found[0] == full());
+  CHECK(found[0].u64 == std::numeric_limits<std::uint64_t>::max());
+  CHECK(found[1] == Everything{});
+  CHECK(std::isnan(found[2].f64));
+  CHECK(std::isnan(found[2].f32));
+  REQUIRE(found[2].maybe.has_value());
+  CHECK(std::isnan(*found[2].maybe));
+  CHECK_FALSE(found[1].maybe.has_value());
+  for (int c = -128; c < 128; ++c) CHECK(static_cast<int>(found[static_cast<std::size_t>(c + 131)].letter) == c);
+}
+
+TEST_CASE("FW-5 a recording says what it holds") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder)).or_throw();
+  const auto runs = recording.runs().or_throw();
+  REQUIRE(runs.size() == 1);
+  CHECK(runs[0].state == RunState::closed);
+  CHECK(runs[0].pid == ::getpid());
+  REQUIRE(runs[0].ended);
+  CHECK(*runs[0].ended - runs[0].started == 10s + 45ms);
+  const auto topics = recording.topics().or_throw();
+  REQUIRE(topics.size() == 2);
+  CHECK(topics[0].topic == "every/thing");
+  CHECK(topics[1].topic == "room/climate");
+  CHECK(topics[1].description->same_meaning(*description_of<Climate>()));
+  const auto ledger = recording.ledger(1).or_throw();
+  REQUIRE(ledger.size() == 2);
+  CHECK(ledger[1].origin == "room");
+  CHECK(ledger[1].sensor.balances());
+  CHECK(ledger[1].sensor.failed == 2);
+  CHECK(ledger[1].stored == 999);
+  const auto gaps = recording.gaps(1).or_throw();
+  REQUIRE(gaps.size() == 2);
+  CHECK(gaps[0].kind == "failed");
+  CHECK(gaps[1].kind == "missed");
+  CHECK(gaps[0].count == 2);
+  CHECK(gaps[0].last - gaps[0].first == 10ms);
+  const auto schedule = recording.schedule(1).or_throw();
+  REQUIRE(schedule.size() == 1);
+  CHECK(schedule[0].segment.period == 10ms);
+  CHECK(schedule[0].segment.computed() == schedule[0].segment.scheduled);
+  CHECK(recording.clock(1).or_throw().size() >= 2);
+  CHECK(recording.errors(1).or_throw().size() >= 1);
+}
+
+TEST_CASE("FW-5 rows come in order of time across topics, and can be chosen") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder)).or_throw();
+  auto rows = recording.rows({}).or_throw();
+  Time last{};
+  std::size_t count = 0, others = 0;
+  while (const RecordedRow* row = rows.next().or_throw()) {
+    CHECK(row->header().time >= last);
+    last = row->header().time;
+    ++count;
+    others += row->topic().topic == "every/thing";
+    CHECK(row->run() == 1);
+  }
+  CHECK(count == 1001);
+  CHECK(others == 2);
+  CHECK(rows.next().or_throw() == nullptr);
+  CHECK(sequences(recording, {.topic = "every/+"}) == std::vector<std::uint64_t>{1, 2});
+  CHECK(sequences(recording, {.topic = "room/#", .limit = 3}) == std::vector<std::uint64_t>{1, 2, 3});
+  CHECK(sequences(recording, {.topic = "room/#", .every = 300}) == std::vector<std::uint64_t>{1, 301, 601, 901});
+  CHECK(sequences(recording, {.run = 2}).empty());
+  CHECK(sequences(recording, {.origin = "program feed"}).size() == 2);
+  const Time start = recording.runs().or_throw()[0].started;
+  CHECK(sequences(recording, {.topic = "room/#", .from = start + 10ms, .until = start + 40ms}) == std::vector<std::uint64_t>{2, 3, 4});
+  CHECK(recording.rows({.topic = "room/#/x"}).error().id() == "bad-name");
+  CHECK(recording.rows({.every = 0}).error().id() == "bad-argument");
+}
+
+TEST_CASE("FW-5 rows that were written out of order come in order") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE \"room/climate\" SET origin = 'slow', time = time - 35000000 WHERE sequence % 3 = 0");
+  const auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({}).or_throw();
+  Time last{};
+  std::size_t count = 0;
+  while (const RecordedRow* row = rows.next().or_throw()) {
+    CHECK(row->header().time >= last);
+    last = row->header().time;
+    ++count;
+  }
+  CHECK(count == 1001);
+}
+
+TEST_CASE("FW-5 a recording is read while it is being written, each reading in one state") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  Loop loop{Loop::Manual{}};
+  SqliteSink sink(loop, {.path = path});
+  Sensor<Climate> room(loop, {.name = "room", .rate = 100_Hz}, [] { return Climate{1, 2}; });
+  loop.advance(5s);
+  const auto recording = Recording::open(path).or_throw();
+  CHECK(verify(recording).or_throw().runs.at(0).problems.empty());
+  std::size_t count = 0;
+  {
+    auto rows = recording.rows({}).or_throw();
+    REQUIRE(rows.next().or_throw() != nullptr);
+    const auto before = static_cast<std::size_t>(number(path, "SELECT count(*) FROM room"));
+    loop.advance(5s);
+    for (count = 1; rows.next().or_throw() != nullptr;) ++count;
+    CHECK(count == before);
+  }
+  CHECK(sequences(recording, {}).size() > count);
+  room.close();
+  loop.close();
+  CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
+}
+
+TEST_CASE("FW-5 what cannot be read is refused with a clear error") {
+  const Folder folder;
+  CHECK(refusal(folder / "nothing.db").id() == "not-found");
+  CHECK(refusal(folder / "").id() != "ok");
+  write_file(folder / "empty.db", "");
+  CHECK(refusal(folder / "empty.db").id() == "not-a-recording");
+  CHECK(refusal(folder / "empty.db").why == "the file is empty");
+  write_file(folder / "text.txt", "time,temperature\n1,2\n");
+  CHECK(refusal(folder / "text.txt").id() == "not-a-recording");
+  write_file(folder / "long.txt", std::string(10000, 'x'));
+  CHECK(refusal(folder / "long.txt").id() == "not-a-recording");
+  sql(folder / "other.db", "CREATE TABLE bookmarks(url TEXT)");
+  CHECK(refusal(folder / "other.db").why == "it is another program's SQLite file");
+  const std::string newer = make(folder, {}, "newer.db");
+  sql(newer, "PRAGMA user_version = 99");
+  CHECK(refusal(newer).id() == "newer-version");
+  const std::string missing = make(folder, {}, "missing.db");
+  sql(missing, "DROP TABLE rtdata_gap");
+  CHECK(refusal(missing).id() == "damaged");
+  for (const double part : {0.05, 0.5, 0.95}) {
+    const std::string cut = make(folder, {}, "cut" + std::to_string(part) + ".db");
+    std::filesystem::resize_file(cut, static_cast<std::uintmax_t>(static_cast<double>(std::filesystem::file_size(cut)) * part));
+    CHECK(refusal(cut).id() == "damaged");
+  }
+  const std::string scribbled = make(folder, {}, "scribbled.db");
+  {
+    std::fstream file(scribbled, std::ios::binary | std::ios::in | std::ios::out);
+    const auto size = std::filesystem::file_size(scribbled);
+    for (std::uintmax_t at = 8192; at + 4096 < size; at += 4096) {
+      file.seekp(static_cast<std::streamoff>(at));
+      file.write("scribbled over", 14);
+    }
+  }
+  CHECK(refusal(scribbled).id() == "damaged");
+}
+
+TEST_CASE("FW-5 a file that may not be read says so") {
+  const Folder folder;
+  const std::string path = make(folder);
+  ::chmod((folder / "").c_str(), 0755);
+  ::chmod(path.c_str(), 0);
+  const uid_t user = ::geteuid();
+  if (user == 0) REQUIRE(::seteuid(65534) == 0);
+  const auto opened = Recording::open(path);
+  if (user == 0) REQUIRE(::seteuid(user) == 0);
+  REQUIRE_FALSE(opened);
+  CHECK(opened.error().id() == "not-permitted");
+  // Read-only in a folder that cannot be written: it is at rest, so that is enough.
+  ::chmod(path.c_str(), 0444);
+  ::chmod((folder / "").c_str(), 0555);
+  if (user == 0) REQUIRE(::seteuid(65534) == 0);
+  const auto at_rest = Recording::open(path);
+  const bool is_read = at_rest && at_rest->runs().or_throw().size() == 1;
+  if (user == 0) REQUIRE(::seteuid(user) == 0);
+  CHECK(is_read);
+  ::chmod((folder / "").c_str(), 0755);
+}
+
+TEST_CASE("FW-5 a value that does not fit its field is damage, named with its place") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE \"every/thing\" SET u8 = 300 WHERE sequence = 2");
+  auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({.topic = "every/thing"}).or_throw();
+  CHECK(rows.next());
+  const auto bad = rows.next();
+  REQUIRE_FALSE(bad);
+  CHECK(bad.error().id() == "damaged");
+  CHECK(bad.error().where.find("topic every/thing, run 1, origin program feed, sequence 2, field u8") != std::string::npos);
+}
+
+TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {
+  const auto at = [](std::int64_t s) { return Time{std::chrono::seconds{s}}; };
+  const auto pair = [&](std::int64_t monotonic, std::int64_t realtime, const char* source) {
+    return RecordedClock{MonotonicTime{std::chrono::seconds{monotonic}}, at(realtime), source};
+  };
+  constexpr std::int64_t now = 1'800'000'000;
+  SUBCASE("never set") {
+    const std::vector<RecordedClock> clock{pair(100, now, "start"), pair(200, now + 100, "end")};
+    CHECK(wall_time(at(now + 50), clock, std::chrono::seconds{now - 100}) == at(now + 50));
+    CHECK(wall_time(at(now + 50), {}, std::chrono::seconds{now - 100}) == at(now + 50));
+  }
+  SUBCASE("started in 1970 and set right later: before and after the step") {
+    const std::vector<RecordedClock> clock{pair(10, 15, "start"), pair(60, now + 50, "step"), pair(100, now + 90, "end")};
+    CHECK(wall_time(at(15), clock, 5s) == at(now));
+    CHECK(wall_time(at(64), clock, 5s) == at(now + 49));
+    CHECK(wall_time(at(105), clock, 5s) == at(now + 90));
+  }
+  SUBCASE("set by an hour forwards or backwards: no hole and no hour twice") {
+    for (const std::int64_t hour : {3600, -3600}) {
+      const std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, now + 60 + hour, "step")};
+      CHECK(wall_time(at(now + 59), clock, std::chrono::seconds{now}) == at(now + 59 + hour));
+      CHECK(wall_time(at(now + 61), clock, std::chrono::seconds{now}) == at(now + 61 + hour));
+    }
+  }
+  SUBCASE("a clock that fell back to 1970 overrules none that was set") {
+    const std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, 0, "step"), pair(90, 30, "end")};
+    CHECK(wall_time(at(now + 70), clock, std::chrono::seconds{now}) == at(now + 70));
+  }
+  SUBCASE("the noise of reading two clocks moves nothing") {
+    std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, now + 60, "end")};
+    clock[1].realtime += 900us;
+    CHECK(wall_time(at(now + 61), clock, std::chrono::seconds{now}) == at(now + 61));
+  }
+}
+
+TEST_CASE("FW-5 the summary tells rows, rates, lateness and losses of each topic") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE \"room/climate\" SET time = time + 2000000 WHERE sequence = 7");
+  const auto topics = summary(Recording::open(path).or_throw(), 1).or_throw();
+  REQUIRE(topics.size() == 2);
+  CHECK(topics[0].topic == "every/thing");
+  CHECK(topics[0].rows == 2);
+  CHECK(topics[0].wanted_hertz == 0);
+  CHECK_FALSE(topics[0].has_lateness);
+  const TopicSummary& room = topics[1];
+  CHECK(room.rows == 999);
+  CHECK(room.wanted_hertz == doctest::Approx(100));
+  CHECK(room.reached_hertz == doctest::Approx(100.0 * 999 / 1005).epsilon(0.001));
+  CHECK(room.missed == 4);
+  CHECK(room.failed == 2);
+  CHECK(room.dropped == 0);
+  REQUIRE(room.has_lateness);
+  CHECK(room.lateness_p50 == Duration{0});
+  CHECK(room.lateness_max >= 2ms);
+  REQUIRE(room.first);
+  CHECK(*room.last - *room.first >= 9990ms);
+}
+
+TEST_CASE("FW-5 the subcommand info shows runs, topics and fields") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::info({.database = path}, out, err) == 0);
+  CHECK(out.str().find("room/climate") != std::string::npos);
+  CHECK(out.str().find("temperature [Cel]") != std::string::npos);
+  std::istringstream lines(out.str());
+  for (std::string line; std::getline(lines, line);) CHECK_MESSAGE((line.size() <= 80 || line == path), line);
+  out.str("");
+  CHECK(app::info({.database = path, .run = 5}, out, err) == 1);
+  CHECK(app::info({.database = folder / "none"}, out, err) == 2);
+  CHECK(out.str() == "");
+  CHECK(app::info({.database = path, .output = app::Output::json}, out, err) == 0);
+  const auto json = nlohmann::json::parse(out.str());
+  CHECK(json["topics"][1]["rows"] == 999);
+  CHECK(json["descriptions"][1]["description"]["fields"][0]["unit"] == "Cel");
+}
+
+TEST_SUITE_END();

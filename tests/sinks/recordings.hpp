@@ -1,0 +1,117 @@
+/// Recordings for the tests: made by a real sink on a manual loop, then changed by SQL.
+#pragma once
+
+#include <doctest/doctest.h>
+#include <sqlite3.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <limits>
+#include <string>
+
+#include "data/payloads.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/schema.hpp"
+
+namespace recordings {
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using payloads::Climate;
+using payloads::Everything;
+
+/// A folder that is gone with the object.
+class Folder {
+ public:
+  Folder() {
+    std::string name = std::filesystem::temp_directory_path() / "rtdata-XXXXXX";
+    REQUIRE(::mkdtemp(name.data()) != nullptr);
+    path_ = name;
+  }
+  Folder(const Folder&) = delete;
+  ~Folder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  std::string operator/(const std::string& name) const { return path_ / name; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+inline void sql(const std::string& path, const std::string& statements) {
+  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+  database.execute(statements).or_throw();
+}
+
+inline std::int64_t number(const std::string& path, const std::string& query) {
+  return sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw().integer(query).or_throw();
+}
+
+inline Everything full() {
+  Everything e;
+  e.flag = true;
+  e.letter = 'z';
+  e.i8 = -128;
+  e.i16 = -32768;
+  e.i32 = std::numeric_limits<std::int32_t>::min();
+  e.i64 = std::numeric_limits<std::int64_t>::min();
+  e.u8 = 255;
+  e.u16 = 65535;
+  e.u32 = std::numeric_limits<std::uint32_t>::max();
+  e.u64 = std::numeric_limits<std::uint64_t>::max();
+  e.f32 = 0.1f;
+  e.f64 = 0.1;
+  e.name = "a\"b'\n";
+  e.state = payloads::State::broken;
+  e.maybe = 3.0;
+  e.maybe_name = "";
+  e.maybe_state = payloads::State::idle;
+  e.maybe_flag = false;
+  e.numbers = {1, std::numeric_limits<float>::infinity(), -2.5f};
+  e.names = {rtdata::text<3>("a"), rtdata::text<3>("bcd")};
+  e.states = {payloads::State::running, static_cast<payloads::State>(5)};  // the second has no name
+  e.maybes = {std::nullopt, 7u};
+  e.origin_point = {1e300, -1};
+  e.points = {payloads::Point{-1e-300, 2}, payloads::Point{4, 5}};
+  return e;
+}
+
+/// 10 s of room/climate at 100 Hz (2 failed from tick 100 on, 4 missed after tick 500): 999 rows and a few events of a feed.
+inline std::string make(const Folder& folder, const std::function<void(Feed<Everything>&)>& feed_events = {},
+                        const std::string& name = "run.db") {
+  const std::string path = folder / name;
+  Loop loop{Loop::Manual{}};
+  loop.on_error([](const ErrorReport&) {});
+  SqliteSink sink(loop, {.path = path});
+  std::int64_t tick = 0;
+  Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 100_Hz}, [&]() -> Result<Climate> {
+    ++tick;
+    if (tick > 100 && tick <= 102) return Error{Errc::io_failed, "no answer", "", "", ""};
+    if (tick == 500) loop.manual_clock().pass(55ms);
+    return Climate{static_cast<double>(tick), 40};
+  });
+  Feed<Everything> feed(loop, {.name = "program feed", .topic = "every/thing"});
+  loop.advance(5s);
+  if (feed_events) {
+    feed_events(feed);
+  } else {
+    feed.publish(full());
+    feed.publish(Everything{});
+  }
+  loop.advance(5s);
+  room.close();
+  feed.close();
+  loop.close();
+  return path;
+}
+
+}  // namespace recordings

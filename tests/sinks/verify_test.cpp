@@ -1,0 +1,201 @@
+#include "rtdata/sinks/verify.hpp"
+
+#include <doctest/doctest.h>
+
+#include <chrono>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "app/commands.hpp"
+#include "sinks/recordings.hpp"
+
+using namespace rtdata;
+using namespace recordings;
+
+TEST_SUITE_BEGIN("sinks");
+
+namespace {
+
+VerifyReport report_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
+
+/// All problems, a line each.
+std::string problems_of(const VerifyReport& report) {
+  std::string all;
+  for (const std::string& problem : report.problems) all += problem + "\n";
+  for (const RunReport& run : report.runs) {
+    for (const std::string& problem : run.problems) all += problem + "\n";
+  }
+  return all;
+}
+
+/// What verify says after the change; the recording was balanced before.
+std::string after(const std::string& change) {
+  const Folder folder;
+  const std::string path = make(folder);
+  REQUIRE_MESSAGE(report_of(path).exit_code() == 0, report_of(path).text());
+  sql(path, change);
+  const VerifyReport report = report_of(path);
+  CHECK(report.verdict() == Verdict::not_balanced);
+  CHECK(report.exit_code() == 1);
+  return problems_of(report);
+}
+
+bool has(const std::string& text, const std::string& part) {
+  const bool found = text.find(part) != std::string::npos;
+  if (!found) MESSAGE("\"", part, "\" is not in: ", text);
+  return found;
+}
+
+}  // namespace
+
+TEST_CASE("US-26 a recording is balanced, with its failures and missed ticks") {
+  const Folder folder;
+  const VerifyReport report = report_of(make(folder));
+  REQUIRE(report.runs.size() == 1);
+  const RunReport& run = report.runs[0];
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+  CHECK(problems_of(report) == "");
+  CHECK(run.failed == 2);
+  CHECK(run.missed == 4);
+  CHECK(run.gaps == 2);
+  CHECK(run.origins == 2);
+  CHECK(run.rows == run.stored);
+  CHECK(run.stored == run.scheduled - 6 + 2);
+  CHECK(has(report.text(), "does not prove"));
+}
+
+TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
+  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 417"),
+            "room/climate, origin room: 998 rows, the ledger says 999 stored; sequence 417 is missing."));
+  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 1"), "sequence 1 is missing"));
+  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 999"), "sequence 999 is missing"));
+  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence BETWEEN 10 AND 12 OR sequence = 20"), "sequences 10 to 12 and 20 are missing"));
+  CHECK(has(after("DELETE FROM \"room/climate\""), "0 rows, the ledger says 999 stored; sequences 1 to 999 are missing"));
+  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time + 1000, origin, sequence + 1, temperature, humidity FROM \"room/climate\" WHERE "
+                  "sequence = 999"),
+            "1000 rows, the ledger says 999 stored; sequence 1000 was never offered, the last was 999"));
+  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time, origin, sequence, temperature, humidity FROM \"room/climate\" WHERE "
+                  "sequence = 50"),
+            "1000 rows, the ledger says 999 stored"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 2000 WHERE sequence = 999"), "its last sequence is 2000, the ledger says 999"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 499 WHERE sequence = 500"), "sequence 499 follows 499: it is there twice"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 600 WHERE sequence = 500"), "sequence 501 follows 600, but sequences ascend"));
+  CHECK(has(after("UPDATE \"room/climate\" SET time = time - 20000000 WHERE sequence = 500"), "the time of sequence 500"));
+  CHECK(has(after("UPDATE \"room/climate\" SET time = time + 3600000000000 WHERE sequence = 999"), "lies outside of the run"));
+  CHECK(has(after("UPDATE \"room/climate\" SET origin = 'rooms' WHERE sequence = 500"), "origin rooms: 1 row, but the ledger does not know it"));
+  CHECK(has(after("UPDATE \"room/climate\" SET run = 7 WHERE sequence = 500"), "1 row of run 7, which is not in the list of runs"));
+}
+
+TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule and the gaps") {
+  for (const char* column : {"scheduled", "taken", "missed", "failed", "in_flight", "published", "repeated", "filtered", "offered", "stored",
+                             "dropped_newest", "dropped_oldest", "dropped_refused", "dropped_unsaved", "first_sequence", "last_sequence", "pruned"}) {
+    INFO(column);
+    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column + " + 1 WHERE origin = 'room'") != "");
+  }
+  for (const char* column : {"received", "published", "repeated", "filtered", "failed"}) {
+    INFO(column);
+    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column + " + 1 WHERE origin = 'program feed'") != "");
+  }
+  CHECK(has(after("DELETE FROM rtdata_gap WHERE kind = 'missed'"), "the gaps have 0 missed, the ledger says 4"));
+  CHECK(has(after("DELETE FROM rtdata_gap WHERE kind = 'failed'"), "the gaps have 0 failed, the ledger says 2"));
+  CHECK(has(after("UPDATE rtdata_gap SET count = 6 WHERE kind = 'failed'"), "has 6 ticks, up to"));
+  CHECK(has(after("UPDATE rtdata_gap SET first = first + 1"), "does not begin at a tick"));
+  CHECK(has(after("UPDATE rtdata_gap SET origin = 'nobody'"), "nobody: 2 gaps, but the ledger does not know it"));
+  CHECK(has(after("DELETE FROM rtdata_schedule"), "the schedule has 0 ticks"));
+  CHECK(has(after("UPDATE rtdata_schedule SET scheduled = scheduled + 1"), "makes 1005"));
+  CHECK(has(after("UPDATE rtdata_schedule SET period = period * 2"), "every 20 ms"));
+  CHECK(has(after("INSERT INTO rtdata_schedule SELECT run, origin, topic, first_due + 1000000000, period, end, scheduled FROM rtdata_schedule"),
+            "overlaps the one before"));
+  CHECK(has(after("DELETE FROM rtdata_ledger WHERE origin = 'room'"), "999 rows, but the ledger does not know it"));
+}
+
+TEST_CASE("US-26 a run that ended without closing is reported as such, and held to its last account") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE rtdata_run SET state = 'recording'");
+  VerifyReport report = report_of(path);
+  CHECK(report.verdict() == Verdict::unsealed);
+  CHECK(report.exit_code() == 1);
+  CHECK(has(report.text(), "not sealed"));
+  // Rows after the last account are no mistake, a row missing from before it is.
+  sql(path, "UPDATE rtdata_ledger SET rows_up_to = 900, stored = 900 WHERE origin = 'room'");
+  report = report_of(path);
+  CHECK(problems_of(report) == "");
+  CHECK(has(report.text(), "99 rows came after the last account"));
+  sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 300");
+  CHECK(has(problems_of(report_of(path)), "899 rows, the ledger says 900 stored; sequence"));
+}
+
+TEST_CASE("US-26 a run that is being recorded by a living process is no mistake") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ifstream boot("/proc/sys/kernel/random/boot_id");
+  std::string boot_id;
+  std::getline(boot, boot_id);
+  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id + "', pid = " + std::to_string(::getpid()));
+  const VerifyReport report = report_of(path);
+  CHECK(report.verdict() == Verdict::recording);
+  CHECK(report.exit_code() == 0);
+  CHECK(has(report.text(), "is still recording"));
+}
+
+TEST_CASE("US-26 a sealed run says what was lost, and is exit code 0 as long as its rows agree") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path,
+      "UPDATE rtdata_run SET state = 'sealed', lost = 3, remark = 'killed';"
+      "DELETE FROM \"room/climate\" WHERE sequence > 996;"
+      "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room'");
+  VerifyReport report = report_of(path);
+  CHECK_MESSAGE(report.verdict() == Verdict::sealed, report.text());
+  CHECK(report.exit_code() == 0);
+  CHECK(report.runs.at(0).unsaved == 3);
+  CHECK(has(report.text(), "3 events"));
+  sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 5");
+  report = report_of(path);
+  CHECK(report.exit_code() == 1);
+  CHECK(has(problems_of(report), "995 rows, the ledger says 996 stored"));
+}
+
+TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and returns 0, 1 or 2") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::verify({.database = path}, out, err) == 0);
+  CHECK(err.str() == "");
+  std::istringstream lines(out.str());
+  for (std::string line; std::getline(lines, line);) CHECK_MESSAGE((line.size() <= 80 || line == path), line);
+  out.str("");
+  sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 417");
+  CHECK(app::verify({.database = path, .output = app::Output::json}, out, err) == 1);
+  const auto json = nlohmann::json::parse(out.str());
+  CHECK(json["verdict"] == "not balanced");
+  CHECK(json["exit_code"] == 1);
+  CHECK(json["runs"][0]["rows"] == 1000);
+  CHECK(json["runs"][0]["stored"] == 1001);
+  CHECK(json["runs"][0]["problems"].size() == 1);
+  CHECK(app::verify({.database = folder / "nothing.db"}, out, err) == 2);
+  CHECK(has(err.str(), "nothing.db"));
+}
+
+TEST_CASE("US-26 a million rows are verified in one pass") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path,
+      "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) INSERT INTO \"room/climate\" SELECT r.run, "
+      "(SELECT max(time) FROM \"room/climate\") - 2000000 + i, CASE i % 2 WHEN 0 THEN 'even' ELSE 'odd' END, (i + 1) / 2, i, 40 FROM n, rtdata_run r;"
+      "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
+      "repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, last_sequence) "
+      "SELECT run, 'room/climate', o.column1, 9, 0, 0, 0, 0, 0, 0, 0, 500000, 500000, 0, 0, 500000, 500000, 0, 0, 0, 1, 500000 "
+      "FROM rtdata_run, (VALUES('even'), ('odd')) o;");
+  const auto began = std::chrono::steady_clock::now();
+  const VerifyReport report = report_of(path);
+  const auto verified = std::chrono::steady_clock::now();
+  const auto topics = summary(Recording::open(path).or_throw(), 1).or_throw();
+  const auto summed = std::chrono::steady_clock::now();
+  MESSAGE("verify: ", (verified - began) / 1ms, " ms, summary: ", (summed - verified) / 1ms, " ms");
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+  CHECK(report.runs.at(0).rows == 1'001'001);
+}
+
+TEST_SUITE_END();
