@@ -1,4 +1,5 @@
-// The limit beside the program rtdata: opens the same database, fires one timer, prints when. Linked with the same libraries.
+// The limit beside the program rtdata: opens the same database, fires one timer, prints when. Linked with the same
+// libraries.
 #include <sqlite3.h>
 #include <uv.h>
 
@@ -26,7 +27,8 @@ int main(int count, char** arguments) {
         std::fflush(stdout);
       },
       0, 0);
-  uv_timer_start(&last, [](uv_timer_t*) {}, 1200, 0);
+  uv_timer_start(
+      &last, [](uv_timer_t*) {}, 1200, 0);
   uv_run(&loop, UV_RUN_DEFAULT);
   sqlite3_close(database);
 }

@@ -57,7 +57,9 @@ inline char* raw_by_hand(char* to, std::int64_t time, std::uint64_t, const Eight
   char* const begin = to;
   to = put(to + 4, "\x0ctest/climate");
   to = put_raw(to, time);
-  to = put(to, "\x07" "chamber");
+  to = put(to,
+           "\x07"
+           "chamber");
   to = put_raw(to, data.a);
   to = put_raw(to, data.b);
   to = put_raw(to, data.c);

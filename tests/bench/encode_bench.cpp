@@ -48,13 +48,15 @@ double encode_by_hand(Function&& function) {
 void bench_encoding(Report& report) {
   if (report.wants("json_encode")) {
     const auto codec = rtdata::make_json_codec();
-    report.add(measure_pair({.name = "json_encode", .unit = "ns/event", .reach = 1.2}, [&] { return encode_all(*codec); },
-                            [] { return encode_by_hand(json_by_hand); }, 15));
+    report.add(measure_pair(
+        {.name = "json_encode", .unit = "ns/event", .reach = 1.2}, [&] { return encode_all(*codec); },
+        [] { return encode_by_hand(json_by_hand); }, 15));
   }
   if (report.wants("raw_encode")) {
     const auto codec = rtdata::make_raw_codec();
-    report.add(measure_pair({.name = "raw_encode", .unit = "ns/event", .reach = 2}, [&] { return encode_all(*codec); },
-                            [] { return encode_by_hand(raw_by_hand); }, 15));
+    report.add(measure_pair(
+        {.name = "raw_encode", .unit = "ns/event", .reach = 2}, [&] { return encode_all(*codec); },
+        [] { return encode_by_hand(raw_by_hand); }, 15));
   }
 }
 

@@ -48,9 +48,7 @@ void settle_on(int wanted_from_last) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
 }
 
-bool is_conclusive(const Figure& figure) {
-  return std::abs(std::log(figure.control)) <= std::log(figure.reach) + 1e-9;
-}
+bool is_conclusive(const Figure& figure) { return std::abs(std::log(figure.control)) <= std::log(figure.reach) + 1e-9; }
 
 std::string number(double value) {
   char text[40];
@@ -61,12 +59,14 @@ std::string number(double value) {
 }  // namespace
 
 bool Report::wants(std::string_view name) const {
-  return options_.names.empty() || std::find(options_.names.begin(), options_.names.end(), name) != options_.names.end();
+  return options_.names.empty() ||
+         std::find(options_.names.begin(), options_.names.end(), name) != options_.names.end();
 }
 
 void Report::add(const Figure& figure) {
   if (figures_.empty()) {
-    std::printf("%-18s %10s %10s  %-14s %7s %7s %7s\n", "figure", "value", "limit", "unit", "ratio", "control", "reach");
+    std::printf("%-18s %10s %10s  %-14s %7s %7s %7s\n", "figure", "value", "limit", "unit", "ratio", "control",
+                "reach");
   }
   const char* verdict = !is_conclusive(figure)                ? "inconclusive"
                         : figure.ratio <= figure.reach + 1e-9 ? "reached"
@@ -129,7 +129,8 @@ std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& va
   return figures;
 }
 
-Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit, int pairs) {
+Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit,
+                    int pairs) {
   const auto as_vector = [](const std::function<double()>& measure) {
     return [&measure] { return std::vector<double>{measure()}; };
   };

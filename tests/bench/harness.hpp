@@ -1,6 +1,6 @@
-// Harness of the benchmarks: runs the library ("value") and the least that the machine needs for the same work ("limit")
-// interleaved, on one CPU, and gives the median of the ratios pair by pair; beside it, as a control, the same for limit
-// against limit. A figure whose control strays further from 1 than its reach is called inconclusive.
+// Harness of the benchmarks: runs the library ("value") and the least that the machine needs for the same work
+// ("limit") interleaved, on one CPU, and gives the median of the ratios pair by pair; beside it, as a control, the same
+// for limit against limit. A figure whose control strays further from 1 than its reach is called inconclusive.
 #pragma once
 
 #include <cstdint>
@@ -50,9 +50,10 @@ class Report {
 /// One measurement gives a number for each figure.
 using Measure = std::function<std::vector<double>()>;
 
-/// Both are called once unmeasured, then in rounds of limit, value, limit, every second one in reverse. `figures` come with
-/// name, unit and reach.
-std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit, int pairs = 9);
+/// Both are called once unmeasured, then in rounds of limit, value, limit, every second one in reverse. `figures` come
+/// with name, unit and reach.
+std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit,
+                                  int pairs = 9);
 Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit,
                     int pairs = 9);
 

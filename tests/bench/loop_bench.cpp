@@ -143,8 +143,9 @@ void bench_drift(Report& report) {
   Figure figure{.name = "tick_drift", .unit = "ns", .reach = 1};
   figure.value = static_cast<double>(drift);
   figure.ratio = drift == 0 && is_right ? 1 : 1 + std::abs(static_cast<double>(drift)) + (is_right ? 0 : 1);
-  figure.note = std::to_string(counted + 1) + " ticks, " + std::to_string(ticker.missed()) + " of them missed, " +
-                (is_right ? "as the independent clock counts" : "the independent clock counts " + std::to_string(elapsed + 1));
+  figure.note =
+      std::to_string(counted + 1) + " ticks, " + std::to_string(ticker.missed()) + " of them missed, " +
+      (is_right ? "as the independent clock counts" : "the independent clock counts " + std::to_string(elapsed + 1));
   report.add(figure);
 }
 
@@ -227,12 +228,13 @@ class ManySensors {
  public:
   ManySensors() {
     for (std::size_t i = 0; i < sensor_count; ++i) {
-      sensors_.emplace_back(loop_,
-                            rtdata::SensorConfig{.name = "s" + std::to_string(i),
-                                                 .topic = "many",
-                                                 .rate = rtdata::Rate::from_period(rtdata::Duration{sensor_period}),
-                                                 .phase = rtdata::Duration{static_cast<std::int64_t>(i % phases) * millisecond}},
-                            [this] { return Single{++value_}; });
+      sensors_.emplace_back(
+          loop_,
+          rtdata::SensorConfig{.name = "s" + std::to_string(i),
+                               .topic = "many",
+                               .rate = rtdata::Rate::from_period(rtdata::Duration{sensor_period}),
+                               .phase = rtdata::Duration{static_cast<std::int64_t>(i % phases) * millisecond}},
+          [this] { return Single{++value_}; });
     }
   }
   double measure() {
@@ -316,9 +318,10 @@ void bench_sensor_memory(Report& report) {
   const std::size_t before = used();
   std::deque<rtdata::Sensor<Single>> sensors;
   for (std::size_t i = 0; i < sensor_count; ++i) {
-    sensors.emplace_back(loop,
-                         rtdata::SensorConfig{.name = "sensor" + std::to_string(i), .topic = "many", .rate = rtdata::Rate::hertz(1)},
-                         [] { return Single{}; });
+    sensors.emplace_back(
+        loop,
+        rtdata::SensorConfig{.name = "sensor" + std::to_string(i), .topic = "many", .rate = rtdata::Rate::hertz(1)},
+        [] { return Single{}; });
   }
   Figure figure{.name = "sensor_memory", .unit = "bytes", .reach = 1};
   figure.value = static_cast<double>(used() - before) / sensor_count;
@@ -334,8 +337,9 @@ void bench_loop(Report& report) {
   if (report.wants("sensors_10k")) {
     ManySensors sensors;
     ManyCalls calls;
-    report.add(measure_pair({.name = "sensors_10k", .unit = "ns/sample", .reach = 2}, [&] { return sensors.measure(); },
-                            [&] { return calls.measure(); }, 9));
+    report.add(measure_pair(
+        {.name = "sensors_10k", .unit = "ns/sample", .reach = 2}, [&] { return sensors.measure(); },
+        [&] { return calls.measure(); }, 9));
   }
   if (report.wants("react_p50"))
     report.add(measure_pair({.name = "react_p50", .unit = "us", .reach = 1.1}, watch_reaction, epoll_reaction, 9));

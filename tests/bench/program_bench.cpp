@@ -89,8 +89,8 @@ class Folder {
 };
 
 /// From the start of the process to the time in its first line of `file`, in ms; and its memory after a second, in MiB.
-std::vector<double> first_event(const std::vector<std::string>& command, const std::string& file, const std::string& key,
-                                const char* output) {
+std::vector<double> first_event(const std::vector<std::string>& command, const std::string& file,
+                                const std::string& key, const char* output) {
   ::unlink(file.c_str());
   const std::int64_t begin = realtime_ns();
   const pid_t child = start(command, output);
@@ -112,7 +112,8 @@ void bench_program(Report& report) {
     return;
   }
   const std::string program = std::filesystem::absolute(name).string();
-  const std::string bare = (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare").string();
+  const std::string bare =
+      (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare").string();
   const Folder folder(report.options().memory);
   if (wait_for(start({program, "init", "demo.json"})) != 0 ||
       wait_for(start({program, "run", "demo.json", "--for", "100ms"})) != 0) {
@@ -124,7 +125,10 @@ void bench_program(Report& report) {
       [&] {
         return first_event({program, "run", "demo.json", "--for", "1200ms"}, "demo.jsonl", "\"time\":", "/dev/null");
       },
-      [&] { return first_event({bare, "demo.db"}, "bare.txt", "first ", "bare.txt"); }, 7);
+      [&] {
+        return first_event({bare, "demo.db"}, "bare.txt", "first ", "bare.txt");
+      },
+      7);
   for (const Figure& figure : figures) {
     if (report.wants(figure.name)) report.add(figure);
   }

@@ -98,8 +98,9 @@ void bench_publish(Report& report) {
     if (!report.wants(name)) continue;
     Published published(handlers);
     Direct direct(handlers);
-    report.add(measure_pair({.name = name, .unit = "ns/event", .reach = handlers == 1 ? 2.0 : 1.5},
-                            [&] { return published.measure(); }, [&] { return direct.measure(); }, 15));
+    report.add(measure_pair(
+        {.name = name, .unit = "ns/event", .reach = handlers == 1 ? 2.0 : 1.5}, [&] { return published.measure(); },
+        [&] { return direct.measure(); }, 15));
   }
 }
 

@@ -133,7 +133,9 @@ double bare_sqlite_row(const std::string& folder) {
                       nullptr) != SQLITE_OK) {
     return 0;
   }
-  const auto execute = [&](const char* sql) { return sqlite3_exec(database, sql, nullptr, nullptr, nullptr) == SQLITE_OK; };
+  const auto execute = [&](const char* sql) {
+    return sqlite3_exec(database, sql, nullptr, nullptr, nullptr) == SQLITE_OK;
+  };
   execute(
       "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL; PRAGMA wal_autocheckpoint=0;"
       "PRAGMA journal_size_limit=67108864; PRAGMA temp_store=MEMORY;"
@@ -232,16 +234,17 @@ void bench_sqlite(Report& report) {
   const std::string& folder = report.options().memory;
   if (report.wants("sqlite_rows")) {
     const auto pairs = [](const std::string& where) {
-      return measure_pair({.name = "sqlite_rows", .unit = "ns/row", .reach = 1.1}, [&] { return sqlite_sink_row(where); },
-                          [&] { return bare_sqlite_row(where); }, 9);
+      return measure_pair(
+          {.name = "sqlite_rows", .unit = "ns/row", .reach = 1.1}, [&] { return sqlite_sink_row(where); },
+          [&] { return bare_sqlite_row(where); }, 9);
     };
     report.add(pairs(folder));
     const Figure disk = pairs(report.options().disk);
     report.remark("on the disk: " + std::to_string(disk.value) + " against " + std::to_string(disk.limit) + " ns/row");
   }
   if (report.wants("sqlite_loop")) {
-    report.add(measure_pair({.name = "sqlite_loop", .unit = "ns/row", .reach = 3}, [&] { return sqlite_loop_row(folder); },
-                            ring_copy, 15));
+    report.add(measure_pair(
+        {.name = "sqlite_loop", .unit = "ns/row", .reach = 3}, [&] { return sqlite_loop_row(folder); }, ring_copy, 15));
   }
 }
 
@@ -260,8 +263,9 @@ void bench_sinks(Report& report) {
   bench_sqlite(report);
   if (!report.wants("file_jsonl")) return;
   const auto pairs = [](const std::string& where) {
-    return measure_pair({.name = "file_jsonl", .unit = "ns/row", .reach = 1.2}, [&] { return file_sink_row(where); },
-                        [&] { return file_by_hand_row(where); }, 9);
+    return measure_pair(
+        {.name = "file_jsonl", .unit = "ns/row", .reach = 1.2}, [&] { return file_sink_row(where); },
+        [&] { return file_by_hand_row(where); }, 9);
   };
   report.add(pairs(report.options().memory));
   const Figure disk = pairs(report.options().disk);
