@@ -3,7 +3,8 @@ find_package(doctest REQUIRED)
 rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources)
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata::rtdata doctest::doctest PkgConfig::libuv
-  nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::sqlite> $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3>)
+  nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
+  $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
   RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
