@@ -116,6 +116,42 @@ class Encoder {
   std::size_t begin_;
 };
 
+/// The fields of a description that has plain values only: no text, no optional, nothing that could fail to fit. Encoding
+/// such an event is copying.
+struct PlainFields {
+  struct Field {
+    std::uint32_t offset;
+    std::uint8_t size;
+  };
+  std::uint64_t serial = 0;  // of the description; they start at 1
+  bool is_plain = false;
+  std::size_t bytes = 0;  // encoded
+  std::vector<Field> fields;
+
+  void make(const Description& description) {
+    serial = description.serial();
+    bytes = 0;
+    fields.clear();
+    is_plain = std::endian::native == std::endian::little && add(description.fields(), 0);
+  }
+
+ private:
+  bool add(const std::vector<rtdata::Field>& all, std::size_t from) {
+    for (const rtdata::Field& field : all) {
+      if (field.is_array || field.count != 1 || field.optional != nullptr) return false;
+      const std::size_t offset = from + field.offset;
+      if (field.kind == Kind::record) {
+        if (!add(field.fields, offset)) return false;
+        continue;
+      }
+      if (field.kind == Kind::text || field.kind == Kind::boolean || field.size > 8) return false;
+      fields.push_back({static_cast<std::uint32_t>(offset), static_cast<std::uint8_t>(field.size)});
+      bytes += 1 + field.size;
+    }
+    return true;
+  }
+};
+
 class Decoder {
  public:
   explicit Decoder(std::span<const std::byte> bytes) : rest_(bytes) {}
@@ -226,6 +262,11 @@ class RawCodec final : public Codec {
   std::string_view name() const noexcept override { return "raw"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
+    if (plain_.serial != event.description().serial()) plain_.make(event.description());
+    if (plain_.is_plain && event.topic().size() <= longest_value && event.origin().size() <= longest_value) {
+      encode_plain(event, out);
+      return {};
+    }
     Encoder encoder(out);
     auto done = encode(event, encoder);
     if (!done) encoder.undo();
@@ -267,6 +308,41 @@ class RawCodec final : public Codec {
   }
 
  private:
+  /// Every value fits.
+  void encode_plain(const EventView& event, std::vector<std::byte>& out) {
+    const bool has_sequence = config_.sequence == RawConfig::Sequence::include;
+    const std::size_t size = 1 + event.topic().size() + 9 + 1 + event.origin().size() + (has_sequence ? 9 : 0) + plain_.bytes;
+    if (bytes_.size() < 4 + size) bytes_.resize(4 + size);
+    std::byte* to = bytes_.data();
+    const auto put = [&to](const void* from, std::size_t count) {
+      *to++ = static_cast<std::byte>(count);
+      if (count != 0) std::memcpy(to, from, count);
+      to += count;
+    };
+    const auto total = static_cast<std::uint32_t>(size);
+    std::memcpy(to, &total, sizeof total);
+    to += sizeof total;
+    const std::int64_t time = to_nanoseconds(event.time());
+    const std::uint64_t sequence = event.sequence();
+    put(event.topic().data(), event.topic().size());
+    put(&time, sizeof time);
+    put(event.origin().data(), event.origin().size());
+    if (has_sequence) put(&sequence, sizeof sequence);
+    const std::byte* payload = event.payload().data();
+    for (const PlainFields::Field& field : plain_.fields) {
+      *to++ = static_cast<std::byte>(field.size);
+      const std::byte* from = payload + field.offset;
+      switch (field.size) {  // of a size known to the compiler, each is one instruction
+        case 8: std::memcpy(to, from, 8); break;
+        case 4: std::memcpy(to, from, 4); break;
+        case 2: std::memcpy(to, from, 2); break;
+        default: std::memcpy(to, from, field.size); break;
+      }
+      to += field.size;
+    }
+    out.insert(out.end(), bytes_.data(), to);
+  }
+
   Result<void> encode(const EventView& event, Encoder& encoder) const {
     if (auto done = encoder.bytes("topic", event.topic()); !done) return done;
     encoder.number(to_nanoseconds(event.time()));
@@ -277,6 +353,8 @@ class RawCodec final : public Codec {
   }
 
   RawConfig config_;
+  PlainFields plain_;             // of the last event
+  std::vector<std::byte> bytes_;  // of one event
 };
 
 }  // namespace

@@ -46,16 +46,20 @@ void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTim
 
 void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                             std::uint64_t count) {
-  if (gap_.count != 0 && (gap_.kind != kind || gap_.reason != reason)) close_gap();
-  if (gap_.count == 0) gap_ = {kind, reason, runtime.event_time(first), {}, 0};
-  gap_.last = runtime.event_time(last);
-  gap_.count += count;
+  if (gap_is_open_ && (gap_->kind != kind || gap_->reason != reason)) close_gap();
+  if (!gap_is_open_) {
+    if (gap_ == nullptr) gap_ = std::make_unique<Gap>();
+    *gap_ = {kind, reason, runtime.event_time(first), {}, 0};
+    gap_is_open_ = true;
+  }
+  gap_->last = runtime.event_time(last);
+  gap_->count += count;
 }
 
 void OriginCore::close_gap() noexcept {
-  if (gap_.count == 0) return;
-  const Gap closed = gap_;
-  gap_ = {};
+  if (!gap_is_open_) return;
+  const Gap closed = *gap_;
+  gap_is_open_ = false;
   for (Recorder* recorder : runtime.recorders) recorder->on_gap(*this, closed);
 }
 

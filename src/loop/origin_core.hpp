@@ -2,6 +2,7 @@
 // sensor that is removed and added again goes on in the same sequence.
 #pragma once
 
+#include <memory>
 #include <string>
 
 #include "rtdata/loop/ledger.hpp"
@@ -34,14 +35,14 @@ class OriginCore {
     --counts.in_flight;
     ++counts.taken;
     if (lateness > late_after) ++counts.late;
-    if (gap_.count != 0) [[unlikely]] close_gap();
+    if (gap_is_open_) [[unlikely]] close_gap();
   }
   /// A read that needs no waiting: begins and ends at once.
   void read_at_once(Duration lateness) noexcept {
     ++counts.scheduled;
     ++counts.taken;
     if (lateness > late_after) ++counts.late;
-    if (gap_.count != 0) [[unlikely]] close_gap();
+    if (gap_is_open_) [[unlikely]] close_gap();
   }
   void fail_read(std::string_view reason, MonotonicTime due);
   void fail_tick(std::string_view reason, MonotonicTime due);
@@ -66,7 +67,8 @@ class OriginCore {
   MonotonicTime first_due_{};
   Duration period_{0};
   std::uint64_t scheduled_before_ = 0;
-  Gap gap_;
+  bool gap_is_open_ = false;
+  std::unique_ptr<Gap> gap_;  // made at the first gap, then kept
 };
 
 }  // namespace rtdata::detail

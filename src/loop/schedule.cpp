@@ -6,6 +6,29 @@
 #include "loop/loop_core.hpp"
 
 namespace rtdata::detail {
+namespace {
+
+// Thousands of members do not fit the caches: what the next ones will use is fetched while the first ones run.
+constexpr std::size_t far_ahead = 8;
+constexpr std::size_t near_ahead = 4;
+constexpr std::ptrdiff_t cache_line = 64;
+
+void fetch_lines(const void* at, std::ptrdiff_t first, std::ptrdiff_t last) noexcept {
+  const auto* byte = static_cast<const char*>(at);
+  for (std::ptrdiff_t line = first; line <= last; ++line) __builtin_prefetch(byte + line * cache_line, 1);
+}
+
+/// What a member has before and behind its schedule.
+void fetch_member(const RateMember* member) noexcept {
+  if (member != nullptr) fetch_lines(member, -3, 3);
+}
+
+void fetch_companion(const RateMember* member) noexcept {
+  if (member == nullptr || member->companion() == nullptr) return;
+  fetch_lines(member->companion(), 0, 3);
+}
+
+}  // namespace
 
 MonotonicTime RateMember::next_due() const noexcept { return group_ == nullptr ? MonotonicTime::max() : group_->next_due_of(*this); }
 
@@ -29,7 +52,8 @@ void RateGroup::fire(MonotonicTime now) {
   MonotonicTime from = now;
   for (position_ = 0; position_ < end;) {
     RateMember* member = members_[position_++];
-    if (position_ + 3 < end) __builtin_prefetch(members_[position_ + 3]);
+    if (position_ + far_ahead < end) fetch_member(members_[position_ + far_ahead]);
+    if (position_ + near_ahead < end) fetch_companion(members_[position_ + near_ahead]);
     if (member == nullptr || member->first_due_ > firing_due_) continue;
     Tick tick;
     tick.due = firing_due_;

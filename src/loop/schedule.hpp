@@ -31,16 +31,21 @@ class RateMember {
   /// The first tick that has not been dealt with.
   MonotonicTime next_due() const noexcept;
 
+  /// Memory (some 256 bytes) that `tick` will use besides the member's own, or null: fetched ahead of it.
+  const void* companion() const noexcept { return companion_; }
+
   CallbackTimes times;
 
  protected:
   ~RateMember() = default;
+  void set_companion(const void* companion) noexcept { companion_ = companion; }
 
  private:
   friend class RateGroup;
   friend class Schedule;
   RateGroup* group_ = nullptr;
   MonotonicTime first_due_{};
+  const void* companion_ = nullptr;
   bool is_waiting_ = false;
 };
 

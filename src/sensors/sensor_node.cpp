@@ -29,7 +29,9 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
       retry_first_(config.retry_first),
       retry_longest_(std::max(config.retry_longest, config.retry_first)),
       faulted_after_(std::max(config.faulted_after, 1u)),
-      required_(config.required) {}
+      required_(config.required) {
+  set_companion(&origin_);
+}
 
 SensorNode::~SensorNode() = default;
 
@@ -349,7 +351,7 @@ CallbackTimes AnySensor::times() const noexcept {
   return s != nullptr ? s->callback_times() : CallbackTimes{};
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = source(node())) s->on_error = std::move(handler);
+  if (auto* s = source(node())) s->set_on_error(std::move(handler));
 }
 
 }  // namespace rtdata

@@ -25,15 +25,16 @@ void SourceNode::leave() noexcept {
 }
 
 SensorStatus SourceNode::status() const {
-  return {origin_.name, origin_.topic.name, rate().period(), is_running(), health_, reason_, origin_.counts};
+  return {origin_.name, origin_.topic.name, rate().period(), is_running(), health_, rare_ != nullptr ? rare_->reason : std::string(),
+          origin_.counts};
 }
 
 void SourceNode::report(const Error& error) noexcept {
   try {
-    if (on_error) {
+    if (rare_ != nullptr && rare_->on_error) {
       const std::string object = object_name();
       Call call(*this);
-      loop()->call_user(object, [&] { on_error({object, error, 1}); });
+      loop()->call_user(object, [&] { rare_->on_error({object, error, 1}); });
     } else {
       loop()->runtime.report(loop(), object_name(), error);
     }
@@ -42,13 +43,13 @@ void SourceNode::report(const Error& error) noexcept {
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
-  if (reason != nullptr) reason_ = reason->text();
+  if (reason != nullptr) rare().reason = reason->text();
   if (health == health_) return;
   if (health == Health::ok) {
     loop()->runtime.log(LogLevel::info, object_name(), "ok again");
-    reason_.clear();
+    if (rare_ != nullptr) rare_->reason.clear();
   } else if (health == Health::faulted) {
-    loop()->runtime.log(LogLevel::warning, object_name(), "faulted, will be tried again: " + reason_);
+    loop()->runtime.log(LogLevel::warning, object_name(), "faulted, will be tried again: " + rare().reason);
   }
   health_ = health;
 }

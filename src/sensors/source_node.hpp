@@ -1,6 +1,9 @@
 // What scheduled sensors and feeds share: an origin, health, errors.
 #pragma once
 
+#include <memory>
+#include <string>
+
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
@@ -23,7 +26,7 @@ class SourceNode : public Node, public SensorEntry {
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
   Health health() const noexcept { return health_; }
-  Callback<void(const ErrorReport&)> on_error;
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error = std::move(handler); }
 
  protected:
   ~SourceNode() override = default;
@@ -33,13 +36,24 @@ class SourceNode : public Node, public SensorEntry {
   void set_health(Health health, const Error* reason);
   /// To be called from a derived class's on_close.
   void leave() noexcept;
-  void drop_callbacks() noexcept override { on_error.reset(); }
+  void drop_callbacks() noexcept override {
+    if (rare_ != nullptr) rare_->on_error.reset();
+  }
 
   OriginCore& origin_;
 
  private:
+  /// What most sensors never need; made at its first use, since there may be thousands of them.
+  struct Rare {
+    Callback<void(const ErrorReport&)> on_error;
+    std::string reason;  // why it is not ok
+  };
+  Rare& rare() {
+    if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
+    return *rare_;
+  }
+  std::unique_ptr<Rare> rare_;
   Health health_ = Health::ok;
-  std::string reason_;
 };
 
 }  // namespace rtdata::detail

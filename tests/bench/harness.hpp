@@ -1,0 +1,86 @@
+// Harness of the benchmarks: runs the library ("value") and the least that the machine needs for the same work
+// ("limit") interleaved, on one CPU, and gives the median of the ratios pair by pair; beside it, as a control, the same
+// for limit against limit. A figure whose control strays further from 1 than its reach is called inconclusive.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace bench {
+
+struct Figure {
+  std::string name;
+  std::string unit;
+  double reach = 1;    // the ratio aimed at
+  double value = 0;    // median
+  double limit = 0;    // median
+  double ratio = 1;    // value / limit: 1 is the limit, lower is better
+  double control = 1;  // limit / limit
+  std::string note = {};
+};
+
+struct Options {
+  std::vector<std::string> names;   // empty: all
+  std::string json;                 // where to write; empty: nowhere
+  std::string program;              // the program rtdata
+  std::string memory = "/dev/shm";  // a folder on tmpfs
+  std::string disk = ".";           // a folder on a disk
+};
+
+class Report {
+ public:
+  explicit Report(Options options) : options_(std::move(options)) {}
+  const Options& options() const noexcept { return options_; }
+  /// Whether the figure is asked for.
+  bool wants(std::string_view name) const;
+  void add(const Figure& figure);
+  /// A line beside the figures, which goes into no file.
+  void remark(const std::string& text) const;
+  /// False when the file cannot be written.
+  bool write_json() const;
+
+ private:
+  Options options_;
+  std::vector<Figure> figures_;
+};
+
+/// One measurement gives a number for each figure.
+using Measure = std::function<std::vector<double>()>;
+
+/// Both are called once unmeasured, then in rounds of limit, value, limit, every second one in reverse. `figures` come
+/// with name, unit and reach.
+std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit,
+                                  int pairs = 9);
+Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit,
+                    int pairs = 9);
+
+double median(std::vector<double> values);
+/// `fraction` 0.99: the 99th percentile. Reorders.
+double percentile(std::vector<double>& values, double fraction);
+
+std::int64_t monotonic_ns();
+std::int64_t thread_cpu_ns();
+std::int64_t process_cpu_ns();
+
+/// The calling thread, and those that it starts, run on one CPU: the last of those allowed. Timer slack 1 ns.
+void settle_thread();
+/// Another allowed CPU where there is one, for a thread that is the outside world.
+void settle_other_thread();
+
+/// The result is used: nothing that leads to it is left out by the compiler.
+template <class T>
+inline void keep(const T& value) {
+  asm volatile("" : : "r,m"(value) : "memory");
+}
+
+// One a subject; each adds those of its figures that are wanted.
+void bench_loop(Report& report);
+void bench_publish(Report& report);
+void bench_sinks(Report& report);
+void bench_encoding(Report& report);
+void bench_program(Report& report);
+
+}  // namespace bench

@@ -1,0 +1,137 @@
+// start, rss: the program rtdata on its starter file, beside a bare program with the same libraries (bare_program.cpp).
+#include <fcntl.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <charconv>
+#include <cstdio>
+#include <ctime>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "harness.hpp"
+
+extern char** environ;
+
+namespace bench {
+namespace {
+
+std::int64_t realtime_ns() {
+  timespec time{};
+  ::clock_gettime(CLOCK_REALTIME, &time);
+  return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
+}
+
+/// A child process, its standard output and errors thrown away unless a file is given.
+pid_t start(const std::vector<std::string>& command, const char* output = "/dev/null") {
+  std::vector<char*> arguments;
+  for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
+  arguments.push_back(nullptr);
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_addopen(&actions, 1, output, O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawn_file_actions_addopen(&actions, 2, "/dev/null", O_WRONLY, 0);
+  pid_t child = -1;
+  if (::posix_spawn(&child, arguments[0], &actions, nullptr, arguments.data(), environ) != 0) child = -1;
+  posix_spawn_file_actions_destroy(&actions);
+  return child;
+}
+
+int wait_for(pid_t child) {
+  int status = -1;
+  if (child > 0) ::waitpid(child, &status, 0);
+  return status;
+}
+
+double resident_kib(pid_t child) {
+  std::ifstream status("/proc/" + std::to_string(child) + "/status");
+  for (std::string line; std::getline(status, line);) {
+    if (line.starts_with("VmRSS:")) return std::stod(line.substr(6));
+  }
+  return 0;
+}
+
+/// The first number after `key` in the first line of a file; 0 when there is none.
+std::int64_t first_number(const std::string& path, const std::string& key) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  const auto at = line.find(key);
+  std::int64_t number = 0;
+  if (at != std::string::npos) std::from_chars(line.data() + at + key.size(), line.data() + line.size(), number);
+  return number;
+}
+
+/// The folder in which the programs run; removed at the end.
+class Folder {
+ public:
+  explicit Folder(const std::string& under) : before_(std::filesystem::current_path()) {
+    const auto path = std::filesystem::absolute(under) / ("rtdata_bench." + std::to_string(::getpid()));
+    std::filesystem::create_directory(path);
+    std::filesystem::current_path(path);
+  }
+  Folder(const Folder&) = delete;
+  Folder& operator=(const Folder&) = delete;
+  ~Folder() {
+    const auto path = std::filesystem::current_path();
+    std::filesystem::current_path(before_);
+    std::error_code ignored;
+    std::filesystem::remove_all(path, ignored);
+  }
+
+ private:
+  std::filesystem::path before_;
+};
+
+/// From the start of the process to the time in its first line of `file`, in ms; and its memory after a second, in MiB.
+std::vector<double> first_event(const std::vector<std::string>& command, const std::string& file,
+                                const std::string& key, const char* output) {
+  ::unlink(file.c_str());
+  const std::int64_t begin = realtime_ns();
+  const pid_t child = start(command, output);
+  const timespec second{1, 0};
+  ::nanosleep(&second, nullptr);
+  const double resident = resident_kib(child) / 1024;
+  wait_for(child);
+  const std::int64_t first = first_number(file, key);
+  return {static_cast<double>(first - begin) / 1e6, resident};
+}
+
+}  // namespace
+
+void bench_program(Report& report) {
+  if (!report.wants("start") && !report.wants("rss")) return;
+  const std::string& name = report.options().program;
+  if (name.empty() || ::access(name.c_str(), X_OK) != 0) {
+    report.remark("start, rss: left out, there is no program " + (name.empty() ? "given (--program FILE)" : name));
+    return;
+  }
+  const std::string program = std::filesystem::absolute(name).string();
+  const std::string bare =
+      (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare").string();
+  const Folder folder(report.options().memory);
+  if (wait_for(start({program, "init", "demo.json"})) != 0 ||
+      wait_for(start({program, "run", "demo.json", "--for", "100ms"})) != 0) {
+    report.remark("start, rss: left out, `rtdata init` or `rtdata run` fails here");
+    return;
+  }
+  const auto figures = measure_pairs(
+      {{.name = "start", .unit = "ms", .reach = 2}, {.name = "rss", .unit = "MiB", .reach = 2}},
+      [&] {
+        return first_event({program, "run", "demo.json", "--for", "1200ms"}, "demo.jsonl", "\"time\":", "/dev/null");
+      },
+      [&] {
+        return first_event({bare, "demo.db"}, "bare.txt", "first ", "bare.txt");
+      },
+      7);
+  for (const Figure& figure : figures) {
+    if (report.wants(figure.name)) report.add(figure);
+  }
+}
+
+}  // namespace bench
