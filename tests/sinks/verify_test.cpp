@@ -112,7 +112,7 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
 TEST_CASE("US-26 a run that ended without closing is reported as such, and held to its last account") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path, "UPDATE rtdata_run SET state = 'recording'");
+  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '00000000-0000-0000-0000-000000000000'");
   VerifyReport report = report_of(path);
   CHECK(report.verdict() == Verdict::unsealed);
   CHECK(report.exit_code() == 1);

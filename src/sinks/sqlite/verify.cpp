@@ -30,7 +30,9 @@ bool is_alive(const RunInfo& run) {
   std::ifstream file("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
   std::getline(file, boot_id);
-  if (boot_id.empty() || boot_id != run.boot_id || run.pid <= 0) return false;
+  // An injected clock need not know the machine: its id does not look like a boot id, and the process decides alone.
+  const bool is_machine = run.boot_id.size() == boot_id.size();
+  if (boot_id.empty() || (is_machine && boot_id != run.boot_id) || run.pid <= 0) return false;
   return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
 }
 
