@@ -42,7 +42,7 @@ PYTHON
 project find_package
 cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
-cmake --build out >>cmake.log || { cat cmake.log >&2; exit 1; }
+cmake --build out -j "$(nproc)" >>cmake.log || { cat cmake.log >&2; exit 1; }
 check out/record
 if [ -x out/own_types ]; then
     out/own_types check "$source/examples/06_own_types.json"
@@ -54,5 +54,5 @@ LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check ./record
 
 project add_subdirectory
 cmake -S . -B out -DRTDATA_TREE="$source" -DCMAKE_BUILD_TYPE=Debug >cmake.log
-cmake --build out >>cmake.log || { tail -n 50 cmake.log >&2; exit 1; }
+cmake --build out -j "$(nproc)" --target record >>cmake.log || { tail -n 50 cmake.log >&2; exit 1; }
 check out/record
