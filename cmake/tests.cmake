@@ -19,12 +19,14 @@ foreach(suite data loop sensors sinks config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
 
-# Replaces operator new and delete, so it is a program of its own.
-add_executable(rtdata_allocation_tests tests/loop/allocation_test.cpp)
-target_link_libraries(rtdata_allocation_tests PRIVATE rtdata_options rtdata::rtdata doctest::doctest)
-target_include_directories(rtdata_allocation_tests PRIVATE tests)
-target_compile_definitions(rtdata_allocation_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
-add_test(NAME allocation COMMAND rtdata_allocation_tests)
+# Replaces operator new and delete, so it is a program of its own; the sanitizers replace them too.
+if(NOT RTDATA_SANITIZE)
+  add_executable(rtdata_allocation_tests tests/loop/allocation_test.cpp)
+  target_link_libraries(rtdata_allocation_tests PRIVATE rtdata_options rtdata::rtdata doctest::doctest)
+  target_include_directories(rtdata_allocation_tests PRIVATE tests)
+  target_compile_definitions(rtdata_allocation_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+  add_test(NAME allocation COMMAND rtdata_allocation_tests)
+endif()
 
 # Files that must not compile, each with one sentence.
 find_package(Python3 COMPONENTS Interpreter)
