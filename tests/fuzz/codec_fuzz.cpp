@@ -3,8 +3,7 @@
 /// What decodes must encode again and decode to the same values; nothing may crash. The first byte chooses what is
 /// tried.
 ///
-///     clang++ -std=c++20 -g -O1 -fsanitize=fuzzer,address,undefined -Iinclude -Isrc -Itests tests/fuzz/codec_fuzz.cpp
-///         src/data/*.cpp -o codec_fuzz && ./codec_fuzz -max_total_time=60
+///     tests/fuzz/run.sh 60
 #include <cstdint>
 #include <cstdlib>
 

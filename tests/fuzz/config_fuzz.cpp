@@ -1,7 +1,6 @@
 /// Any bytes as a configuration: reading, writing, asking and reporting must neither crash nor disagree.
 ///
-///     clang++ -std=c++20 -g -O1 -fsanitize=fuzzer,address,undefined -Iinclude -Isrc tests/fuzz/config_fuzz.cpp
-///       src/config/*.cpp src/data/*.cpp -o config_fuzz && ./config_fuzz -max_total_time=60
+///     tests/fuzz/run.sh 60
 #include <array>
 #include <cstdint>
 #include <cstdlib>
