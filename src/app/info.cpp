@@ -15,7 +15,7 @@ using Json = nlohmann::ordered_json;
 
 std::string short_time(Time time) { return to_iso8601(time).substr(0, 19) + "Z"; }
 
-/// Three digits and a unit: "0.12 ms".
+/// Three digits and a unit: "1.20ms".
 std::string short_duration(Duration duration) {
   const double ns = static_cast<double>(duration.count());
   const char* unit = "s";
@@ -28,13 +28,13 @@ std::string short_duration(Duration duration) {
     value = ns / 1e6;
   }
   char text[32];
-  std::snprintf(text, sizeof text, "%.*f %s", value < 10 ? 2 : value < 100 ? 1 : 0, value, unit);
+  std::snprintf(text, sizeof text, "%.*f%s", value < 10 ? 2 : value < 100 ? 1 : 0, value, unit);
   return text;
 }
 
 std::string hertz(double value) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.*f", value < 10 ? 3 : value < 1000 ? 2 : 1, value);
+  std::snprintf(text, sizeof text, "%.*f", value < 10 ? 3 : value < 100 ? 2 : 1, value);
   return text;
 }
 
@@ -44,8 +44,8 @@ std::string padded(std::string text, std::size_t width) {
 
 /// At most 80 columns unless numbers are very large; a long name has a line of its own.
 void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
-  constexpr std::size_t name_width = 20;
-  out << "  topic                    rows  rate Hz  (wanted)  late p50      p99      max\n";
+  constexpr std::size_t name_width = 17;
+  out << "  topic               rows     Hz wanted late p50     p99     max missed dropped\n";
   for (const TopicSummary& topic : topics) {
     std::string name = "  " + topic.topic;
     if (name.size() > name_width) {
@@ -53,22 +53,16 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
       name.clear();
     }
     name.resize(name_width, ' ');
-    out << name << padded(std::to_string(topic.rows), 11) << padded(hertz(topic.reached_hertz), 9)
-        << padded(topic.wanted_hertz > 0 ? "(" + hertz(topic.wanted_hertz) + ")" : "-", 10);
-    if (topic.has_lateness) {
-      out << padded(short_duration(topic.lateness_p50), 10) << padded(short_duration(topic.lateness_p99), 9)
-          << padded(short_duration(topic.lateness_max), 9);
-    } else {
-      out << padded("-", 10) << padded("-", 9) << padded("-", 9);
-    }
-    out << "\n";
+    const auto late = [&](Duration duration) { return topic.has_lateness ? short_duration(duration) : std::string("-"); };
+    out << name << padded(std::to_string(topic.rows), 9) << padded(hertz(topic.reached_hertz), 7)
+        << padded(topic.wanted_hertz > 0 ? hertz(topic.wanted_hertz) : "-", 7) << padded(late(topic.lateness_p50), 9)
+        << padded(late(topic.lateness_p99), 8) << padded(late(topic.lateness_max), 8)
+        << padded(std::to_string(topic.missed), 7) << padded(std::to_string(topic.dropped), 8) << "\n";
     std::string losses;
     const auto add = [&](std::uint64_t count, const char* what) {
       if (count != 0) losses += (losses.empty() ? "" : ", ") + std::to_string(count) + " " + what;
     };
-    add(topic.missed, "missed");
     add(topic.failed, "failed");
-    add(topic.dropped, "dropped");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
     if (!losses.empty()) out << "    " << losses << "\n";
