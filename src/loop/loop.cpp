@@ -325,10 +325,11 @@ void LoopCore::start_idle() noexcept {
 void LoopCore::deliver(Budget budget) {
   if (delivering_ || ready_first_ == nullptr) return;
   delivering_ = true;
-  const MonotonicTime end = now() + config.delivery_budget;
+  MonotonicTime current = now();
+  const MonotonicTime end = current + config.delivery_budget;
   while (ready_first_ != nullptr) {
     TopicCore* topic = ready_first_;
-    topic->deliver_group(*this);
+    current = topic->deliver_group(*this, current);
     if (!topic->has_pending()) {
       ready_first_ = topic->next_ready;
       if (ready_first_ == nullptr) ready_last_ = nullptr;
@@ -340,7 +341,6 @@ void LoopCore::deliver(Budget budget) {
       topic->next_ready = nullptr;
     }
     if (budget == Budget::none) continue;
-    const MonotonicTime current = now();
     if (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current)) break;
   }
   delivering_ = false;

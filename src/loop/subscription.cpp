@@ -15,10 +15,12 @@ class ViewSubscription final : public SubscriptionNode {
       : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
   Delivered deliver(const EventRun& run, const void*) override {
     Delivered result;
-    for (; result.seen < run.count && is_open(); ++result.seen) {
-      const std::byte* slot = run.slot(result.seen);
-      if (is_cancelled(run, result.seen)) continue;
-      ++result.delivered;
+    const std::byte* slot = run.slots;
+    for (; result.seen < run.count && is_open(); ++result.seen, slot += run.stride) {
+      if (run.is_cancelled(result.seen)) {
+        ++result.cancelled;
+        continue;
+      }
       guarded(*this, [&] { handler_(view_of(run.topic, slot)); });
     }
     return result;
@@ -156,12 +158,12 @@ TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType typ
 
 const std::string& topic_name(const TopicCore& topic) noexcept { return topic.name; }
 
-void publish_from_program(TopicCore& topic, void* payload) {
+void publish_from_program(TopicCore& topic, const void* payload) {
   RuntimeCore& runtime = topic.runtime();
   OriginCore& origin = runtime.program_origin(topic);
   ++origin.counts.received;
   ++origin.counts.published;
-  topic.publish(origin, runtime.event_time(runtime.clock().monotonic()), payload);
+  topic.publish(origin, runtime.event_time(runtime.clock().monotonic()), const_cast<void*>(payload));
 }
 
 }  // namespace detail

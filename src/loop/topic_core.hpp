@@ -45,8 +45,8 @@ class TopicCore {
   void remove_tap(Tap& tap) noexcept { std::erase(taps_, &tap); }
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
-  /// Delivers one small group of events to every link.
-  void deliver_group(LoopCore& loop);
+  /// Delivers one small group of events to every link, beginning now; returns when it ended.
+  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now);
   RuntimeCore& runtime() const noexcept { return runtime_; }
   bool has_pending() const noexcept { return head_ != tail_; }
   /// The loop is gone: if it delivers this topic, what is queued is cancelled.
@@ -71,7 +71,8 @@ class TopicCore {
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;
   };
-  void enqueue(const EventHeader& header, void* payload);
+  void offer(OriginCore& origin, const EventHeader& header, const void* payload);
+  void move_payload(std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
@@ -84,6 +85,8 @@ class TopicCore {
   std::vector<Link> links_;
   std::vector<OriginCore*> origins_;
   std::byte* slots_ = nullptr;
+  std::vector<std::uint8_t> is_cancelled_;  // by slot; holds for events before `cancelled_until_`
+  std::uint64_t cancelled_until_ = 0;
   std::size_t stride_ = 0;
   std::size_t mask_ = 0;
   std::uint64_t head_ = 0;

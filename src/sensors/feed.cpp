@@ -65,7 +65,9 @@ class FeedNode final : public SourceNode {
 
 Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) { return new FeedNode(loop.core(), config, std::move(type)); }
 
-void feed_publish(Node& feed, void* payload, const Time* time) { static_cast<FeedNode&>(feed).publish(payload, time); }
+void feed_publish(Node* feed, const void* payload, const Time* time) {
+  if (feed != nullptr) static_cast<FeedNode*>(feed)->publish(const_cast<void*>(payload), time);
+}
 
 }  // namespace detail
 

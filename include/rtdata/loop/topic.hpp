@@ -66,28 +66,29 @@ PayloadType payload_type() {
   return type;
 }
 
-/// A run of events in a ring, as a subscription is given them.
+/// How a payload is handed over for publishing: copied bytes from where they are, anything else from a value to move.
+template <class T>
+using PublishedAs = std::conditional_t<std::is_trivially_copyable_v<T>, const T&, T>;
+
+/// Events that lie one behind the other in a ring, as a subscription is given them.
 struct EventRun {
   const TopicCore& topic;
   std::byte* slots;
   std::size_t stride;
-  std::size_t mask;
-  std::uint64_t first;
+  std::uint64_t first;  ///< position of the first one
   std::uint64_t count;
-  std::byte* slot(std::uint64_t i) const noexcept { return slots + ((first + i) & mask) * stride; }
+  const std::uint8_t* cancelled;         ///< one flag an event
+  const std::uint64_t& cancelled_until;  ///< position up to which the flags hold; moves when a handler stops a sensor
+  bool is_cancelled(std::uint64_t i) const noexcept { return first + i < cancelled_until && cancelled[i] != 0; }
 };
-
-/// The last byte of a slot says whether its event was cancelled; the event itself stays, since a handler may have it.
-inline bool is_cancelled(const EventRun& run, std::uint64_t i) noexcept { return run.slot(i)[run.stride - 1] != std::byte{0}; }
 
 class SubscriptionNode : public Node {
  public:
   SubscriptionNode(LoopCore& loop, std::string_view pattern);
-  /// Calls the handler with events of the run until it is closed; returns how many were looked at, and how many of
-  /// these delivered. `scratch`: room for one Event<T>, when the fields are mapped.
+  /// Calls the handler with events of the run until it is closed; returns how many were looked at.
   struct Delivered {
     std::uint64_t seen = 0;
-    std::uint64_t delivered = 0;
+    std::uint64_t cancelled = 0;  ///< of these, not delivered
   };
   virtual Delivered deliver(const EventRun& run, const void* field_map) = 0;
   /// Whether it takes this topic; with a map of fields where the layouts differ. Errors: description-differs.
@@ -131,17 +132,21 @@ class TypedSubscription final : public SubscriptionNode {
  public:
   TypedSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const Event<T>&)> handler)
       : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
-  Delivered deliver(const EventRun& run, const void* field_map) override {
+  Delivered deliver(const EventRun& given, const void* field_map) override {
+    const EventRun run = given;  // in registers
     Delivered result;
-    for (; result.seen < run.count && is_open(); ++result.seen) {
-      auto* event = reinterpret_cast<Event<T>*>(run.slot(result.seen));
-      if (is_cancelled(run, result.seen)) continue;
-      ++result.delivered;
+    std::byte* slot = run.slots;
+    for (; result.seen < run.count && is_open(); ++result.seen, slot += run.stride) {
+      auto* event = reinterpret_cast<Event<T>*>(slot);
+      if (run.is_cancelled(result.seen)) [[unlikely]] {
+        ++result.cancelled;
+        continue;
+      }
       if constexpr (Described<T>) {
         if (field_map != nullptr) [[unlikely]] {
           Event<T> mapped;
           static_cast<EventHeader&>(mapped) = *event;
-          const EventView view = view_of(run.topic, run.slot(result.seen));
+          const EventView view = view_of(run.topic, slot);
           apply_field_map(field_map, view.payload().data(), reinterpret_cast<std::byte*>(&mapped.data));
           guarded(*this, [&] { handler_(mapped); });
           continue;
@@ -162,7 +167,7 @@ class TypedSubscription final : public SubscriptionNode {
 
 TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType type);
 const std::string& topic_name(const TopicCore& topic) noexcept;
-void publish_from_program(TopicCore& topic, void* payload);
+void publish_from_program(TopicCore& topic, const void* payload);
 
 }  // namespace detail
 
@@ -193,7 +198,7 @@ class Topic {
     return subscription;
   }
   /// Publishes with the origin "program"; a `Feed` has an origin and a ledger of its own.
-  void publish(T payload) const { detail::publish_from_program(*core_, &payload); }
+  void publish(detail::PublishedAs<T> payload) const { detail::publish_from_program(*core_, &payload); }
 
   detail::TopicCore& core() const noexcept { return *core_; }
 

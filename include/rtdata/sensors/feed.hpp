@@ -23,7 +23,8 @@ namespace detail {
 
 class FeedNode;
 Node* make_feed(Loop& loop, FeedConfig config, PayloadType type);
-void feed_publish(Node& feed, void* payload, const Time* time);
+/// `payload` is moved from when its type is not trivially copyable. Nothing when there is no feed or it is stopped.
+void feed_publish(Node* feed, const void* payload, const Time* time);
 
 }  // namespace detail
 
@@ -60,11 +61,11 @@ class Feed : public AnyFeed {
   Feed(Loop& loop, FeedConfig config) : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
   /// With the time of now, or the given one; a time not after the last event's is moved to just after it.
-  void publish(T payload) {
-    if (is_open()) detail::feed_publish(*node(), &payload, nullptr);
+  void publish(detail::PublishedAs<T> payload) {
+    detail::feed_publish(node(), &payload, nullptr);
   }
-  void publish(T payload, Time time) {
-    if (is_open()) detail::feed_publish(*node(), &payload, &time);
+  void publish(detail::PublishedAs<T> payload, Time time) {
+    detail::feed_publish(node(), &payload, &time);
   }
 };
 
