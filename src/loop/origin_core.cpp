@@ -4,8 +4,8 @@
 
 namespace rtdata::detail {
 
-OriginCore::OriginCore(RuntimeCore& runtime_, std::string name_, TopicCore& topic_, std::uint32_t index_)
-    : runtime(runtime_), name(std::move(name_)), topic(topic_), index(index_) {}
+OriginCore::OriginCore(std::string_view name_, TopicCore& topic_, std::uint32_t index_)
+    : name(name_), topic(topic_), index(index_) {}
 
 void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
   counts.has_schedule = true;
@@ -15,6 +15,7 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
 }
 
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
+  const RuntimeCore& runtime = topic.runtime();
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
 }
 
@@ -23,7 +24,7 @@ void OriginCore::end_segment(MonotonicTime end) {
   close_gap();
   const Segment ended = segment(end);
   period_ = Duration{0};
-  for (Recorder* recorder : runtime.recorders) recorder->on_segment(*this, ended);
+  for (Recorder* recorder : topic.runtime().recorders) recorder->on_segment(*this, ended);
 }
 
 void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
@@ -46,6 +47,7 @@ void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTim
 
 void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                             std::uint64_t count) {
+  const RuntimeCore& runtime = topic.runtime();
   if (gap_is_open_ && (gap_->kind != kind || gap_->reason != reason)) close_gap();
   if (!gap_is_open_) {
     if (gap_ == nullptr) gap_ = std::make_unique<Gap>();
@@ -60,7 +62,7 @@ void OriginCore::close_gap() noexcept {
   if (!gap_is_open_) return;
   const Gap closed = *gap_;
   gap_is_open_ = false;
-  for (Recorder* recorder : runtime.recorders) recorder->on_gap(*this, closed);
+  for (Recorder* recorder : topic.runtime().recorders) recorder->on_gap(*this, closed);
 }
 
 }  // namespace rtdata::detail

@@ -15,7 +15,9 @@ class TopicCore;
 
 class OriginCore {
  public:
-  OriginCore(RuntimeCore& runtime, std::string name, TopicCore& topic, std::uint32_t index);
+  OriginCore(std::string_view name, TopicCore& topic, std::uint32_t index);
+  OriginCore(const OriginCore&) = delete;
+  OriginCore& operator=(const OriginCore&) = delete;
 
   // The schedule. Instants are on the monotonic line.
   void begin_segment(MonotonicTime first_due, Duration period);
@@ -51,15 +53,20 @@ class OriginCore {
 
   void close_gap() noexcept;
 
-  RuntimeCore& runtime;
+  // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;
   TopicCore& topic;
-  const std::uint32_t index;  ///< within its topic
-  bool is_claimed = false;    ///< a sensor or feed of this name exists now
-  SensorCounts counts;
   std::uint64_t sequence = 0;  ///< of the last event published
   Time last_time{};            ///< of the last event published
   Duration late_after{0};
+  const std::uint32_t index;  ///< within its topic
+  bool is_claimed = false;    ///< a sensor or feed of this name exists now
+
+ private:
+  bool gap_is_open_ = false;
+
+ public:
+  SensorCounts counts;
 
  private:
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last, std::uint64_t count);
@@ -67,7 +74,6 @@ class OriginCore {
   MonotonicTime first_due_{};
   Duration period_{0};
   std::uint64_t scheduled_before_ = 0;
-  bool gap_is_open_ = false;
   std::unique_ptr<Gap> gap_;  // made at the first gap, then kept
 };
 

@@ -175,14 +175,13 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
   }
   const auto found = origins_.find(name);
   if (found == origins_.end()) {
-    auto origin = std::make_unique<OriginCore>(*this, std::string(name), topic, static_cast<std::uint32_t>(topic.origins().size()));
-    OriginCore& made = *origin;
+    // Elements of a set are const for the sake of their key, the name, which is const in itself.
+    auto& made = const_cast<OriginCore&>(*origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
     topic.origins().push_back(&made);
-    origins_.emplace(made.name, std::move(origin));
     made.is_claimed = true;
     return made;
   }
-  OriginCore& known = *found->second;
+  auto& known = const_cast<OriginCore&>(*found);
   if (known.is_claimed) {
     throw SetupError({Errc::busy, "cannot make sensor", std::string(name), "there is one of that name already",
                       "give each sensor a `name` of its own"});
@@ -299,8 +298,8 @@ std::vector<TopicStatus> Runtime::topics() const {
 }
 
 bool Runtime::balances() const {
-  for (const auto& [name, origin] : core_->origins()) {
-    if (!origin->counts.balances() || origin->counts.published != origin->sequence) return false;
+  for (const detail::OriginCore& origin : core_->origins()) {
+    if (!origin.counts.balances() || origin.counts.published != origin.sequence) return false;
   }
   for (const SinkStatus& sink : sinks()) {
     if (!sink.counts.balances()) return false;
@@ -312,8 +311,8 @@ bool Runtime::balances() const {
 }
 
 bool Runtime::has_loss() const {
-  for (const auto& [name, origin] : core_->origins()) {
-    if (origin->counts.has_loss()) return true;
+  for (const detail::OriginCore& origin : core_->origins()) {
+    if (origin.counts.has_loss()) return true;
   }
   for (const SinkStatus& sink : sinks()) {
     if (sink.counts.all_dropped() > 0) return true;

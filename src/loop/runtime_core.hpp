@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 #include "loop/origin_core.hpp"
@@ -29,16 +30,23 @@ class Recorder {
 };
 
 /// A sensor or feed, as the runtime sees it.
-class SensorEntry {
+class SensorEntry : public Node {
  public:
+  using Node::Node;
   virtual void stop() = 0;
   virtual SensorStatus status() const = 0;
   /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
   virtual void stop_schedule(MonotonicTime end) = 0;
   virtual bool is_reading() const noexcept = 0;
+};
 
- protected:
-  ~SensorEntry() = default;
+/// Origins are found by their names.
+struct ByName {
+  using is_transparent = void;
+  static std::string_view name(std::string_view name) noexcept { return name; }
+  static std::string_view name(const OriginCore& origin) noexcept { return origin.name; }
+  std::size_t operator()(const auto& one) const noexcept { return std::hash<std::string_view>{}(name(one)); }
+  bool operator()(const auto& a, const auto& b) const noexcept { return name(a) == name(b); }
 };
 
 /// How a payload reads in errors: the name of its description, or that of its C++ type.
@@ -72,7 +80,7 @@ class RuntimeCore {
   OriginCore& claim_origin(std::string_view name, TopicCore& topic);
   /// The origin of the program's own events on a topic.
   OriginCore& program_origin(TopicCore& topic);
-  const std::unordered_map<std::string_view, std::unique_ptr<OriginCore>>& origins() const noexcept { return origins_; }
+  const auto& origins() const noexcept { return origins_; }
 
   std::vector<SubscriptionNode*> patterns;  ///< subscriptions that new topics are offered to
   std::vector<Recorder*> recorders;
@@ -107,7 +115,7 @@ class RuntimeCore {
   std::vector<std::unique_ptr<TopicCore>> topics_;
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
   std::unordered_map<std::string, std::string> name_by_lower_case_;
-  std::unordered_map<std::string_view, std::unique_ptr<OriginCore>> origins_;
+  std::unordered_set<OriginCore, ByName, ByName> origins_;
   std::vector<Repeat> repeats_;
 };
 

@@ -9,23 +9,14 @@ namespace rtdata::detail {
 namespace {
 
 // Thousands of members do not fit the caches: what the next ones will use is fetched while the first ones run.
-constexpr std::size_t far_ahead = 8;
-constexpr std::size_t near_ahead = 4;
-constexpr std::ptrdiff_t cache_line = 64;
+constexpr std::size_t far_ahead = 16;
+constexpr std::size_t near_ahead = 8;
 
-void fetch_lines(const void* at, std::ptrdiff_t first, std::ptrdiff_t last) noexcept {
-  const auto* byte = static_cast<const char*>(at);
-  for (std::ptrdiff_t line = first; line <= last; ++line) __builtin_prefetch(byte + line * cache_line, 1);
-}
-
-/// What a member has before and behind its schedule.
-void fetch_member(const RateMember* member) noexcept {
-  if (member != nullptr) fetch_lines(member, -3, 3);
-}
-
-void fetch_companion(const RateMember* member) noexcept {
-  if (member == nullptr || member->companion() == nullptr) return;
-  fetch_lines(member->companion(), 0, 3);
+/// What lies around the member: the object it is part of.
+void fetch(const RateMember* member) noexcept {
+  if (member == nullptr) return;
+  const auto* byte = reinterpret_cast<const char*>(member);
+  for (const int line : {-1, 0, 1}) __builtin_prefetch(byte + line * 64, 1);
 }
 
 }  // namespace
@@ -52,8 +43,8 @@ void RateGroup::fire(MonotonicTime now) {
   MonotonicTime from = now;
   for (position_ = 0; position_ < end;) {
     RateMember* member = members_[position_++];
-    if (position_ + far_ahead < end) fetch_member(members_[position_ + far_ahead]);
-    if (position_ + near_ahead < end) fetch_companion(members_[position_ + near_ahead]);
+    if (position_ + far_ahead < end) fetch(members_[position_ + far_ahead]);
+    if (position_ + near_ahead < end && members_[position_ + near_ahead] != nullptr) members_[position_ + near_ahead]->prefetch();
     if (member == nullptr || member->first_due_ > firing_due_) continue;
     Tick tick;
     tick.due = firing_due_;
@@ -78,9 +69,9 @@ void RateGroup::compact() {
   if (members_.empty()) loop_.schedule().discard(*this);
 }
 
-void Schedule::add(RateMember& member, Duration period, Duration phase) {
-  if (loop_.is_turning()) return place(member, period, phase);
-  waiting_.push_back({&member, period, phase});
+void Schedule::add(RateMember& member) {
+  if (loop_.is_turning()) return place(member);
+  waiting_.push_back(&member);
   member.is_waiting_ = true;
   loop_.wake_for_waiting();
 }
@@ -88,18 +79,19 @@ void Schedule::add(RateMember& member, Duration period, Duration phase) {
 void Schedule::begin_waiting() {
   while (!waiting_.empty()) {
     auto begun = std::exchange(waiting_, {});
-    for (const Waiting& one : begun) {
-      one.member->is_waiting_ = false;
-      place(*one.member, one.period, one.phase);
+    for (RateMember* member : begun) {
+      member->is_waiting_ = false;
+      place(*member);
     }
   }
 }
 
-void Schedule::place(RateMember& member, Duration period, Duration phase) {
+void Schedule::place(RateMember& member) {
+  const Duration period = member.period_;
   const Duration grid = loop_.config.phase_grid;
   Duration first = loop_.turn_start().time_since_epoch();
   if (grid.count() > 0) first = (first + grid - Duration{1}) / grid * grid;
-  first += phase;
+  first += member.phase_;
   if (&member == ticking_) first += period;
   const Key key{period, first % period};
   member.first_due_ = MonotonicTime{first};
@@ -125,7 +117,7 @@ void Schedule::place(RateMember& member, Duration period, Duration phase) {
 
 void Schedule::remove(RateMember& member) noexcept {
   if (std::exchange(member.is_waiting_, false)) {
-    std::erase_if(waiting_, [&](const Waiting& one) { return one.member == &member; });
+    std::erase(waiting_, &member);
     return;
   }
   RateGroup* group = member.group_;

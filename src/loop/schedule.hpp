@@ -31,21 +31,28 @@ class RateMember {
   /// The first tick that has not been dealt with.
   MonotonicTime next_due() const noexcept;
 
-  /// Memory (some 256 bytes) that `tick` will use besides the member's own, or null: fetched ahead of it.
-  const void* companion() const noexcept { return companion_; }
-
-  CallbackTimes times;
+  /// Asks the processor for memory that `tick` will use besides the member's own: called some members ahead of it.
+  virtual void prefetch() const noexcept {}
+  Duration period() const noexcept { return period_; }
 
  protected:
+  RateMember(Duration period, Duration phase) noexcept : period_(period), phase_(phase) {}
   ~RateMember() = default;
-  void set_companion(const void* companion) noexcept { companion_ = companion; }
+  /// While it is not scheduled.
+  void set_period(Duration period) noexcept { period_ = period; }
 
  private:
   friend class RateGroup;
   friend class Schedule;
   RateGroup* group_ = nullptr;
   MonotonicTime first_due_{};
-  const void* companion_ = nullptr;
+  Duration period_;
+  Duration phase_;
+
+ public:
+  CallbackTimes times;
+
+ private:
   bool is_waiting_ = false;
 };
 
@@ -75,22 +82,17 @@ class Schedule {
   explicit Schedule(LoopCore& loop) : loop_(loop) {}
   /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn, it
   /// begins when the loop does, so that setting up takes no ticks from anybody.
-  void add(RateMember& member, Duration period, Duration phase);
+  void add(RateMember& member);
   void remove(RateMember& member) noexcept;
   /// Begins the schedules that wait for the loop to turn.
   void begin_waiting();
 
  private:
   friend class RateGroup;
-  void place(RateMember& member, Duration period, Duration phase);
+  void place(RateMember& member);
   void discard(RateGroup& group);
   LoopCore& loop_;
-  struct Waiting {
-    RateMember* member;
-    Duration period;
-    Duration phase;
-  };
-  std::vector<Waiting> waiting_;
+  std::vector<RateMember*> waiting_;
   using Key = std::pair<Duration, Duration>;  // period and phase
   std::multimap<Key, std::unique_ptr<RateGroup>> groups_;  // several of a key only while one has had a tick the other has not
   const RateMember* ticking_ = nullptr;

@@ -43,7 +43,7 @@ class TimerNode final : public Node, public Deadline {
 class TickerNode final : public Node, public RateMember {
  public:
   TickerNode(LoopCore& loop, Ticker::Config config, Callback<void(const Tick&)> callback)
-      : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {
+      : Node(loop), RateMember(config.period, config.phase), config_(std::move(config)), callback_(std::move(callback)) {
     if (config_.period < std::chrono::microseconds{1}) {
       throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name, "its period is " + to_string(config_.period),
                         "use at least 1 us"});
@@ -54,21 +54,21 @@ class TickerNode final : public Node, public RateMember {
     if (!is_open() || is_scheduled()) return;
     index_ = 0;
     loop()->hold();
-    loop()->schedule().add(*this, config_.period, config_.phase);
+    loop()->schedule().add(*this);
   }
   void stop() {
     if (!is_open() || !is_scheduled()) return;
     loop()->schedule().remove(*this);
     loop()->unhold();
   }
-  void set_period(Duration period) {
+  void change_period(Duration period) {
     if (period < std::chrono::microseconds{1}) {
       throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period), "use at least 1 us"});
     }
-    if (period == config_.period) return;
+    if (period == this->period()) return;
     const bool was_running = is_scheduled();
     stop();
-    config_.period = period;
+    set_period(period);
     if (was_running) start();
   }
   void tick(const Tick& tick) override {
@@ -125,7 +125,7 @@ void Ticker::stop() {
   if (is_open()) static_cast<TickerNode*>(node())->stop();
 }
 void Ticker::set_period(Duration period) {
-  if (is_open()) static_cast<TickerNode*>(node())->set_period(period);
+  if (is_open()) static_cast<TickerNode*>(node())->change_period(period);
 }
 bool Ticker::is_running() const noexcept { return is_open() && static_cast<TickerNode*>(node())->is_scheduled(); }
 std::uint64_t Ticker::fired() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->fired : 0; }

@@ -21,33 +21,48 @@ void check_rate(Rate rate, const std::string& name) {
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<SensorDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type)),
-      device_(std::move(device)),
-      lane_device_(dynamic_cast<LaneDevice*>(device_.get())),
-      period_(config.rate.period()),
-      phase_(config.phase),
-      late_after_(config.late_after.value_or(Duration{-1})),
-      retry_first_(config.retry_first),
-      retry_longest_(std::max(config.retry_longest, config.retry_first)),
-      faulted_after_(std::max(config.faulted_after, 1u)),
-      required_(config.required) {
-  set_companion(&origin_);
+      RateMember(config.rate.period(), config.phase),
+      device_(std::move(device)) {
+  if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get())) lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
+  const SensorConfig usual;
+  if (config.late_after != usual.late_after || config.retry_first != usual.retry_first || config.retry_longest != usual.retry_longest ||
+      config.faulted_after != usual.faulted_after || config.required != usual.required) {
+    Rare& own = rare();
+    own.late_after = config.late_after.value_or(Duration{-1});
+    own.retry_first = config.retry_first;
+    own.retry_longest = std::max(config.retry_longest, config.retry_first);
+    own.faulted_after = std::max(config.faulted_after, 1u);
+    own.is_required = config.required;
+  }
 }
 
 SensorNode::~SensorNode() = default;
 
+SensorNode::Rare& SensorNode::rare() {
+  if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
+  return *rare_;
+}
+
+const SensorNode::Rare& SensorNode::settings() const noexcept {
+  static const Rare usual;
+  return rare_ != nullptr ? *rare_ : usual;
+}
+
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
   failures_ = 0;
-  retry_delay_ = Duration{0};
-  retry_at_ = {};
+  if (rare_ != nullptr) {
+    rare_->retry_delay = Duration{0};
+    rare_->retry_at = {};
+  }
   if (!device_is_open_) {
     const Result<void> opened = open_device();
     if (opened) {
       device_is_open_ = true;
-    } else if (required_) {
+    } else if (settings().is_required) {
       throw SetupError(opened.error());
     } else {
-      failures_ = faulted_after_ - 1;
+      failures_ = settings().faulted_after - 1;
       failed(opened.error(), loop()->now());
     }
   }
@@ -55,19 +70,20 @@ void SensorNode::start() {
 }
 
 void SensorNode::begin_schedule() {
-  origin_.late_after = late_after_.count() >= 0 ? late_after_ : std::max(Duration{std::chrono::milliseconds{1}}, period_ / 10);
+  const Duration late_after = settings().late_after;
+  origin_.late_after = late_after.count() >= 0 ? late_after : std::max(Duration{std::chrono::milliseconds{1}}, period() / 10);
   loop()->hold();
-  loop()->schedule().add(*this, period_, phase_);
+  loop()->schedule().add(*this);
 }
 
-void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period_); }
+void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period()); }
 
 void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;
-  if (const Tick* tick = std::exchange(sampling_, nullptr)) {
+  if (const Tick* tick = port_ != nullptr ? std::exchange(port_->uncounted_, nullptr) : nullptr) {
     if (what == EndOf::rate) {
       origin_.read_at_once(tick->lateness());
-    } else if (published_) {
+    } else if (port_->published_) {
       origin_.read_at_once(tick->lateness());
       ++origin_.counts.published;
     } else {
@@ -78,9 +94,9 @@ void SensorNode::end_schedule(EndOf what) {
   const MonotonicTime now = loop()->now();
   MonotonicTime next = next_due();
   if (now - next > origin_.late_after) {
-    const auto count = (now - origin_.late_after - next) / period_ + 1;
+    const auto count = (now - origin_.late_after - next) / period() + 1;
     origin_.miss(static_cast<std::uint64_t>(count), loop_held, next);
-    next += count * period_;
+    next += count * period();
   }
   stop_schedule(std::min(now, next - Duration{1}));
 }
@@ -94,9 +110,9 @@ void SensorNode::stop_schedule(MonotonicTime end) {
 
 void SensorNode::stop() {
   if (!is_open()) return;
-  ++runs_;
   cancel_transaction();
   end_schedule(EndOf::activity);
+  if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
   origin_.close_gap();
   origin_.topic.cancel(origin_);
   if (std::exchange(device_is_open_, false)) device_->close();
@@ -104,24 +120,23 @@ void SensorNode::stop() {
 
 void SensorNode::set_rate(Rate rate) {
   check_rate(rate, origin_.name);
-  if (!is_open() || rate.period() == period_) return;
+  if (!is_open() || rate.period() == period()) return;
   if (!is_running()) {
-    period_ = rate.period();
+    set_period(rate.period());
     return;
   }
   end_schedule(EndOf::rate);
-  period_ = rate.period();
+  set_period(rate.period());
   begin_schedule();
 }
 
 void SensorNode::cancel_transaction() {
-  if (transaction_ == nullptr) return;
-  if (origin_.counts.in_flight != 0) {
-    origin_.fail_read(stopped, transaction_->due_);
-    transaction_->owner_ = nullptr;
-    transaction_->is_unwanted_.store(true, std::memory_order_relaxed);
-  }
-  transaction_ = nullptr;
+  if (lane_side_ == nullptr || lane_side_->transaction == nullptr) return;
+  const auto transaction = std::exchange(lane_side_->transaction, nullptr);
+  if (origin_.counts.in_flight == 0) return;
+  origin_.fail_read(stopped, transaction->due_);
+  transaction->owner_ = nullptr;
+  transaction->is_unwanted_.store(true, std::memory_order_relaxed);
 }
 
 void SensorNode::on_close() noexcept {
@@ -135,7 +150,7 @@ void SensorNode::drop_callbacks() noexcept {
 }
 
 Result<void> SensorNode::open_device() noexcept {
-  lane_ = nullptr;  // what is opened may be another physical device than before
+  if (lane_side_ != nullptr) lane_side_->lane = nullptr;  // what is opened may be another physical device than before
   try {
     return device_->open();
   } catch (const std::exception& e) {
@@ -147,7 +162,7 @@ Result<void> SensorNode::open_device() noexcept {
 
 bool SensorNode::is_ready(MonotonicTime now) {
   if (device_is_open_ && health() != Health::faulted) [[likely]] return true;
-  if (now < retry_at_) return false;
+  if (now < settings().retry_at) return false;
   if (device_is_open_) return true;
   const Result<void> opened = open_device();
   if (opened) {
@@ -158,102 +173,108 @@ bool SensorNode::is_ready(MonotonicTime now) {
   return false;
 }
 
+void SensorNode::prefetch() const noexcept {
+  __builtin_prefetch(&origin_.sequence, 1);
+  __builtin_prefetch(&origin_.counts.published, 1);
+  __builtin_prefetch(device_.get());
+}
+
 void SensorNode::tick(const Tick& tick) {
   if (tick.missed > 0) [[unlikely]] {
-    origin_.miss(tick.missed, loop_held, tick.due - static_cast<std::int64_t>(tick.missed) * period_);
+    origin_.miss(tick.missed, loop_held, tick.due - static_cast<std::int64_t>(tick.missed) * period());
   }
-  if (lane_device_ != nullptr && origin_.counts.in_flight != 0) {
+  if (lane_side_ != nullptr && origin_.counts.in_flight != 0) {
     origin_.miss(1, still_reading, tick.due);
     return;
   }
   Call call(*this);
   if (!is_ready(tick.now)) {
-    if (is_scheduled()) origin_.fail_tick(fault_, tick.due);
+    if (is_scheduled()) origin_.fail_tick(settings().fault, tick.due);
     return;
   }
-  if (lane_device_ != nullptr) {
+  if (lane_side_ != nullptr) {
     submit(tick);
   } else {
     read_inline(tick);
   }
 }
 
+void SamplePort::publish(void* payload, Time time) {
+  if (sensor_ == nullptr) return;  // stopped by its own sampling function
+  published_ = true;
+  sensor_->publish(payload, time);
+}
+
 void SensorNode::read_inline(const Tick& tick) {
-  read_time_ = loop()->runtime.event_time(tick.now);
-  published_ = false;
-  publishing_run_ = runs_;
-  sampling_ = &tick;
+  SamplePort port(*this, loop()->runtime.event_time(tick.now), &tick);
+  port_ = &port;
   Error error;
   Sampled sampled = Sampled::failed;
   try {
-    sampled = device_->sample(*this, error);
+    sampled = device_->sample(port, error);
   } catch (const std::exception& e) {
     error = {Errc::handler_threw, "reading threw", object_name(), e.what(), ""};
   } catch (...) {
     error = {Errc::handler_threw, "reading threw", object_name(), "an exception that is no std::exception", ""};
   }
-  if (publishing_run_ != runs_) return;  // it stopped itself meanwhile, which has counted this tick
-  if (std::exchange(sampling_, nullptr) == nullptr) {  // it changed its rate meanwhile, which has counted it as taken
-    took(sampled == Sampled::failed ? Sampled::nothing_new : sampled);
+  if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
+  port_ = nullptr;
+  if (port.uncounted_ == nullptr) {  // it changed its rate meanwhile, which has counted it as taken
+    took(sampled == Sampled::failed ? Sampled::nothing_new : sampled, port.published_);
     return;
   }
   if (sampled == Sampled::failed) [[unlikely]] {
-    fault_ = error.id();
-    origin_.fail_tick(fault_, tick.due);
+    origin_.fail_tick(error.id(), tick.due);
     failed(error, tick.now);
     return;
   }
   origin_.read_at_once(tick.lateness());
-  took(sampled);
+  took(sampled, port.published_);
 }
 
-void SensorNode::publish(void* payload, Time time) {
-  if (publishing_run_ != runs_) return;  // stopped by its own sampling function
-  published_ = true;
-  origin_.topic.publish(origin_, time, payload);
-}
-
-void SensorNode::took(Sampled sampled) {
+void SensorNode::took(Sampled sampled, bool published) {
   if (sampled == Sampled::value) {
-    if (published_) ++origin_.counts.published;
+    if (published) ++origin_.counts.published;
   } else {
     ++origin_.counts.repeated;
   }
   if (failures_ != 0) [[unlikely]] {
     failures_ = 0;
-    retry_delay_ = Duration{0};
+    rare().retry_delay = Duration{0};
     set_health(Health::ok, nullptr);
   }
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
-  fault_ = error.id();
+  Rare& state = rare();
+  state.fault = error.id();
   ++failures_;
-  if (failures_ >= faulted_after_) {
-    retry_delay_ = retry_delay_.count() == 0 ? retry_first_ : std::min(2 * retry_delay_, retry_longest_);
+  const bool is_faulted = failures_ >= state.faulted_after;
+  if (is_faulted) {
+    state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first : std::min(2 * state.retry_delay, state.retry_longest);
     // Jitter of up to a quarter, so that many sensors of one failed bus do not come back in step.
     const auto hash = std::hash<std::string>{}(origin_.name) + failures_ * 2654435761u;
-    retry_at_ = now + retry_delay_ - retry_delay_ / 4 * static_cast<std::int64_t>(hash % 1024) / 1024;
+    state.retry_at = now + state.retry_delay - state.retry_delay / 4 * static_cast<std::int64_t>(hash % 1024) / 1024;
     if (std::exchange(device_is_open_, false)) device_->close();
   }
   report(error);
-  if (is_open()) set_health(failures_ >= faulted_after_ ? Health::faulted : Health::degraded, &error);
+  if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);
 }
 
 void SensorNode::submit(const Tick& tick) {
-  if (transaction_ == nullptr) {
-    transaction_ = lane_device_->make_transaction();
-    transaction_->owner_ = this;
-    transaction_->loop_ = loop()->is_manual() ? loop() : nullptr;
+  auto& [device, lane, transaction] = *lane_side_;
+  if (transaction == nullptr) {
+    transaction = device.make_transaction();
+    transaction->owner_ = this;
+    transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
   }
-  Transaction& transaction = *transaction_;
-  transaction.due_ = tick.due;
+  transaction->due_ = tick.due;
   origin_.begin_read();
-  if (lane_ == nullptr) lane_ = &loop()->lane(lane_device_->lane_key(), lane_device_->give_up_after());
-  if (!lane_->submit(transaction_)) {
-    const Error error = lane_->is_stuck() ? lane_device_->given_up_error()
-                                          : Error{Errc::busy, "cannot read", object_name(),
-                                                  "its lane is full of reads of sensors that share the device", "lower their rates"};
+  if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
+  if (!lane->submit(transaction)) {
+    const Error error = lane->is_stuck() ? device.given_up_error()
+                                         : Error{Errc::busy, "cannot read", object_name(),
+                                                 "its lane is full of reads of sensors that share the device", "lower their rates"};
     origin_.fail_read(error.id(), tick.due);
     failed(error, tick.now);
   }
@@ -261,27 +282,26 @@ void SensorNode::submit(const Tick& tick) {
 
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
   Call call(*this);
+  LaneDevice& device = lane_side_->device;
   if (outcome != LaneJob::Outcome::finished) {
     const Error error = outcome == LaneJob::Outcome::given_up
-                            ? lane_device_->given_up_error()
+                            ? device.given_up_error()
                             : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
-    transaction_ = nullptr;
+    lane_side_->transaction = nullptr;
     origin_.fail_read(error.id(), transaction.due_);
     failed(error, loop()->now());
     return;
   }
-  read_time_ = loop()->runtime.event_time(transaction.began_);
-  published_ = false;
-  publishing_run_ = runs_;
+  SamplePort port(*this, loop()->runtime.event_time(transaction.began_), nullptr);
   Error error;
-  const Sampled sampled = lane_device_->decode(transaction, *this, error);
+  const Sampled sampled = device.decode(transaction, port, error);
   if (sampled == Sampled::failed) {
     origin_.fail_read(error.id(), transaction.due_);
     failed(error, loop()->now());
     return;
   }
   origin_.end_read(transaction.began_ - transaction.due_);
-  took(sampled);
+  took(sampled, port.published_);
 }
 
 void Transaction::run() noexcept {

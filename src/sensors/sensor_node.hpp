@@ -9,7 +9,7 @@
 
 namespace rtdata::detail {
 
-class SensorNode final : public SourceNode, public RateMember, private SamplePort {
+class SensorNode final : public SourceNode, public RateMember {
  public:
   SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<SensorDevice> device);
   ~SensorNode() override;
@@ -17,20 +17,20 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
   void start() override;
   void stop() override;
   void set_rate(Rate rate) override;
-  Rate rate() const noexcept override { return Rate::from_period(period_); }
+  Rate rate() const noexcept override { return Rate::from_period(period()); }
   bool is_running() const noexcept override { return is_scheduled(); }
   CallbackTimes callback_times() const noexcept override { return times; }
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
 
   void tick(const Tick& tick) override;
+  void prefetch() const noexcept override;
   void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
+  void publish(void* payload, Time time) { origin_.topic.publish(origin_, time, payload); }
 
  private:
-  void publish(void* payload) override { publish(payload, Time{read_time_}); }
-  void publish(void* payload, Time time) override;
   void on_close() noexcept override;
   void drop_callbacks() noexcept override;
   /// Whether the device may be read now: opens it again when its time has come.
@@ -42,31 +42,37 @@ class SensorNode final : public SourceNode, public RateMember, private SamplePor
   void end_schedule(EndOf what);
   void read_inline(const Tick& tick);
   void submit(const Tick& tick);
-  void took(Sampled sampled);
+  void took(Sampled sampled, bool published);
   void failed(const Error& error, MonotonicTime now);
   void cancel_transaction();
 
-  std::unique_ptr<SensorDevice> device_;
-  LaneDevice* lane_device_;  // null: read inline
-  Lane* lane_ = nullptr;     // the loop's; found when the device was opened
-  std::shared_ptr<Transaction> transaction_;
-  Duration period_;
-  Duration phase_;
-  Duration late_after_;  // negative: by the rule
-  Duration retry_first_;
-  Duration retry_longest_;
-  Duration retry_delay_{0};
-  MonotonicTime retry_at_{};
-  Time read_time_{};
-  std::string_view fault_;  // id of the error that opened the gap under way
-  unsigned faulted_after_;
-  unsigned failures_ = 0;  // in a row
-  bool required_;
+  /// A device that is read on a lane.
+  struct LaneSide {
+    LaneDevice& device;
+    Lane* lane = nullptr;  // the loop's; found when the device was opened
+    std::shared_ptr<Transaction> transaction;
+  };
+  /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when first
+  /// needed, since there may be thousands of sensors.
+  struct Rare {
+    Duration late_after{-1};  // negative: by the rule
+    Duration retry_first = SensorConfig{}.retry_first;
+    Duration retry_longest = SensorConfig{}.retry_longest;
+    unsigned faulted_after = SensorConfig{}.faulted_after;
+    bool is_required = false;
+    Duration retry_delay{0};
+    MonotonicTime retry_at{};
+    std::string_view fault;  // id of the error that opened the gap under way
+  };
+  Rare& rare();
+  const Rare& settings() const noexcept;
+
   bool device_is_open_ = false;
-  bool published_ = false;
-  const Tick* sampling_ = nullptr;  // the tick whose inline read is on the stack and not yet counted
-  unsigned runs_ = 0;               // counts stops, so that a read on the stack notices one
-  unsigned publishing_run_ = 0;
+  unsigned failures_ = 0;  // in a row
+  std::unique_ptr<SensorDevice> device_;
+  std::unique_ptr<LaneSide> lane_side_;  // null: read inline
+  std::unique_ptr<Rare> rare_;
+  SamplePort* port_ = nullptr;  // of the read on the stack
 };
 
 }  // namespace rtdata::detail

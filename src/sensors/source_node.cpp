@@ -14,14 +14,14 @@ PayloadType described_type(std::shared_ptr<const Description> description) {
 }
 
 SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type)
-    : Node(loop),
+    : SensorEntry(loop),
       origin_(loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)))) {
   loop.runtime.sensors.push_back(this);
 }
 
 void SourceNode::leave() noexcept {
   origin_.is_claimed = false;
-  std::erase(loop()->runtime.sensors, static_cast<SensorEntry*>(this));
+  std::erase(loop()->runtime.sensors, this);
 }
 
 SensorStatus SourceNode::status() const {

@@ -13,7 +13,7 @@ namespace rtdata::detail {
 /// The type of a payload that has a description and no C++ type.
 PayloadType described_type(std::shared_ptr<const Description> description);
 
-class SourceNode : public Node, public SensorEntry {
+class SourceNode : public SensorEntry {
  public:
   SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type);
 
@@ -40,6 +40,10 @@ class SourceNode : public Node, public SensorEntry {
     if (rare_ != nullptr) rare_->on_error.reset();
   }
 
+ private:
+  Health health_ = Health::ok;
+
+ protected:
   OriginCore& origin_;
 
  private:
@@ -53,7 +57,6 @@ class SourceNode : public Node, public SensorEntry {
     return *rare_;
   }
   std::unique_ptr<Rare> rare_;
-  Health health_ = Health::ok;
 };
 
 }  // namespace rtdata::detail

@@ -48,6 +48,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer)
       : Node(loop),
+        RateMember(config.batch_time, Duration{0}),
         config_(std::move(config)),
         queue_(std::make_shared<SinkQueue>(config_, std::move(writer))),
         job_(std::make_shared<StoreJob>(queue_)),
@@ -74,7 +75,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     }
     runtime.recorders.push_back(this);
     notes_.add({loop()->now(), runtime.clock().realtime(), "start"});
-    loop()->schedule().add(*this, config_.batch_time, Duration{0});
+    loop()->schedule().add(*this);
     is_attached_ = true;
   }
 

@@ -53,7 +53,7 @@ class Node {
   Node* previous_ = nullptr;
   Node* next_ = nullptr;
   std::uint32_t references_ = 1;
-  std::uint32_t running_ = 0;
+  std::uint16_t running_ = 0;  // calls on the stack
   bool is_closing_ = false;
 };
 

@@ -24,15 +24,15 @@ namespace rtdata {
 struct SensorCounts {
   std::uint64_t scheduled = 0;  ///< ticks of the schedule that have come due
   std::uint64_t taken = 0;      ///< ticks at which the device was read and answered
+  std::uint64_t published = 0;
+  std::uint64_t late = 0;       ///< part of taken
   std::uint64_t missed = 0;     ///< ticks at which nothing was begun (the loop was held, the last read still ran)
   std::uint64_t failed = 0;     ///< ticks whose read failed, or that passed while the device was faulted
-  std::uint64_t in_flight = 0;  ///< reads begun and not finished: 0 or 1
-  std::uint64_t late = 0;       ///< part of taken
   std::uint64_t received = 0;   ///< inputs of a sensor without a schedule
-  std::uint64_t published = 0;
   std::uint64_t repeated = 0;
   std::uint64_t filtered = 0;
   std::uint64_t lost = 0;  ///< numbered by the source and never seen here
+  std::uint64_t in_flight = 0;  ///< reads begun and not finished: 0 or 1
   bool has_schedule = false;
   bool lost_is_known = false;  ///< the source numbers its data
 

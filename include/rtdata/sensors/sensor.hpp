@@ -37,6 +37,8 @@
 
 namespace rtdata {
 
+struct Tick;
+
 /// The device had nothing new: counted as repeated, nothing is published.
 struct NothingNew {};
 inline constexpr NothingNew nothing_new{};
@@ -79,16 +81,21 @@ namespace detail {
 
 class SensorNode;
 
-/// How a sampling function hands over what it read.
+/// How a sampling function hands over what it read: lives for one read. Dead once the sensor was stopped meanwhile.
 class SamplePort {
  public:
   /// Publishes with the time of the read; the payload may be moved from.
-  virtual void publish(void* payload) = 0;
+  void publish(void* payload) { publish(payload, time_); }
   /// With the device's own time.
-  virtual void publish(void* payload, Time time) = 0;
+  void publish(void* payload, Time time);
 
- protected:
-  ~SamplePort() = default;
+ private:
+  friend class SensorNode;
+  SamplePort(SensorNode& sensor, Time time, const Tick* uncounted) : sensor_(&sensor), time_(time), uncounted_(uncounted) {}
+  SensorNode* sensor_;
+  Time time_;
+  const Tick* uncounted_;  // of a read on the loop: its tick, until it is counted
+  bool published_ = false;
 };
 
 enum class Sampled { value, nothing_new, failed };
