@@ -9,7 +9,8 @@
 /// deadlines. A Loop makes a private Runtime unless it is given one.
 ///
 /// Order within one turn: what is due, then I/O, then deliveries under a time budget. A tick is late by at most the
-/// budget plus one group of callbacks (at most 16, expected to take under 50 us together from what they took before).
+/// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us together;
+/// slower ones: one).
 ///
 /// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Must not be destroyed
 /// from one of its own callbacks.
