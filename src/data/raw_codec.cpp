@@ -1,7 +1,8 @@
 #include <algorithm>
 #include <bit>
-#include <limits>
 
+#include "data/copy.hpp"
+#include "data/per_description.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/text.hpp"
 
@@ -38,118 +39,138 @@ Error within(const Field& record, std::size_t element, Error error) {
   return error;
 }
 
+Error too_long(const std::string& where, std::size_t size) {
+  return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
+}
+
+/// The values of a payload, in their order, as encoding takes them.
+struct Plan {
+  struct Step {
+    std::size_t offset = 0;        ///< bytes from the start of the payload
+    std::size_t numbers = 0;       ///< so many lie one after the other; 0: it is a field of another sort
+    std::size_t size = 0;          ///< bytes of each number: 1, 2, 4 or 8
+    const Field* field = nullptr;  ///< owned by the description
+    std::string where;             ///< of the field, for errors
+  };
+
+  explicit Plan(const Description& description) { add(description.fields(), 0, "field "); }
+
+  std::vector<Step> steps;
+  std::size_t longest = 0;  ///< bytes that all this may take
+
+ private:
+  void add(const std::vector<Field>& fields, std::size_t base, const std::string& prefix) {
+    for (const Field& field : fields) {
+      const std::size_t offset = base + field.offset;
+      if (field.kind == Kind::record) {
+        for (std::size_t i = 0; i < field.count && !field.fields.empty(); ++i) {
+          const std::string element = field.is_array ? "[" + std::to_string(i) + "]" : "";
+          add(field.fields, offset + i * field.stride, prefix + field.name + element + ".");
+        }
+      } else if (field.is_array || field.optional != nullptr || field.kind == Kind::text ||
+                 field.kind == Kind::boolean) {
+        steps.push_back({offset, 0, 0, &field, prefix + field.name});
+        longest += 1 + std::min(longest_value, field.count * field.size);
+      } else {
+        add_number(offset, field.size);
+        longest += 1 + field.size;
+      }
+    }
+  }
+
+  void add_number(std::size_t offset, std::size_t size) {
+    if (!steps.empty()) {
+      Step& last = steps.back();
+      if (last.numbers != 0 && last.size == size && last.offset + last.numbers * size == offset) {
+        ++last.numbers;
+        return;
+      }
+    }
+    steps.push_back({offset, 1, size, nullptr, {}});
+  }
+};
+
+/// Writes to where there is room for all.
 class Encoder {
  public:
-  explicit Encoder(std::vector<std::byte>& out) : out_(out), begin_(out.size()) { out_.resize(begin_ + 4); }
+  explicit Encoder(std::byte* to) : to_(to) {}
+  std::byte* end() const noexcept { return to_; }
 
-  Result<void> bytes(std::string_view name, std::string_view content) {
-    if (content.size() > longest_value) return too_long(std::string(name), content.size());
-    const auto* from = reinterpret_cast<const std::byte*>(content.data());
-    out_.push_back(static_cast<std::byte>(content.size()));
-    out_.insert(out_.end(), from, from + content.size());
-    return {};
+  void text(std::string_view content) {
+    *to_ = static_cast<std::byte>(content.size());
+    to_ = detail::copy_short(to_ + 1, content.data(), content.size());
   }
 
   template <class T>
   void number(T value) {
-    std::byte memory[sizeof value];
-    std::memcpy(memory, &value, sizeof value);
-    out_.push_back(static_cast<std::byte>(sizeof value));
-    put_number(memory, sizeof value);
+    numbers<sizeof value>(reinterpret_cast<const std::byte*>(&value), 1);
   }
 
-  Result<void> fields(const std::vector<Field>& fields, const std::byte* record) {
-    for (const Field& field : fields) {
-      const std::byte* at = record + field.offset;
-      if (field.kind == Kind::record) {
-        for (std::size_t i = 0; i < field.count; ++i) {
-          auto done = this->fields(field.fields, at + i * field.stride);
-          if (!done) return within(field, i, std::move(done).error());
-        }
-        continue;
-      }
-      const std::size_t size_at = out_.size();
-      out_.push_back(std::byte{0});
-      for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
-        if (field.optional != nullptr && !field.optional->has_value(at)) {
-          return does_not_fit("field " + field.name, "it is absent, and raw bytes have no sign for that");
-        }
-        if (field.kind == Kind::text) {
-          const std::size_t size = text_size(at, field.size);
-          if (size > longest_value) return too_long("field " + field.name, size);
-          if (field.is_array) out_.push_back(static_cast<std::byte>(size));
-          out_.insert(out_.end(), at + text_length_bytes, at + text_length_bytes + size);
-        } else if (field.kind == Kind::boolean) {
-          out_.push_back(*at == std::byte{0} ? std::byte{0} : std::byte{1});
-        } else {
-          put_number(at, field.size);
-        }
-        // Here too, so that an array of millions does not fill the memory first.
-        const std::size_t size = out_.size() - size_at - 1;
-        if (size > longest_value) return too_long("field " + field.name, std::max(size, field.count * field.size));
-      }
-      out_[size_at] = static_cast<std::byte>(out_.size() - size_at - 1);
+  /// The numbers of a step.
+  void numbers(const Plan::Step& step, const std::byte* payload) {
+    const std::byte* from = payload + step.offset;
+    switch (step.size) {
+      case 1:
+        return numbers<1>(from, step.numbers);
+      case 2:
+        return numbers<2>(from, step.numbers);
+      case 4:
+        return numbers<4>(from, step.numbers);
+      default:
+        return numbers<8>(from, step.numbers);
     }
+  }
+
+  Result<void> field(const Plan::Step& step, const std::byte* payload) {
+    const Field& field = *step.field;
+    const std::byte* at = payload + step.offset;
+    std::byte* const begin = ++to_;  // behind the size, which comes last
+    for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
+      if (field.optional != nullptr && !field.optional->has_value(at)) {
+        return does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
+      }
+      const bool is_text = field.kind == Kind::text;
+      const std::size_t size = is_text ? text_size(at, field.size) : field.size;
+      const std::size_t size_so_far =
+          static_cast<std::size_t>(to_ - begin) + size + (is_text && field.is_array ? 1 : 0);
+      if (size_so_far > longest_value) {
+        return too_long(step.where, is_text ? size_so_far : field.count * field.size);
+      }
+      if (is_text) {
+        if (field.is_array) *to_++ = static_cast<std::byte>(size);
+        if (size != 0) std::memcpy(to_, at + text_length_bytes, size);
+      } else if (field.kind == Kind::boolean) {
+        *to_ = *at == std::byte{0} ? std::byte{0} : std::byte{1};
+      } else {
+        copy_number(to_, at, size);
+      }
+      to_ += size;
+    }
+    begin[-1] = static_cast<std::byte>(to_ - begin);
     return {};
   }
 
-  Result<void> finish() {
-    const std::size_t size = out_.size() - begin_ - 4;
-    if (size > std::numeric_limits<std::uint32_t>::max()) return too_long("the event", size);
-    for (std::size_t i = 0; i < 4; ++i) out_[begin_ + i] = static_cast<std::byte>(size >> (8 * i) & 0xff);
-    return {};
-  }
-
-  void undo() { out_.resize(begin_); }
-
  private:
-  static Error too_long(const std::string& where, std::size_t size) {
-    return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
-  }
-  void put_number(const std::byte* from, std::size_t size) {
-    std::byte memory[8];
-    copy_number(memory, from, size);
-    out_.insert(out_.end(), memory, memory + size);
-  }
-
-  std::vector<std::byte>& out_;
-  std::size_t begin_;
-};
-
-/// The fields of a description that has plain values only: no text, no optional, nothing that could fail to fit. Encoding
-/// such an event is copying.
-struct PlainFields {
-  struct Field {
-    std::uint32_t offset;
-    std::uint8_t size;
-  };
-  std::uint64_t serial = 0;  // of the description; they start at 1
-  bool is_plain = false;
-  std::size_t bytes = 0;  // encoded
-  std::vector<Field> fields;
-
-  void make(const Description& description) {
-    serial = description.serial();
-    bytes = 0;
-    fields.clear();
-    is_plain = std::endian::native == std::endian::little && add(description.fields(), 0);
-  }
-
- private:
-  bool add(const std::vector<rtdata::Field>& all, std::size_t from) {
-    for (const rtdata::Field& field : all) {
-      if (field.is_array || field.count != 1 || field.optional != nullptr) return false;
-      const std::size_t offset = from + field.offset;
-      if (field.kind == Kind::record) {
-        if (!add(field.fields, offset)) return false;
-        continue;
-      }
-      if (field.kind == Kind::text || field.kind == Kind::boolean || field.size > 8) return false;
-      fields.push_back({static_cast<std::uint32_t>(offset), static_cast<std::uint8_t>(field.size)});
-      bytes += 1 + field.size;
+  template <std::size_t size>
+  void numbers(const std::byte* from, std::size_t count) {
+    std::byte* to = to_;
+    const auto put = [&] {
+      *to = std::byte{size};
+      copy_number(to + 1, from, size);
+      to += 1 + size;
+      from += size;
+    };
+    for (; count >= 4; count -= 4) {
+      put();
+      put();
+      put();
+      put();
     }
-    return true;
+    for (; count > 0; --count) put();
+    to_ = to;
   }
+
+  std::byte* to_;
 };
 
 class Decoder {
@@ -262,15 +283,29 @@ class RawCodec final : public Codec {
   std::string_view name() const noexcept override { return "raw"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    if (plain_.serial != event.description().serial()) plain_.make(event.description());
-    if (plain_.is_plain && event.topic().size() <= longest_value && event.origin().size() <= longest_value) {
-      encode_plain(event, out);
-      return {};
+    if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
+    if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
+    const Plan& plan = plans_.of(event.description());
+    const std::size_t begin = out.size();
+    out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
+    Encoder encoder(out.data() + begin + 4);
+    encoder.text(event.topic());
+    encoder.number(to_nanoseconds(event.time()));
+    encoder.text(event.origin());
+    if (config_.sequence == RawConfig::Sequence::include) encoder.number(event.sequence());
+    for (const Plan::Step& step : plan.steps) {
+      if (step.numbers != 0) {
+        encoder.numbers(step, event.payload().data());
+      } else if (auto done = encoder.field(step, event.payload().data()); !done) {
+        out.resize(begin);
+        return done;
+      }
     }
-    Encoder encoder(out);
-    auto done = encode(event, encoder);
-    if (!done) encoder.undo();
-    return done;
+    const auto end = static_cast<std::size_t>(encoder.end() - out.data());
+    const auto size = static_cast<std::uint32_t>(end - begin - 4);
+    copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
+    out.resize(end);
+    return {};
   }
 
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
@@ -308,53 +343,11 @@ class RawCodec final : public Codec {
   }
 
  private:
-  /// Every value fits.
-  void encode_plain(const EventView& event, std::vector<std::byte>& out) {
-    const bool has_sequence = config_.sequence == RawConfig::Sequence::include;
-    const std::size_t size = 1 + event.topic().size() + 9 + 1 + event.origin().size() + (has_sequence ? 9 : 0) + plain_.bytes;
-    if (bytes_.size() < 4 + size) bytes_.resize(4 + size);
-    std::byte* to = bytes_.data();
-    const auto put = [&to](const void* from, std::size_t count) {
-      *to++ = static_cast<std::byte>(count);
-      if (count != 0) std::memcpy(to, from, count);
-      to += count;
-    };
-    const auto total = static_cast<std::uint32_t>(size);
-    std::memcpy(to, &total, sizeof total);
-    to += sizeof total;
-    const std::int64_t time = to_nanoseconds(event.time());
-    const std::uint64_t sequence = event.sequence();
-    put(event.topic().data(), event.topic().size());
-    put(&time, sizeof time);
-    put(event.origin().data(), event.origin().size());
-    if (has_sequence) put(&sequence, sizeof sequence);
-    const std::byte* payload = event.payload().data();
-    for (const PlainFields::Field& field : plain_.fields) {
-      *to++ = static_cast<std::byte>(field.size);
-      const std::byte* from = payload + field.offset;
-      switch (field.size) {  // of a size known to the compiler, each is one instruction
-        case 8: std::memcpy(to, from, 8); break;
-        case 4: std::memcpy(to, from, 4); break;
-        case 2: std::memcpy(to, from, 2); break;
-        default: std::memcpy(to, from, field.size); break;
-      }
-      to += field.size;
-    }
-    out.insert(out.end(), bytes_.data(), to);
-  }
-
-  Result<void> encode(const EventView& event, Encoder& encoder) const {
-    if (auto done = encoder.bytes("topic", event.topic()); !done) return done;
-    encoder.number(to_nanoseconds(event.time()));
-    if (auto done = encoder.bytes("origin", event.origin()); !done) return done;
-    if (config_.sequence == RawConfig::Sequence::include) encoder.number(event.sequence());
-    if (auto done = encoder.fields(event.description().fields(), event.payload().data()); !done) return done;
-    return encoder.finish();
-  }
+  /// Total size, topic, time, origin and sequence but for the two texts.
+  static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;
-  PlainFields plain_;             // of the last event
-  std::vector<std::byte> bytes_;  // of one event
+  detail::PerDescription<Plan> plans_;
 };
 
 }  // namespace
