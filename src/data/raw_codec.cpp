@@ -45,12 +45,14 @@ Error too_long(const std::string& where, std::size_t size) {
 
 /// The values of a payload, in their order, as encoding takes them.
 struct Plan {
+  /// Numbers, which always fit, of so many bytes, and values of every other sort.
+  enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
   struct Step {
+    Sort sort = Sort::field;
     std::size_t offset = 0;        ///< bytes from the start of the payload
-    std::size_t numbers = 0;       ///< so many lie one after the other; 0: it is a field of another sort
-    std::size_t size = 0;          ///< bytes of each number: 1, 2, 4 or 8
-    const Field* field = nullptr;  ///< owned by the description
-    std::string where;             ///< of the field, for errors
+    std::size_t count = 1;         ///< of numbers: so many lie one after the other
+    const Field* field = nullptr;  ///< of another sort; owned by the description
+    std::string where;             ///< of this field, for errors
   };
 
   explicit Plan(const Description& description) { add(description.fields(), 0, "field "); }
@@ -69,7 +71,7 @@ struct Plan {
         }
       } else if (field.is_array || field.optional != nullptr || field.kind == Kind::text ||
                  field.kind == Kind::boolean) {
-        steps.push_back({offset, 0, 0, &field, prefix + field.name});
+        steps.push_back({Sort::field, offset, 1, &field, prefix + field.name});
         longest += 1 + std::min(longest_value, field.count * field.size);
       } else {
         add_number(offset, field.size);
@@ -79,99 +81,63 @@ struct Plan {
   }
 
   void add_number(std::size_t offset, std::size_t size) {
-    if (!steps.empty()) {
-      Step& last = steps.back();
-      if (last.numbers != 0 && last.size == size && last.offset + last.numbers * size == offset) {
-        ++last.numbers;
-        return;
-      }
+    const auto sort = static_cast<Sort>(size);
+    if (!steps.empty() && steps.back().sort == sort && steps.back().offset + steps.back().count * size == offset) {
+      ++steps.back().count;
+    } else {
+      steps.push_back({sort, offset, 1, nullptr, {}});
     }
-    steps.push_back({offset, 1, size, nullptr, {}});
   }
 };
 
-/// Writes to where there is room for all.
-class Encoder {
- public:
-  explicit Encoder(std::byte* to) : to_(to) {}
-  std::byte* end() const noexcept { return to_; }
+std::byte* put_text(std::byte* to, std::string_view content) {
+  *to = static_cast<std::byte>(content.size());
+  return detail::copy_short(to + 1, content.data(), content.size());
+}
 
-  void text(std::string_view content) {
-    *to_ = static_cast<std::byte>(content.size());
-    to_ = detail::copy_short(to_ + 1, content.data(), content.size());
-  }
+template <std::size_t size>
+std::byte* put_number(std::byte* to, const void* number) {
+  *to = std::byte{size};
+  copy_number(to + 1, static_cast<const std::byte*>(number), size);
+  return to + 1 + size;
+}
 
-  template <class T>
-  void number(T value) {
-    numbers<sizeof value>(reinterpret_cast<const std::byte*>(&value), 1);
-  }
+/// `count` numbers that lie one after the other.
+template <std::size_t size>
+std::byte* put_numbers(std::byte* to, const std::byte* from, std::size_t count) {
+  for (const std::byte* const end = from + count * size; from != end; from += size) to = put_number<size>(to, from);
+  return to;
+}
 
-  /// The numbers of a step.
-  void numbers(const Plan::Step& step, const std::byte* payload) {
-    const std::byte* from = payload + step.offset;
-    switch (step.size) {
-      case 1:
-        return numbers<1>(from, step.numbers);
-      case 2:
-        return numbers<2>(from, step.numbers);
-      case 4:
-        return numbers<4>(from, step.numbers);
-      default:
-        return numbers<8>(from, step.numbers);
+/// A value of any sort. Null and the reason when it cannot be sent.
+std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at, Error& why) {
+  const Field& field = *step.field;
+  std::byte* const begin = ++to;  // behind the size, which comes last
+  for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
+    if (field.optional != nullptr && !field.optional->has_value(at)) {
+      why = does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
+      return nullptr;
     }
-  }
-
-  Result<void> field(const Plan::Step& step, const std::byte* payload) {
-    const Field& field = *step.field;
-    const std::byte* at = payload + step.offset;
-    std::byte* const begin = ++to_;  // behind the size, which comes last
-    for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
-      if (field.optional != nullptr && !field.optional->has_value(at)) {
-        return does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
-      }
-      const bool is_text = field.kind == Kind::text;
-      const std::size_t size = is_text ? text_size(at, field.size) : field.size;
-      const std::size_t size_so_far =
-          static_cast<std::size_t>(to_ - begin) + size + (is_text && field.is_array ? 1 : 0);
-      if (size_so_far > longest_value) {
-        return too_long(step.where, is_text ? size_so_far : field.count * field.size);
-      }
-      if (is_text) {
-        if (field.is_array) *to_++ = static_cast<std::byte>(size);
-        if (size != 0) std::memcpy(to_, at + text_length_bytes, size);
-      } else if (field.kind == Kind::boolean) {
-        *to_ = *at == std::byte{0} ? std::byte{0} : std::byte{1};
-      } else {
-        copy_number(to_, at, size);
-      }
-      to_ += size;
+    const bool is_text = field.kind == Kind::text;
+    const std::size_t size = is_text ? text_size(at, field.size) : field.size;
+    const std::size_t size_so_far = static_cast<std::size_t>(to - begin) + size + (is_text && field.is_array ? 1 : 0);
+    if (size_so_far > longest_value) {
+      why = too_long(step.where, is_text ? size_so_far : field.count * field.size);
+      return nullptr;
     }
-    begin[-1] = static_cast<std::byte>(to_ - begin);
-    return {};
-  }
-
- private:
-  template <std::size_t size>
-  void numbers(const std::byte* from, std::size_t count) {
-    std::byte* to = to_;
-    const auto put = [&] {
-      *to = std::byte{size};
-      copy_number(to + 1, from, size);
-      to += 1 + size;
-      from += size;
-    };
-    for (; count >= 4; count -= 4) {
-      put();
-      put();
-      put();
-      put();
+    if (is_text) {
+      if (field.is_array) *to++ = static_cast<std::byte>(size);
+      if (size != 0) std::memcpy(to, at + text_length_bytes, size);
+    } else if (field.kind == Kind::boolean) {
+      *to = *at == std::byte{0} ? std::byte{0} : std::byte{1};
+    } else {
+      copy_number(to, at, size);
     }
-    for (; count > 0; --count) put();
-    to_ = to;
+    to += size;
   }
-
-  std::byte* to_;
-};
+  begin[-1] = static_cast<std::byte>(to - begin);
+  return to;
+}
 
 class Decoder {
  public:
@@ -288,20 +254,38 @@ class RawCodec final : public Codec {
     const Plan& plan = plans_.of(event.description());
     const std::size_t begin = out.size();
     out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
-    Encoder encoder(out.data() + begin + 4);
-    encoder.text(event.topic());
-    encoder.number(to_nanoseconds(event.time()));
-    encoder.text(event.origin());
-    if (config_.sequence == RawConfig::Sequence::include) encoder.number(event.sequence());
+    std::byte* to = put_text(out.data() + begin + 4, event.topic());
+    const std::int64_t time = to_nanoseconds(event.time());
+    to = put_number<sizeof time>(to, &time);
+    to = put_text(to, event.origin());
+    const std::uint64_t sequence = event.sequence();
+    if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
+    const std::byte* const payload = event.payload().data();
     for (const Plan::Step& step : plan.steps) {
-      if (step.numbers != 0) {
-        encoder.numbers(step, event.payload().data());
-      } else if (auto done = encoder.field(step, event.payload().data()); !done) {
-        out.resize(begin);
-        return done;
+      const std::byte* from = payload + step.offset;
+      switch (step.sort) {
+        case Plan::Sort::numbers_8:
+          to = put_numbers<8>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_4:
+          to = put_numbers<4>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_2:
+          to = put_numbers<2>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_1:
+          to = put_numbers<1>(to, from, step.count);
+          break;
+        case Plan::Sort::field: {
+          Error why;
+          to = put_field(to, step, from, why);
+          if (to != nullptr) break;
+          out.resize(begin);
+          return why;
+        }
       }
     }
-    const auto end = static_cast<std::size_t>(encoder.end() - out.data());
+    const auto end = static_cast<std::size_t>(to - out.data());
     const auto size = static_cast<std::uint32_t>(end - begin - 4);
     copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
     out.resize(end);
