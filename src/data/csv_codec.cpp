@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 
+#include "data/number_text.hpp"
 #include "rtdata/data/codec.hpp"
 
 namespace rtdata {
@@ -34,8 +35,8 @@ void append_cell(std::string& row, std::string_view text, WhenEmpty when_empty =
 
 template <class T>
 void append_number(std::string& row, T number) {
-  char digits[32];
-  row.append(digits, std::to_chars(digits, digits + sizeof digits, number).ptr);
+  char digits[detail::longest_number];
+  row.append(digits, detail::put_number(digits, number));
 }
 
 template <class T>

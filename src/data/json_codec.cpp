@@ -1,23 +1,19 @@
 #include <algorithm>
-#include <charconv>
 #include <cmath>
-#include <limits>
-#include <nlohmann/json.hpp>
-#include <unordered_map>
 
-#include "data/nearest.hpp"
+#include "data/copy.hpp"
+#include "data/json_decode.hpp"
+#include "data/number_text.hpp"
+#include "data/per_description.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/text.hpp"
 
 namespace rtdata {
 namespace {
 
-// ---- writing ----
+using detail::put_number;
 
-char* put(char* to, std::string_view text) {
-  std::memcpy(to, text.data(), text.size());
-  return to + text.size();
-}
+char* put(char* to, std::string_view text) { return detail::copy_short(to, text.data(), text.size()); }
 
 /// Bytes of the UTF-8 character at the start of `text`, 0 when it is none.
 std::size_t utf8_size(std::string_view text) {
@@ -41,10 +37,20 @@ std::size_t utf8_size(std::string_view text) {
   return 0;
 }
 
+/// Stands for itself in a string.
+bool is_plain(char c) {
+  const auto code = static_cast<unsigned char>(c);
+  return code >= 0x20 && code < 0x7f && c != '"' && c != '\\';
+}
+
 /// Writes at most 6 bytes for each of the text's, and two quotes.
 char* put_string(char* to, std::string_view text) {
   *to++ = '"';
-  while (!text.empty()) {
+  for (;;) {
+    const auto plain = static_cast<std::size_t>(std::find_if_not(text.begin(), text.end(), is_plain) - text.begin());
+    to = put(to, text.substr(0, plain));
+    text.remove_prefix(plain);
+    if (text.empty()) break;
     const char c = text.front();
     if (static_cast<unsigned char>(c) >= 0x80) {
       const std::size_t size = utf8_size(text);
@@ -55,8 +61,6 @@ char* put_string(char* to, std::string_view text) {
     text.remove_prefix(1);
     if (c == '"' || c == '\\') {
       *to++ = '\\';
-      *to++ = c;
-    } else if (static_cast<unsigned char>(c) >= 0x20 && c != 0x7f) {
       *to++ = c;
     } else if (c == '\n') {
       to = put(to, "\\n");
@@ -80,13 +84,6 @@ T load(const std::byte* from) {
   T value;
   std::memcpy(&value, from, sizeof value);
   return value;
-}
-
-constexpr std::size_t longest_number = 32;
-
-template <class T>
-char* put_number(char* to, T number) {
-  return std::to_chars(to, to + longest_number, number).ptr;
 }
 
 template <class T>
@@ -130,68 +127,59 @@ struct Plan {
     std::size_t first_name = 0;  ///< of an enumeration, in `names`
     std::size_t name_count = 0;
   };
+
+  explicit Plan(const Description& description) {
+    fixed = '{';
+    add(description.fields(), 0);
+    fixed += "}}\n";
+    longest += fixed.size();
+  }
+
   std::vector<Step> steps;
-  std::string fixed;
-  std::size_t suffix_size = 0;
+  std::string fixed;                                        ///< what the steps leave of it stands at the end
   std::vector<std::pair<std::int64_t, std::string>> names;  ///< quoted
   std::size_t longest = 0;                                  ///< bytes that all this may take
-};
-
-class Planner {
- public:
-  explicit Planner(const Description& description) {
-    pending_ = '{';
-    add(description.fields(), 0);
-    pending_ += "}}\n";
-    plan_.fixed += pending_;
-    plan_.suffix_size = pending_.size();
-    plan_.longest += plan_.fixed.size();
-  }
-  Plan take() { return std::move(plan_); }
 
  private:
   void add(const std::vector<Field>& fields, std::size_t base) {
     bool first = true;
     for (const Field& field : fields) {
       // Names are letters, digits and underscores: nothing to escape.
-      pending_ += (first ? "\"" : ",\"") + field.name + "\":";
+      fixed += (first ? "\"" : ",\"") + field.name + "\":";
       first = false;
-      if (field.is_array) pending_ += '[';
+      if (field.is_array) fixed += '[';
       for (std::size_t i = 0; i < field.count; ++i) {
-        if (i != 0) pending_ += ',';
         const std::size_t offset = base + field.offset + i * field.stride;
+        if (i > 0) fixed += ',';
         if (field.kind == Kind::record) {
-          pending_ += '{';
+          fixed += '{';
           add(field.fields, offset);
-          pending_ += '}';
+          fixed += '}';
         } else {
-          leaf(field, offset);
+          add_leaf(field, offset);
         }
       }
-      if (field.is_array) pending_ += ']';
+      if (field.is_array) fixed += ']';
     }
   }
 
-  void leaf(const Field& field, std::size_t offset) {
-    Plan::Step step{pending_.size(), field.kind,     field.enum_base,    offset,
-                    field.size,      field.optional, plan_.names.size(), 0};
-    plan_.fixed += pending_;
-    pending_.clear();
-    std::size_t longest = longest_number;
-    if (field.kind == Kind::text) longest = 6 * (field.size - text_length_bytes) + 2;
+  void add_leaf(const Field& field, std::size_t offset) {
+    Step step{fixed.size() - used_, field.kind, field.enum_base, offset, field.size, field.optional, names.size(), 0};
+    used_ = fixed.size();
+    std::size_t most = detail::longest_number;
+    if (field.kind == Kind::text) most = 6 * (field.size - text_length_bytes) + 2;
     for (const EnumValue& value : field.values) {
       std::string quoted(6 * value.name.size() + 2, ' ');
       quoted.resize(static_cast<std::size_t>(put_string(quoted.data(), value.name) - quoted.data()));
-      longest = std::max(longest, quoted.size());
-      plan_.names.emplace_back(value.value, std::move(quoted));
+      most = std::max(most, quoted.size());
+      names.emplace_back(value.value, std::move(quoted));
       ++step.name_count;
     }
-    plan_.longest += longest;
-    plan_.steps.push_back(step);
+    longest += most;
+    steps.push_back(step);
   }
 
-  Plan plan_;
-  std::string pending_;
+  std::size_t used_ = 0;  ///< bytes of `fixed` that belong to a step
 };
 
 char* put_enum(char* to, const Plan& plan, const Plan::Step& step, const std::byte* from) {
@@ -233,231 +221,12 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
   }
 }
 
-// ---- reading ----
-
-/// What the parser found; numbers as exact as they were written.
-struct Node {
-  enum class Type { null, boolean, integer, natural, fraction, string, object, array };
-  Type type = Type::null;
-  bool flag = false;
-  std::int64_t integer = 0;
-  std::uint64_t natural = 0;
-  double fraction = 0;
-  std::string text;  ///< of a string, or the digits of a fraction
-  std::vector<std::string> keys;
-  std::vector<Node> children;
-};
-
-/// Builds nodes from nlohmann's events.
-class Builder {
- public:
-  static constexpr std::size_t deepest = 48;
-
-  Node root;
-  std::string error;
-
-  bool null() { return add({}) != nullptr; }
-  bool boolean(bool flag) {
-    Node* node = add(Node::Type::boolean);
-    node->flag = flag;
-    return true;
-  }
-  bool number_integer(std::int64_t number) {
-    add(Node::Type::integer)->integer = number;
-    return true;
-  }
-  bool number_unsigned(std::uint64_t number) {
-    add(Node::Type::natural)->natural = number;
-    return true;
-  }
-  bool number_float(double number, const std::string& digits) {
-    Node* node = add(Node::Type::fraction);
-    node->fraction = number;
-    node->text = digits;
-    return true;
-  }
-  bool string(std::string& text) {
-    add(Node::Type::string)->text = std::move(text);
-    return true;
-  }
-  bool binary(nlohmann::json::binary_t&) { return false; }
-  bool start_object(std::size_t) { return open(Node::Type::object); }
-  bool start_array(std::size_t) { return open(Node::Type::array); }
-  bool key(std::string& key) {
-    open_.back()->keys.push_back(std::move(key));
-    return true;
-  }
-  bool end_object() { return close(); }
-  bool end_array() { return close(); }
-  bool parse_error(std::size_t position, const std::string&, const nlohmann::json::exception& exception) {
-    error = "at byte " + std::to_string(position) + ", ";
-    // "[json.exception.parse_error.101] parse error at line 1, column 2: syntax error ..."
-    const std::string_view what = exception.what();
-    const auto colon = what.find(": ");
-    error += what.substr(colon == std::string_view::npos ? 0 : colon + 2);
-    return false;
-  }
-
- private:
-  Node* add(Node::Type type) {
-    if (open_.empty()) {
-      root.type = type;
-      return &root;
-    }
-    // Only the innermost open node grows, so the pointers to the others stay good.
-    Node& made = open_.back()->children.emplace_back();
-    made.type = type;
-    return &made;
-  }
-  bool open(Node::Type type) {
-    if (open_.size() >= deepest) {
-      error = "it is nested more than " + std::to_string(deepest) + " deep";
-      return false;
-    }
-    open_.push_back(add(type));
-    return true;
-  }
-  bool close() {
-    open_.pop_back();
-    return true;
-  }
-
-  std::vector<Node*> open_;
-};
-
-Error bad(std::string where, std::string why, std::string advice = {}) {
-  return {Errc::bad_data, "the text is no event in JSON", std::move(where), std::move(why), std::move(advice)};
-}
-
-/// The one character of a string, as a code point up to 0xff.
-bool to_char(std::string_view text, char& c) {
-  if (text.size() == 1) {
-    c = text[0];
-    return true;
-  }
-  if (text.size() != 2 || (static_cast<unsigned char>(text[0]) & 0xfc) != 0xc0) return false;
-  c = static_cast<char>((text[0] & 0x03) << 6 | (text[1] & 0x3f));
-  return true;
-}
-
-class Reader {
- public:
-  Reader(const Description& description, std::byte* payload) : leaves_(description.leaves()), payload_(payload) {}
-
-  Result<void> record(const std::vector<Field>& fields, const Node& node, const std::string& path) {
-    std::vector<std::string_view> names;
-    names.reserve(fields.size());
-    for (const Field& field : fields) names.push_back(field.name);
-    auto found = find(node, names, names.size(), path);
-    if (!found) return std::move(found).error();
-    for (std::size_t i = 0; i < fields.size(); ++i) {
-      if (auto done = field(fields[i], *(*found)[i], path + fields[i].name); !done) return done;
-    }
-    return {};
-  }
-
-  /// The children with these names, in this order; those from `needed` on may be missing (null). Errors: not an object,
-  /// an unknown key, one twice, one missing.
-  static Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
-                                               std::size_t needed, const std::string& path) {
-    const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
-    if (node.type != Node::Type::object) return bad(where, "it is no object");
-    std::vector<const Node*> found(names.size(), nullptr);
-    for (std::size_t i = 0; i < node.keys.size(); ++i) {
-      const std::string& key = node.keys[i];
-      // Mostly the keys come in order. This ends after names.size() + 1 keys at the latest: the next is unknown or
-      // twice.
-      std::size_t at = i;
-      if (at >= names.size() || names[at] != key) {
-        at = static_cast<std::size_t>(std::find(names.begin(), names.end(), key) - names.begin());
-      }
-      if (at == names.size()) return bad(where, "unknown key " + key.substr(0, 64), detail::suggestion(key, names));
-      if (found[at] != nullptr) return bad(where, "the key " + key + " is there twice");
-      found[at] = &node.children[i];
-    }
-    for (std::size_t i = 0; i < needed; ++i) {
-      if (found[i] == nullptr) return bad(where, "the key " + std::string(names[i]) + " is missing");
-    }
-    return found;
-  }
-
- private:
-  Result<void> field(const Field& field, const Node& node, const std::string& path) {
-    if (!field.is_array) return element(field, node, path);
-    if (node.type != Node::Type::array || node.children.size() != field.count) {
-      return bad("field " + path, "it is no list of " + std::to_string(field.count));
-    }
-    for (std::size_t i = 0; i < field.count; ++i) {
-      if (auto done = element(field, node.children[i], path + "[" + std::to_string(i) + "]"); !done) return done;
-    }
-    return {};
-  }
-
-  Result<void> element(const Field& field, const Node& node, const std::string& path) {
-    if (field.kind == Kind::record) return record(field.fields, node, path + ".");
-    // The leaves come in the order of the fields.
-    const Leaf& leaf = leaves_[next_leaf_++];
-    if (node.type == Node::Type::object || node.type == Node::Type::array) {
-      return bad("field " + path, "a list or an object is not what a " + std::string(name_of(leaf.kind)) + " takes");
-    }
-    return write(leaf, payload_, value(leaf, node));
-  }
-
-  /// What to write there; of a node that is no list and no object.
-  static Value value(const Leaf& leaf, const Node& node) {
-    const bool floating = leaf.kind == Kind::f32 || leaf.kind == Kind::f64;
-    switch (node.type) {
-      case Node::Type::boolean:
-        return node.flag;
-      case Node::Type::integer:
-        if (floating) return nearest(leaf.kind, node.integer);
-        return node.integer;
-      case Node::Type::natural:
-        if (floating) return nearest(leaf.kind, node.natural);
-        return node.natural;
-      case Node::Type::fraction:
-        if (leaf.kind == Kind::f32) {
-          // Not by way of the double: rounding twice may give the neighbour.
-          float number = 0;
-          const char* end = node.text.data() + node.text.size();
-          if (const auto r = std::from_chars(node.text.data(), end, number); r.ec == std::errc{} && r.ptr == end) {
-            return static_cast<double>(number);
-          }
-        }
-        return node.fraction;
-      case Node::Type::string:
-        if (floating) {
-          constexpr double infinity = std::numeric_limits<double>::infinity();
-          if (node.text == "NaN") return std::numeric_limits<double>::quiet_NaN();
-          if (node.text == "Infinity") return infinity;
-          if (node.text == "-Infinity") return -infinity;
-        }
-        if (leaf.kind == Kind::character) {
-          if (char c = 0; to_char(node.text, c)) return c;
-        }
-        return node.text;
-      default:
-        return std::monostate{};
-    }
-  }
-
-  /// Decimal text means the nearest number that the field can hold.
-  template <class T>
-  static double nearest(Kind kind, T number) {
-    return kind == Kind::f32 ? static_cast<double>(static_cast<float>(number)) : static_cast<double>(number);
-  }
-
-  const std::vector<Leaf>& leaves_;
-  std::byte* payload_;
-  std::size_t next_leaf_ = 0;
-};
-
 class JsonCodec final : public Codec {
  public:
   std::string_view name() const noexcept override { return "json"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    const Plan& plan = plan_of(event.description());
+    const Plan& plan = plans_.of(event.description());
     const std::size_t longest = 128 + 6 * (event.topic().size() + event.origin().size()) + plan.longest;
     if (line_.size() < longest) line_.resize(longest);
     char* to = put(line_.data(), "{\"topic\":");
@@ -481,57 +250,18 @@ class JsonCodec final : public Codec {
         to = put_value(to, plan, step, from);
       }
     }
-    to = put(to, {fixed, plan.suffix_size});
+    to = put(to, {fixed, plan.fixed.data() + plan.fixed.size()});
     const auto* line = reinterpret_cast<const std::byte*>(line_.data());
     out.insert(out.end(), line, line + (to - line_.data()));
     return {};
   }
 
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
-    Builder builder;
-    const char* text = reinterpret_cast<const char*>(bytes.data());
-    if (!nlohmann::json::sax_parse(text, text + bytes.size(), &builder)) return bad("", builder.error);
-    auto found = Reader::find(builder.root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
-    if (!found) return std::move(found).error();
-    const auto& [topic, time, origin, data, sequence] =
-        std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3], (*found)[4]};
-    DecodedEvent event;
-    if (topic->type != Node::Type::string) return bad("topic", "it is no string");
-    if (origin->type != Node::Type::string) return bad("origin", "it is no string");
-    event.topic = topic->text;
-    event.origin = origin->text;
-    if (time->type == Node::Type::integer) {
-      event.time = from_nanoseconds(time->integer);
-    } else if (time->type == Node::Type::natural &&
-               time->natural <= std::uint64_t{std::numeric_limits<std::int64_t>::max()}) {
-      event.time = from_nanoseconds(static_cast<std::int64_t>(time->natural));
-    } else {
-      return bad("time", "it is no integer of 64 bits", "write ns since 1970-01-01");
-    }
-    if (sequence != nullptr) {
-      if (sequence->type != Node::Type::natural) return bad("sequence", "it is no number from 0 on");
-      event.sequence = sequence->natural;
-    }
-    event.payload.resize(description.size());
-    Reader reader(description, event.payload.data());
-    if (auto done = reader.record(description.fields(), *data, ""); !done) return std::move(done).error();
-    return event;
+    return detail::decode_json(bytes, description);
   }
 
  private:
-  const Plan& plan_of(const Description& description) {
-    if (last_serial_ == description.serial()) return *last_;
-    if (plans_.size() >= 256) plans_.clear();  // somebody makes descriptions as they go
-    const auto [found, added] = plans_.try_emplace(description.serial());
-    if (added) found->second = Planner(description).take();
-    last_serial_ = description.serial();
-    last_ = &found->second;
-    return *last_;
-  }
-
-  std::unordered_map<std::uint64_t, Plan> plans_;
-  std::uint64_t last_serial_ = 0;  // serials start at 1
-  const Plan* last_ = nullptr;
+  detail::PerDescription<Plan> plans_;
   std::vector<char> line_;
 };
 

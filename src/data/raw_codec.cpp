@@ -1,7 +1,8 @@
 #include <algorithm>
 #include <bit>
-#include <limits>
 
+#include "data/copy.hpp"
+#include "data/per_description.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/text.hpp"
 
@@ -38,119 +39,105 @@ Error within(const Field& record, std::size_t element, Error error) {
   return error;
 }
 
-class Encoder {
- public:
-  explicit Encoder(std::vector<std::byte>& out) : out_(out), begin_(out.size()) { out_.resize(begin_ + 4); }
+Error too_long(const std::string& where, std::size_t size) {
+  return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
+}
 
-  Result<void> bytes(std::string_view name, std::string_view content) {
-    if (content.size() > longest_value) return too_long(std::string(name), content.size());
-    const auto* from = reinterpret_cast<const std::byte*>(content.data());
-    out_.push_back(static_cast<std::byte>(content.size()));
-    out_.insert(out_.end(), from, from + content.size());
-    return {};
-  }
-
-  template <class T>
-  void number(T value) {
-    std::byte memory[sizeof value];
-    std::memcpy(memory, &value, sizeof value);
-    out_.push_back(static_cast<std::byte>(sizeof value));
-    put_number(memory, sizeof value);
-  }
-
-  Result<void> fields(const std::vector<Field>& fields, const std::byte* record) {
-    for (const Field& field : fields) {
-      const std::byte* at = record + field.offset;
-      if (field.kind == Kind::record) {
-        for (std::size_t i = 0; i < field.count; ++i) {
-          auto done = this->fields(field.fields, at + i * field.stride);
-          if (!done) return within(field, i, std::move(done).error());
-        }
-        continue;
-      }
-      const std::size_t size_at = out_.size();
-      out_.push_back(std::byte{0});
-      for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
-        if (field.optional != nullptr && !field.optional->has_value(at)) {
-          return does_not_fit("field " + field.name, "it is absent, and raw bytes have no sign for that");
-        }
-        if (field.kind == Kind::text) {
-          const std::size_t size = text_size(at, field.size);
-          if (size > longest_value) return too_long("field " + field.name, size);
-          if (field.is_array) out_.push_back(static_cast<std::byte>(size));
-          out_.insert(out_.end(), at + text_length_bytes, at + text_length_bytes + size);
-        } else if (field.kind == Kind::boolean) {
-          out_.push_back(*at == std::byte{0} ? std::byte{0} : std::byte{1});
-        } else {
-          put_number(at, field.size);
-        }
-        // Here too, so that an array of millions does not fill the memory first.
-        const std::size_t size = out_.size() - size_at - 1;
-        if (size > longest_value) return too_long("field " + field.name, std::max(size, field.count * field.size));
-      }
-      out_[size_at] = static_cast<std::byte>(out_.size() - size_at - 1);
-    }
-    return {};
-  }
-
-  Result<void> finish() {
-    const std::size_t size = out_.size() - begin_ - 4;
-    if (size > std::numeric_limits<std::uint32_t>::max()) return too_long("the event", size);
-    for (std::size_t i = 0; i < 4; ++i) out_[begin_ + i] = static_cast<std::byte>(size >> (8 * i) & 0xff);
-    return {};
-  }
-
-  void undo() { out_.resize(begin_); }
-
- private:
-  static Error too_long(const std::string& where, std::size_t size) {
-    return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
-  }
-  void put_number(const std::byte* from, std::size_t size) {
-    std::byte memory[8];
-    copy_number(memory, from, size);
-    out_.insert(out_.end(), memory, memory + size);
-  }
-
-  std::vector<std::byte>& out_;
-  std::size_t begin_;
-};
-
-/// The fields of a description that has plain values only: no text, no optional, nothing that could fail to fit. Encoding
-/// such an event is copying.
-struct PlainFields {
-  struct Field {
-    std::uint32_t offset;
-    std::uint8_t size;
+/// The values of a payload, in their order, as encoding takes them.
+struct Plan {
+  /// Numbers, which always fit, of so many bytes, and values of every other sort.
+  enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
+  struct Step {
+    Sort sort = Sort::field;
+    std::size_t offset = 0;        ///< bytes from the start of the payload
+    std::size_t count = 1;         ///< of numbers: so many lie one after the other
+    const Field* field = nullptr;  ///< of another sort; owned by the description
+    std::string where;             ///< of this field, for errors
   };
-  std::uint64_t serial = 0;  // of the description; they start at 1
-  bool is_plain = false;
-  std::size_t bytes = 0;  // encoded
-  std::vector<Field> fields;
 
-  void make(const Description& description) {
-    serial = description.serial();
-    bytes = 0;
-    fields.clear();
-    is_plain = std::endian::native == std::endian::little && add(description.fields(), 0);
-  }
+  explicit Plan(const Description& description) { add(description.fields(), 0, "field "); }
+
+  std::vector<Step> steps;
+  std::size_t longest = 0;  ///< bytes that all this may take
 
  private:
-  bool add(const std::vector<rtdata::Field>& all, std::size_t from) {
-    for (const rtdata::Field& field : all) {
-      if (field.is_array || field.count != 1 || field.optional != nullptr) return false;
-      const std::size_t offset = from + field.offset;
+  void add(const std::vector<Field>& fields, std::size_t base, const std::string& prefix) {
+    for (const Field& field : fields) {
+      const std::size_t offset = base + field.offset;
       if (field.kind == Kind::record) {
-        if (!add(field.fields, offset)) return false;
-        continue;
+        for (std::size_t i = 0; i < field.count && !field.fields.empty(); ++i) {
+          const std::string element = field.is_array ? "[" + std::to_string(i) + "]" : "";
+          add(field.fields, offset + i * field.stride, prefix + field.name + element + ".");
+        }
+      } else if (field.is_array || field.optional != nullptr || field.kind == Kind::text ||
+                 field.kind == Kind::boolean) {
+        steps.push_back({Sort::field, offset, 1, &field, prefix + field.name});
+        longest += 1 + std::min(longest_value, field.count * field.size);
+      } else {
+        add_number(offset, field.size);
+        longest += 1 + field.size;
       }
-      if (field.kind == Kind::text || field.kind == Kind::boolean || field.size > 8) return false;
-      fields.push_back({static_cast<std::uint32_t>(offset), static_cast<std::uint8_t>(field.size)});
-      bytes += 1 + field.size;
     }
-    return true;
+  }
+
+  void add_number(std::size_t offset, std::size_t size) {
+    const auto sort = static_cast<Sort>(size);
+    if (!steps.empty() && steps.back().sort == sort && steps.back().offset + steps.back().count * size == offset) {
+      ++steps.back().count;
+    } else {
+      steps.push_back({sort, offset, 1, nullptr, {}});
+    }
   }
 };
+
+std::byte* put_text(std::byte* to, std::string_view content) {
+  *to = static_cast<std::byte>(content.size());
+  return detail::copy_short(to + 1, content.data(), content.size());
+}
+
+template <std::size_t size>
+std::byte* put_number(std::byte* to, const void* number) {
+  *to = std::byte{size};
+  copy_number(to + 1, static_cast<const std::byte*>(number), size);
+  return to + 1 + size;
+}
+
+/// `count` numbers that lie one after the other.
+template <std::size_t size>
+std::byte* put_numbers(std::byte* to, const std::byte* from, std::size_t count) {
+  for (const std::byte* const end = from + count * size; from != end; from += size) to = put_number<size>(to, from);
+  return to;
+}
+
+/// A value of any sort. Null and the reason when it cannot be sent.
+std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at, Error& why) {
+  const Field& field = *step.field;
+  std::byte* const begin = ++to;  // behind the size, which comes last
+  for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
+    if (field.optional != nullptr && !field.optional->has_value(at)) {
+      why = does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
+      return nullptr;
+    }
+    const bool is_text = field.kind == Kind::text;
+    const std::size_t size = is_text ? text_size(at, field.size) : field.size;
+    const std::size_t size_so_far = static_cast<std::size_t>(to - begin) + size + (is_text && field.is_array ? 1 : 0);
+    if (size_so_far > longest_value) {
+      why = too_long(step.where, is_text ? size_so_far : field.count * field.size);
+      return nullptr;
+    }
+    if (is_text) {
+      if (field.is_array) *to++ = static_cast<std::byte>(size);
+      if (size != 0) std::memcpy(to, at + text_length_bytes, size);
+    } else if (field.kind == Kind::boolean) {
+      *to = *at == std::byte{0} ? std::byte{0} : std::byte{1};
+    } else {
+      copy_number(to, at, size);
+    }
+    to += size;
+  }
+  begin[-1] = static_cast<std::byte>(to - begin);
+  return to;
+}
 
 class Decoder {
  public:
@@ -262,15 +249,47 @@ class RawCodec final : public Codec {
   std::string_view name() const noexcept override { return "raw"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    if (plain_.serial != event.description().serial()) plain_.make(event.description());
-    if (plain_.is_plain && event.topic().size() <= longest_value && event.origin().size() <= longest_value) {
-      encode_plain(event, out);
-      return {};
+    if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
+    if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
+    const Plan& plan = plans_.of(event.description());
+    const std::size_t begin = out.size();
+    out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
+    std::byte* to = put_text(out.data() + begin + 4, event.topic());
+    const std::int64_t time = to_nanoseconds(event.time());
+    to = put_number<sizeof time>(to, &time);
+    to = put_text(to, event.origin());
+    const std::uint64_t sequence = event.sequence();
+    if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
+    const std::byte* const payload = event.payload().data();
+    for (const Plan::Step& step : plan.steps) {
+      const std::byte* from = payload + step.offset;
+      switch (step.sort) {
+        case Plan::Sort::numbers_8:
+          to = put_numbers<8>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_4:
+          to = put_numbers<4>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_2:
+          to = put_numbers<2>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_1:
+          to = put_numbers<1>(to, from, step.count);
+          break;
+        case Plan::Sort::field: {
+          Error why;
+          to = put_field(to, step, from, why);
+          if (to != nullptr) break;
+          out.resize(begin);
+          return why;
+        }
+      }
     }
-    Encoder encoder(out);
-    auto done = encode(event, encoder);
-    if (!done) encoder.undo();
-    return done;
+    const auto end = static_cast<std::size_t>(to - out.data());
+    const auto size = static_cast<std::uint32_t>(end - begin - 4);
+    copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
+    out.resize(end);
+    return {};
   }
 
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
@@ -308,53 +327,11 @@ class RawCodec final : public Codec {
   }
 
  private:
-  /// Every value fits.
-  void encode_plain(const EventView& event, std::vector<std::byte>& out) {
-    const bool has_sequence = config_.sequence == RawConfig::Sequence::include;
-    const std::size_t size = 1 + event.topic().size() + 9 + 1 + event.origin().size() + (has_sequence ? 9 : 0) + plain_.bytes;
-    if (bytes_.size() < 4 + size) bytes_.resize(4 + size);
-    std::byte* to = bytes_.data();
-    const auto put = [&to](const void* from, std::size_t count) {
-      *to++ = static_cast<std::byte>(count);
-      if (count != 0) std::memcpy(to, from, count);
-      to += count;
-    };
-    const auto total = static_cast<std::uint32_t>(size);
-    std::memcpy(to, &total, sizeof total);
-    to += sizeof total;
-    const std::int64_t time = to_nanoseconds(event.time());
-    const std::uint64_t sequence = event.sequence();
-    put(event.topic().data(), event.topic().size());
-    put(&time, sizeof time);
-    put(event.origin().data(), event.origin().size());
-    if (has_sequence) put(&sequence, sizeof sequence);
-    const std::byte* payload = event.payload().data();
-    for (const PlainFields::Field& field : plain_.fields) {
-      *to++ = static_cast<std::byte>(field.size);
-      const std::byte* from = payload + field.offset;
-      switch (field.size) {  // of a size known to the compiler, each is one instruction
-        case 8: std::memcpy(to, from, 8); break;
-        case 4: std::memcpy(to, from, 4); break;
-        case 2: std::memcpy(to, from, 2); break;
-        default: std::memcpy(to, from, field.size); break;
-      }
-      to += field.size;
-    }
-    out.insert(out.end(), bytes_.data(), to);
-  }
-
-  Result<void> encode(const EventView& event, Encoder& encoder) const {
-    if (auto done = encoder.bytes("topic", event.topic()); !done) return done;
-    encoder.number(to_nanoseconds(event.time()));
-    if (auto done = encoder.bytes("origin", event.origin()); !done) return done;
-    if (config_.sequence == RawConfig::Sequence::include) encoder.number(event.sequence());
-    if (auto done = encoder.fields(event.description().fields(), event.payload().data()); !done) return done;
-    return encoder.finish();
-  }
+  /// Total size, topic, time, origin and sequence but for the two texts.
+  static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;
-  PlainFields plain_;             // of the last event
-  std::vector<std::byte> bytes_;  // of one event
+  detail::PerDescription<Plan> plans_;
 };
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <bit>
+#include <charconv>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -23,33 +24,7 @@ std::span<const std::byte> as_bytes(std::string_view text) {
 }
 
 Event<Everything> full_event() {
-  Event<Everything> event{{from_nanoseconds(1'772'366'400'123'456'789), 42, "cha\"mber, 1"}, {}};
-  Everything& e = event.data;
-  e.flag = true;
-  e.letter = '\xe4';
-  e.i8 = -128;
-  e.i16 = -32768;
-  e.i32 = std::numeric_limits<std::int32_t>::min();
-  e.i64 = std::numeric_limits<std::int64_t>::min();
-  e.u8 = 255;
-  e.u16 = 65535;
-  e.u32 = std::numeric_limits<std::uint32_t>::max();
-  e.u64 = std::numeric_limits<std::uint64_t>::max();
-  e.f32 = 0.1F;
-  e.f64 = -0.0;
-  e.name = "a\"\n\xc3\xa4\\";
-  e.state = State::broken;
-  e.maybe = 5e-324;
-  e.maybe_name = text<5>("");
-  e.maybe_state = State::running;
-  e.maybe_flag = false;
-  e.numbers = {1e-45F, std::numeric_limits<float>::max(), -16777216.0F};
-  e.names = {"", "x,y"};
-  e.states = {State::running, static_cast<State>(-9)};
-  e.maybes = {7U, 8U};
-  e.origin_point = {std::numeric_limits<double>::max(), 1};
-  e.points = {Point{-1.5, 2}, Point{9007199254740993.0, -3}};
-  return event;
+  return {{from_nanoseconds(1'772'366'400'123'456'789), 42, "cha\"mber, 1"}, payloads::full()};
 }
 
 template <class T>
@@ -190,6 +165,32 @@ TEST_SUITE("data") {
         check(std::bit_cast<double>(random()), std::bit_cast<float>(static_cast<std::uint32_t>(random())));
         check(static_cast<double>(random()), static_cast<float>(random()));
       }
+    }
+  }
+
+  TEST_CASE("US-31 JSON numbers have the digits of std::to_chars") {
+    auto codec = make_json_codec();
+    const auto check = [&](double d) {
+      char digits[40];
+      const std::string expected(digits, std::to_chars(digits, digits + sizeof digits, d).ptr);
+      Bytes bytes;
+      encode(*codec, "t", Event<Number>{{{}, 1, "o"}, {d, 1}}, bytes).or_throw();
+      CHECK(as_text(bytes).find(R"("data":{"d":)" + expected + ",") != std::string_view::npos);
+    };
+    for (const double unit : {1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7}) {
+      for (int i = 1; i < 1200; ++i) {
+        const double d = (i % 7 == 0 ? 1000 : 1) * i / unit;
+        check(d);
+        check(-d);
+        check(std::nextafter(d, 0));
+        check(std::nextafter(d, 1e9));
+        check(d / 3);
+      }
+    }
+    for (const double d :
+         {1e-3, 1e5, 99999.999999, 0.000999, 100000.5, 5e-7, 12345.678901, 4.35, 0.30000000000000004}) {
+      check(d);
+      check(std::nextafter(d, 0));
     }
   }
 

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <optional>
 
 #include "rtdata/data/describe.hpp"
@@ -78,5 +79,35 @@ struct Everything {
   }
   bool operator==(const Everything&) const = default;
 };
+
+/// Nothing absent, and values that are easily lost.
+inline Everything full() {
+  Everything e;
+  e.flag = true;
+  e.letter = '\xe4';
+  e.i8 = -128;
+  e.i16 = -32768;
+  e.i32 = std::numeric_limits<std::int32_t>::min();
+  e.i64 = std::numeric_limits<std::int64_t>::min();
+  e.u8 = 255;
+  e.u16 = 65535;
+  e.u32 = std::numeric_limits<std::uint32_t>::max();
+  e.u64 = std::numeric_limits<std::uint64_t>::max();
+  e.f32 = 0.1F;
+  e.f64 = -0.0;
+  e.name = "a\"\n\xc3\xa4\\";
+  e.state = State::broken;
+  e.maybe = 5e-324;
+  e.maybe_name = rtdata::text<5>("");
+  e.maybe_state = State::running;
+  e.maybe_flag = false;
+  e.numbers = {1e-45F, std::numeric_limits<float>::max(), -16777216.0F};
+  e.names = {"", "x,y"};
+  e.states = {State::running, static_cast<State>(-9)};
+  e.maybes = {7U, 8U};
+  e.origin_point = {std::numeric_limits<double>::max(), 1};
+  e.points = {Point{-1.5, 2}, Point{9007199254740993.0, -3}};
+  return e;
+}
 
 }  // namespace payloads

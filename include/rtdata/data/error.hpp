@@ -126,7 +126,7 @@ class [[nodiscard]] Result {
 template <>
 class [[nodiscard]] Result<void> {
  public:
-  Result() = default;
+  Result() noexcept {}  // not defaulted: `return {}` would then fill all of the memory with zeros first
   Result(Error error) : content_(std::move(error)) {}
 
   bool has_value() const noexcept { return content_.index() == 0; }

@@ -1,0 +1,129 @@
+#include "data/field_layout.hpp"
+
+#include <algorithm>
+#include <cstdint>
+
+#include "rtdata/data/text.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+std::size_t alignment_of(Kind kind) {
+  switch (size_of(kind)) {
+    case 2:
+      return alignof(std::int16_t);
+    case 4:
+      return kind == Kind::f32 ? alignof(float) : alignof(std::int32_t);
+    case 8:
+      return kind == Kind::f64 ? alignof(double) : alignof(std::int64_t);
+    default:
+      return 1;
+  }
+}
+
+std::size_t round_up(std::size_t value, std::size_t alignment) {
+  return (value + alignment - 1) / alignment * alignment;
+}
+
+}  // namespace
+
+Error not_usable(std::string where, std::string why, std::string advice) {
+  return {Errc::bad_description, "the description is not usable", std::move(where), std::move(why), std::move(advice)};
+}
+
+std::size_t size_of(Kind kind) {
+  switch (kind) {
+    case Kind::boolean:
+      return sizeof(bool);
+    case Kind::character:
+    case Kind::i8:
+    case Kind::u8:
+      return 1;
+    case Kind::i16:
+    case Kind::u16:
+      return 2;
+    case Kind::i32:
+    case Kind::u32:
+    case Kind::f32:
+      return 4;
+    case Kind::i64:
+    case Kind::u64:
+    case Kind::f64:
+      return 8;
+    case Kind::text:
+    case Kind::enumeration:
+    case Kind::record:
+      break;
+  }
+  return 0;
+}
+
+Field plain_field(std::string name, Kind kind, std::string unit) {
+  Field field;
+  field.name = std::move(name);
+  field.kind = kind;
+  field.unit = std::move(unit);
+  field.size = size_of(kind);
+  field.alignment = alignment_of(kind);
+  return field;
+}
+
+Field text_field(std::string name, std::size_t capacity) {
+  Field field = plain_field(std::move(name), Kind::text, {});
+  // An impossible capacity stays impossible, and is refused by check().
+  field.size = capacity > 65535 ? text_length_bytes + 65536 : capacity + text_length_bytes;
+  return field;
+}
+
+Field enum_field(std::string name, std::vector<EnumValue> values, Kind base) {
+  Field field = plain_field(std::move(name), Kind::enumeration, {});
+  field.enum_base = base;
+  field.size = size_of(base);
+  field.alignment = alignment_of(base);
+  field.values = std::move(values);
+  return field;
+}
+
+Field record_field(std::string name, std::vector<Field> fields, std::size_t size, std::size_t alignment) {
+  Field field = plain_field(std::move(name), Kind::record, {});
+  field.fields = std::move(fields);
+  field.size = size;
+  field.alignment = alignment;
+  return field;
+}
+
+Field array_of(Field field, std::size_t count) {
+  field.is_array = true;
+  field.count = count;
+  return field;
+}
+
+Field finished(Field field, DescriptionBuilder::Presence presence) {
+  field.stride = field.size;
+  if (presence == DescriptionBuilder::Presence::optional) {
+    field.optional = &optional_access(field.size);
+    field.stride = round_up(field.size + 1, field.alignment);
+  }
+  return field;
+}
+
+Result<Layout> lay_out(std::vector<Field>& fields, const std::string& name) {
+  Layout layout;
+  for (Field& field : fields) {
+    if (field.size > largest_payload || field.count > largest_payload || field.stride > largest_payload) {
+      return not_usable("record " + name + ", field " + field.name, "it is too large", "make it smaller");
+    }
+    field.offset = round_up(layout.size, field.alignment);
+    layout.size = field.offset + field.stride * field.count;
+    layout.alignment = std::max(layout.alignment, field.alignment);
+    if (layout.size > largest_payload) {
+      return not_usable("record " + name + ", field " + field.name,
+                        "the payload would be larger than " + std::to_string(largest_payload) + " bytes",
+                        "make it smaller");
+    }
+  }
+  layout.size = std::max<std::size_t>(1, round_up(layout.size, layout.alignment));
+  return layout;
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,13 @@
+// Reading of what the JSON codec writes.
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include "rtdata/data/codec.hpp"
+
+namespace rtdata::detail {
+
+Result<DecodedEvent> decode_json(std::span<const std::byte> bytes, const Description& description);
+
+}  // namespace rtdata::detail
