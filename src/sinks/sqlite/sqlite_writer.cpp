@@ -10,7 +10,7 @@
 namespace rtdata::sqlite {
 namespace {
 
-constexpr int wal_pages_to_checkpoint = 1000;
+constexpr int wal_pages_to_checkpoint = 256;  // 1 MiB: a log that stays small stays in the caches
 constexpr std::uint64_t short_of_space = std::uint64_t{64} << 20;
 constexpr Duration space_interval = std::chrono::seconds{10};
 constexpr Duration limits_interval = std::chrono::seconds{1};
