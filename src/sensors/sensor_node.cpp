@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "loop/retry.hpp"
+
 namespace rtdata {
 namespace detail {
 namespace {
@@ -231,9 +233,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   ++failures_;
   if (failures_ >= faulted_after_) {
     retry_delay_ = retry_delay_.count() == 0 ? retry_first_ : std::min(2 * retry_delay_, retry_longest_);
-    // Jitter of up to a quarter, so that many sensors of one failed bus do not come back in step.
-    const auto hash = std::hash<std::string>{}(origin_.name) + failures_ * 2654435761u;
-    retry_at_ = now + retry_delay_ - retry_delay_ / 4 * static_cast<std::int64_t>(hash % 1024) / 1024;
+    retry_at_ = now + with_jitter(retry_delay_, origin_.name, failures_);
     if (std::exchange(device_is_open_, false)) device_->close();
   }
   report(error);
