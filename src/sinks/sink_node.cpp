@@ -165,7 +165,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   }
 
   SinkStatus status() const override {
-    return last_ ? *last_ : SinkStatus{config_.name, health_, reason_, queue_->counts()};
+    if (last_) return *last_;
+    return {config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
   }
 
   void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override {
@@ -367,6 +368,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     last_ = status();
     const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
     last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
+    last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
     runtime.closed_sinks.push_back(*last_);
     if (lost > 0) {
       runtime.report(loop(), object_name(),

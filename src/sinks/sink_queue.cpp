@@ -184,6 +184,21 @@ SinkCounts SinkQueue::sum() const noexcept {
   return sum;
 }
 
+std::vector<TopicDrops> SinkQueue::dropped_by_topic(Queued queued) const {
+  std::vector<TopicDrops> all;
+  for (std::uint32_t i = 0; i < slot_count(); ++i) {
+    const Slot& s = slot(i);
+    const std::uint64_t dropped = queued == Queued::lost
+                                      ? s.live->offered - s.stored.load(std::memory_order_relaxed)
+                                      : s.dropped_newest + s.dropped_oldest + s.refused.load(std::memory_order_relaxed);
+    if (all.size() <= s.info.topic_number) all.resize(s.info.topic_number + 1);
+    all[s.info.topic_number].topic = s.info.topic;
+    all[s.info.topic_number].count += dropped;
+  }
+  std::erase_if(all, [](const TopicDrops& topic) { return topic.count == 0; });
+  return all;
+}
+
 bool SinkQueue::is_idle() const noexcept {
   for (const ChunkHeader& chunk : chunks_) {
     const auto state = chunk.ticket_and_state.load(std::memory_order_acquire) & 3;

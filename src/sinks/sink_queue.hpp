@@ -90,6 +90,9 @@ class SinkQueue {
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
   /// A snapshot between two batches; while the lane ends batches faster than this can count, an approximate one.
   SinkCounts counts() const noexcept;
+  /// What was dropped of each topic that lost some. What is queued waits, or is lost too.
+  enum class Queued { waits, lost };
+  std::vector<TopicDrops> dropped_by_topic(Queued queued) const;
   bool is_idle() const noexcept;
   /// For the calls that are made on the loop.
   Writer& writer() noexcept { return *writer_; }
