@@ -3,8 +3,7 @@
 #include <sys/statvfs.h>
 #include <unistd.h>
 
-#include <fstream>
-
+#include "loop/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::sqlite {
@@ -15,12 +14,7 @@ constexpr std::uint64_t short_of_space = std::uint64_t{64} << 20;
 constexpr Duration space_interval = std::chrono::seconds{10};
 constexpr Duration limits_interval = std::chrono::seconds{1};
 
-std::string random_uuid() {
-  std::ifstream file("/proc/sys/kernel/random/uuid");
-  std::string uuid;
-  std::getline(file, uuid);
-  return uuid;
-}
+std::string random_uuid() { return detail::first_line("/proc/sys/kernel/random/uuid"); }
 
 std::string host_name() {
   char name[256] = {};
