@@ -35,6 +35,11 @@ RunAccount account_of(const Runtime& runtime) {
   account.sinks = runtime.sinks();
   for (const SinkStatus& sink : account.sinks) {
     account.dropped += sink.counts.all_dropped();
+    for (const TopicDrops& dropped : sink.dropped) {
+      for (TopicAccount& topic : account.topics) {
+        if (topic.topic == dropped.topic) topic.dropped += dropped.count;
+      }
+    }
     account.queued += sink.counts.queued;
   }
   return account;
@@ -49,10 +54,10 @@ std::string progress(const RunAccount& account) {
 
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths) {
   std::string text;
-  Table topics({"topic", ">events", ">late", ">missed", ">failed", ">lost", "health"});
+  Table topics({"topic", ">events", ">late", ">missed", ">failed", ">lost", ">dropped", "health"});
   for (const TopicAccount& topic : account.topics) {
     topics.add({topic.topic, std::to_string(topic.events), std::to_string(topic.late), std::to_string(topic.missed),
-                std::to_string(topic.failed), std::to_string(topic.lost),
+                std::to_string(topic.failed), std::to_string(topic.lost), std::to_string(topic.dropped),
                 std::string(name_of(topic.health)) + (topic.reason.empty() ? "" : ": " + fitted(topic.reason, 60))});
   }
   if (!topics.empty()) text += topics.text();

@@ -14,7 +14,7 @@ namespace rtdata::app {
 /// Appends to the file. Thread: `write` any, all else the main one.
 class Log {
  public:
-  Log() : writer_(1024) {}  // lines that wait; each takes 0.4 KiB, made resident at the start
+  Log() : writer_(128) {}  // lines that wait; each takes 0.4 KiB, made resident at the start
   Log(const Log&) = delete;
   Log& operator=(const Log&) = delete;
   ~Log();

@@ -30,10 +30,9 @@ std::string default_log_file(const std::string& configuration) {
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
  public:
-  Run(const Registry& registry, const RunOptions& options) : registry_(registry), options_(options), terminal_(64) {}
+  Run(const Registry& registry, const RunOptions& options) : registry_(registry), options_(options), terminal_(16) {}
 
   int execute() {
-    terminal_.open(STDOUT_FILENO);
     messages_.open(STDERR_FILENO);
     SystemPlan plan = plan_system(registry_, load_config(options_.file));
     open_log(plan);
@@ -61,6 +60,12 @@ class Run {
     if (auto opened = log_.open(file, settings.level); !opened) {
       say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
     }
+  }
+
+  /// Opened when there is something to write.
+  AsyncWriter& terminal() {
+    terminal_.open(STDOUT_FILENO);
+    return terminal_;
   }
 
   int refuse(const SystemPlan& plan) {
@@ -159,7 +164,7 @@ class Run {
     if (view_) {
       winsize size{};
       if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-      terminal_.write(view_->frame(account_of(runtime), size.ws_col, size.ws_row, note_));
+      terminal().write(view_->frame(account_of(runtime), size.ws_col, size.ws_row, note_));
       view_is_shown_ = true;
     } else if (++shows_ % redraws_per_line == 1 && shows_ > 1) {
       say(LogLevel::info, "", progress(account_of(runtime)));
@@ -184,7 +189,7 @@ class Run {
     log_.write(balances ? LogLevel::info : LogLevel::error, "program", verdict);
     if (options_.talk == Talk::normal) {
       const std::string text = summary(account, paths) + "\n" + verdict + "\n";
-      (uses_stdout ? messages_ : terminal_).write(text);
+      (uses_stdout ? messages_ : terminal()).write(text);
     } else if (!balances) {
       messages_.write("rtdata: error: " + verdict + "\n");
     }
@@ -196,7 +201,7 @@ class Run {
   const RunOptions& options_;
   StopSignals signals_;  // first: the threads of the others are not to take the signals
   AsyncWriter terminal_;
-  AsyncWriter messages_{1024};
+  AsyncWriter messages_{64};
   Log log_;
   std::optional<LiveView> view_;
   std::atomic<bool> view_is_shown_{false};

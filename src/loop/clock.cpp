@@ -1,7 +1,8 @@
 #include "rtdata/loop/clock.hpp"
 
 #include <ctime>
-#include <fstream>
+
+#include "loop/first_line.hpp"
 
 namespace rtdata {
 namespace {
@@ -17,11 +18,6 @@ Duration read_clock(clockid_t id) noexcept {
 MonotonicTime SystemClock::monotonic() noexcept { return MonotonicTime{read_clock(CLOCK_MONOTONIC)}; }
 Time SystemClock::realtime() noexcept { return Time{read_clock(CLOCK_REALTIME)}; }
 
-std::string SystemClock::boot_id() {
-  std::ifstream file("/proc/sys/kernel/random/boot_id");
-  std::string id;
-  std::getline(file, id);
-  return id;
-}
+std::string SystemClock::boot_id() { return detail::first_line("/proc/sys/kernel/random/boot_id"); }
 
 }  // namespace rtdata

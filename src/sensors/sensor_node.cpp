@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "loop/retry.hpp"
+
 namespace rtdata {
 namespace detail {
 namespace {
@@ -252,9 +254,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first : std::min(2 * state.retry_delay, state.retry_longest);
-    // Jitter of up to a quarter, so that many sensors of one failed bus do not come back in step.
-    const auto hash = std::hash<std::string>{}(origin_.name) + failures_ * 2654435761u;
-    state.retry_at = now + state.retry_delay - state.retry_delay / 4 * static_cast<std::int64_t>(hash % 1024) / 1024;
+    state.retry_at = now + with_jitter(state.retry_delay, origin_.name, failures_);
     if (std::exchange(device_is_open_, false)) device_->close();
   }
   report(error);

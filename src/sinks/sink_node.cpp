@@ -2,10 +2,10 @@
 #include <cstring>
 #include <exception>
 #include <optional>
-#include <thread>
 
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/retry.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -24,6 +24,7 @@ class StoreJob final : public LaneJob {
  public:
   explicit StoreJob(std::shared_ptr<SinkQueue> queue_) : queue(std::move(queue_)) {}
   void run() noexcept override {
+    if (pause.count() > 0) queue->pause(std::exchange(pause, Duration{0}));
     result = queue->process();
     if (result && closing) result = queue->close_writer();
     has_ended = queue->has_ended();
@@ -35,6 +36,7 @@ class StoreJob final : public LaneJob {
   std::shared_ptr<SinkQueue> queue;
   SinkNode* owner = nullptr;  // null once the sink is gone
   bool closing = false;
+  Duration pause{0};  // before the work
   bool has_ended = false;
   Result<void> result;
   std::uint64_t refused = 0;
@@ -83,10 +85,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   struct TopicTap final : Tap {
     TopicTap(SinkNode& sink_, TopicCore& topic_, std::uint32_t number_)
-        : sink(sink_),
-          topic(topic_),
-          number(number_),
-          record_bytes(sizeof(RecordHeader) + (topic_.type.size + 7) / 8 * 8) {}
+        : sink(sink_), topic(topic_), number(number_), record_bytes(record_bytes_of(topic_.type.size)) {}
     void offer(OriginCore& origin, const EventHeader& header, const void* payload) override {
       Slot& slot = origin.index < slots.size() && slots[origin.index] != nullptr ? *slots[origin.index]
                                                                                  : sink.slot_of(*this, origin);
@@ -98,8 +97,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       std::byte* to = queue.room(slot, record_bytes);
       if (to == nullptr) [[unlikely]]
         return sink.start_storing();
-      const RecordHeader record{slot.accounted.slot, static_cast<std::uint32_t>(record_bytes),
-                                to_nanoseconds(header.time), header.sequence};
+      const RecordHeader record{&slot, to_nanoseconds(header.time), header.sequence};
       std::memcpy(to, &record, sizeof record);
       std::memcpy(to + sizeof record, payload, topic.type.size);
       queue.commit(record_bytes);
@@ -117,7 +115,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       tap.slots.resize(std::max<std::size_t>(origin.index + 1, tap.topic.origins().size()));
     Slot*& slot = tap.slots[origin.index];
     if (slot == nullptr)
-      slot = &queue_->add_slot({tap.number, tap.topic.name, origin.name, tap.topic.type.description});
+      slot = &queue_->add_slot({tap.number, tap.topic.name, origin.name, tap.topic.type.description}, tap.record_bytes);
     return *slot;
   }
 
@@ -168,7 +166,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   }
 
   SinkStatus status() const override {
-    return last_ ? *last_ : SinkStatus{config_.name, health_, reason_, queue_->counts()};
+    if (last_) return *last_;
+    return {config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
   }
 
   void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override {
@@ -273,7 +272,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   Duration next_delay() noexcept {
     retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : std::min(2 * retry_delay_, config_.retry_longest);
-    return retry_delay_;
+    return with_jitter(retry_delay_, config_.name, ++failures_);
   }
 
   void report(const Error& error, std::uint64_t count) noexcept {
@@ -370,6 +369,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     last_ = status();
     const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
     last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
+    last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
     runtime.closed_sinks.push_back(*last_);
     if (lost > 0) {
       runtime.report(loop(), object_name(),
@@ -386,14 +386,14 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       const MonotonicTime end = later(loop()->now(), config_.close_deadline);
       begin_closing();
       while (is_attached_ && !closed_ && loop()->now() < end) {
-        if (is_storing_) {
-          lane_->wait(end - loop()->now());
-        } else {
+        if (!is_storing_) {
           const bool is_retry = retry_.is_running();
           retry_.stop();
-          if (is_retry) pause(std::min(retry_delay_, end - loop()->now()));
+          if (is_retry) pause_before_storing(std::min(retry_delay_, end - loop()->now()));
           start_storing();
+          if (!is_storing_) break;  // the system gives no thread
         }
+        lane_->wait(end - loop()->now());
       }
       lost = leave();
     }
@@ -409,12 +409,12 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     for (auto& tell : done) tell(lost);
   }
 
-  /// Blocks. Only at the end.
-  void pause(Duration duration) {
+  /// The lane waits, so that the deadline ends that too.
+  void pause_before_storing(Duration duration) {
     if (loop()->is_manual()) {
       loop()->manual_clock()->pass(duration);
     } else {
-      std::this_thread::sleep_for(duration);
+      job_->pause = duration;
     }
   }
   void drop_callbacks() noexcept override { on_error_.reset(); }
@@ -428,6 +428,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   Timer retry_;
   Timer deadline_;
   Duration retry_delay_{0};
+  std::uint64_t failures_ = 0;
   std::vector<Callback<void(std::uint64_t)>> drained_;  // who waits for the end
   std::optional<SinkStatus> last_;                      // once it has left the runtime
   Health health_ = Health::ok;

@@ -4,15 +4,21 @@
 #include <algorithm>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata::detail {
 
-/// Bounded, however long storage stalls: then gaps of one origin become one, and errors alike are counted.
+/// Bounded, however long storage stalls: then gaps of one origin become one, and errors alike are counted. What finds
+/// no place any more is counted in an error of its own.
 class SinkNotes {
  public:
+  static constexpr std::size_t most_segments = 16384;
+  static constexpr std::size_t most_clock_pairs = 1024;
+  static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
+
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
     if (gaps_.size() >= std::max<std::size_t>(4096, 2 * slots)) {
       for (auto entry = gaps_.rbegin(); entry != gaps_.rend(); ++entry) {
@@ -26,22 +32,36 @@ class SinkNotes {
     gaps_.push_back({slot, gap});
   }
 
-  void add(std::uint32_t slot, const Segment& segment) { segments_.push_back({slot, segment}); }
+  void add(std::uint32_t slot, const Segment& segment) {
+    if (segments_.size() == most_segments) {
+      ++lost_segments_;
+    } else {
+      segments_.push_back({slot, segment});
+    }
+  }
 
   void add(Time time, std::string_view object, const Error& error, std::uint64_t count) {
-    constexpr std::size_t most_errors = 256;
     for (auto& entry : errors_) {
-      if (errors_.size() < most_errors) break;
+      if (errors_.size() < most_errors / 2) break;
       if (entry.object == object && entry.id == error.id()) {
         entry.count += count;
         return;
       }
     }
-    if (errors_.size() >= 2 * most_errors) return;
+    if (errors_.size() == most_errors) {
+      lost_errors_ += count;
+      return;
+    }
     errors_.push_back({time, std::string(object), std::string(error.id()), error.text(), count});
   }
 
-  void add(const ClockPair& pair) { clock_.push_back(pair); }
+  void add(const ClockPair& pair) {
+    if (clock_.size() == most_clock_pairs) {  // the newest tells most of what comes after it
+      ++lost_clock_pairs_;
+      clock_.pop_back();
+    }
+    clock_.push_back(pair);
+  }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().source) == "end"; }
 
   void move_into(Account& account) {
@@ -49,9 +69,18 @@ class SinkNotes {
     move(segments_, account.segments);
     move(errors_, account.errors);
     move(clock_, account.clock);
+    tell_lost(account, lost_segments_, "stretches of schedule");
+    tell_lost(account, lost_errors_, "errors");
+    tell_lost(account, lost_clock_pairs_, "pairs of clocks");
   }
 
  private:
+  static void tell_lost(Account& account, std::uint64_t& count, const char* what) {
+    if (count == 0) return;
+    const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
+                      "look at the storage"};
+    account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0)});
+  }
   template <class T>
   static void move(std::vector<T>& from, std::vector<T>& to) {
     to.swap(from);  // the memory goes round
@@ -62,6 +91,9 @@ class SinkNotes {
   std::vector<Account::SegmentEntry> segments_;
   std::vector<Account::ErrorEntry> errors_;
   std::vector<ClockPair> clock_;
+  std::uint64_t lost_segments_ = 0;
+  std::uint64_t lost_errors_ = 0;
+  std::uint64_t lost_clock_pairs_ = 0;
 };
 
 }  // namespace rtdata::detail

@@ -18,11 +18,11 @@ namespace detail {
 namespace {
 
 template <class Function>
-void for_each_record(const ChunkHeader& chunk, Function&& function) {
+void for_each_slot(const ChunkHeader& chunk, Function&& function) {
   for (std::size_t at = 0; at < chunk.used;) {
-    const auto& record = *reinterpret_cast<const RecordHeader*>(chunk.data + at);
-    function(record);
-    at += record.bytes;
+    Slot& slot = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->slot;
+    function(slot);
+    at += slot.record_bytes;
   }
 }
 
@@ -47,17 +47,19 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
 
 SinkQueue::~SinkQueue() {
   ::munmap(memory_, memory_bytes_);
-  for (auto& block : blocks_) delete block.load(std::memory_order_relaxed);
+  for (auto& block : blocks_) delete[] block.load(std::memory_order_relaxed);
 }
 
-Slot& SinkQueue::add_slot(SlotInfo info) {
+Slot& SinkQueue::add_slot(SlotInfo info, std::size_t record_bytes) {
   const std::uint32_t index = slot_count_.load(std::memory_order_relaxed);
-  if (index / block_size == most_blocks)
-    throw SetupError({Errc::bad_argument, "too many origins", config_.name, "a sink takes at most 1048576", ""});
-  auto& block = blocks_[index / block_size];
-  if (block.load(std::memory_order_relaxed) == nullptr) block.store(new Block, std::memory_order_release);
+  if (index == most_slots)
+    throw SetupError({Errc::bad_argument, "too many origins", config_.name,
+                      "a sink takes at most " + std::to_string(most_slots), ""});
+  const Place at = place_of(index);
+  if (at.offset == 0) blocks_[at.block].store(new Slot[first_block << at.block], std::memory_order_release);
   Slot& made = slot(index);
   made.info = std::move(info);
+  made.record_bytes = record_bytes;
   made.accounted.slot = index;
   if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
@@ -90,8 +92,7 @@ ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
     }
     if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling)))
       continue;
-    for_each_record(*oldest, [this](const RecordHeader& record) {
-      Slot& lost = this->slot(record.slot);
+    for_each_slot(*oldest, [](Slot& lost) {
       ++lost.dropped_oldest;
       ++lost.live->dropped;
     });
@@ -162,6 +163,7 @@ void SinkQueue::keep_own_counts() noexcept {
 void SinkQueue::abandon() {
   const std::lock_guard lock(abandon_mutex_);
   abandoned_ = true;
+  abandoned_signal_.notify_all();
 }
 
 SinkCounts SinkQueue::sum() const noexcept {
@@ -182,6 +184,21 @@ SinkCounts SinkQueue::sum() const noexcept {
   return sum;
 }
 
+std::vector<TopicDrops> SinkQueue::dropped_by_topic(Queued queued) const {
+  std::vector<TopicDrops> all;
+  for (std::uint32_t i = 0; i < slot_count(); ++i) {
+    const Slot& s = slot(i);
+    const std::uint64_t dropped = queued == Queued::lost
+                                      ? s.live->offered - s.stored.load(std::memory_order_relaxed)
+                                      : s.dropped_newest + s.dropped_oldest + s.refused.load(std::memory_order_relaxed);
+    if (all.size() <= s.info.topic_number) all.resize(s.info.topic_number + 1);
+    all[s.info.topic_number].topic = s.info.topic;
+    all[s.info.topic_number].count += dropped;
+  }
+  std::erase_if(all, [](const TopicDrops& topic) { return topic.count == 0; });
+  return all;
+}
+
 bool SinkQueue::is_idle() const noexcept {
   for (const ChunkHeader& chunk : chunks_) {
     const auto state = chunk.ticket_and_state.load(std::memory_order_acquire) & 3;
@@ -194,6 +211,11 @@ bool SinkQueue::is_idle() const noexcept {
 }
 
 // ---- lane
+
+void SinkQueue::pause(Duration duration) {
+  std::unique_lock lock(abandon_mutex_);
+  abandoned_signal_.wait_for(lock, duration, [this] { return abandoned_; });
+}
 
 ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
   for (;;) {
@@ -232,8 +254,11 @@ bool SinkQueue::gather() {
   }
   if (after != 0 && has_all) batch_.account_ = &box.account;
   if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
+  slots_in_batch_.clear();
   for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](const RecordHeader& record) { ++slot(record.slot).in_batch; });
+    for_each_slot(*chunk, [this](Slot& slot) {
+      if (slot.in_batch++ == 0) slots_in_batch_.push_back(&slot);
+    });
   }
   return true;
 }
@@ -242,14 +267,12 @@ void SinkQueue::finish_batch() {
   const std::lock_guard lock(abandon_mutex_);
   if (abandoned_) return;
   revision_.fetch_add(1, std::memory_order_acq_rel);
+  for (Slot* s : slots_in_batch_) {
+    s->stored.fetch_add(s->in_batch - s->refused_in_batch, std::memory_order_relaxed);
+    s->refused.fetch_add(s->refused_in_batch, std::memory_order_relaxed);
+    s->in_batch = s->refused_in_batch = 0;
+  }
   for (ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](const RecordHeader& record) {
-      Slot& s = slot(record.slot);
-      if (s.in_batch == 0) return;
-      s.stored.fetch_add(s.in_batch - s.refused_in_batch, std::memory_order_relaxed);
-      s.refused.fetch_add(s.refused_in_batch, std::memory_order_relaxed);
-      s.in_batch = s.refused_in_batch = 0;
-    });
     chunk->ticket_and_state.store(with(0, ChunkHeader::free), std::memory_order_release);
   }
   if (batch_.account_ != nullptr) {
@@ -268,15 +291,11 @@ void SinkQueue::fail_batch() noexcept {
   is_open_ = false;
   refusals_in_batch_ = 0;
   if (!has_batch_) return;
-  for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](const RecordHeader& record) { slot(record.slot).refused_in_batch = 0; });
-  }
+  for (Slot* s : slots_in_batch_) s->refused_in_batch = 0;
 }
 
 void SinkQueue::refuse_batch() {
-  for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](const RecordHeader& record) { ++slot(record.slot).refused_in_batch; });
-  }
+  for (Slot* s : slots_in_batch_) s->refused_in_batch = s->in_batch;
 }
 
 template <class Call>
@@ -346,8 +365,8 @@ std::uint64_t SinkQueue::take_refusals(Error& why) {
 Record Batch::Iterator::operator*() const noexcept {
   const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
   const auto* stored = reinterpret_cast<const detail::RecordHeader*>(at);
-  const SlotInfo& info = batch_->slot(stored->slot);
-  return {stored->slot,
+  const SlotInfo& info = stored->slot->info;
+  return {stored->slot->accounted.slot,
           &info,
           {from_nanoseconds(stored->time), stored->sequence, info.origin},
           {at + sizeof *stored, info.description->size()}};
@@ -355,7 +374,7 @@ Record Batch::Iterator::operator*() const noexcept {
 
 Batch::Iterator& Batch::Iterator::operator++() noexcept {
   const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
-  offset_ += reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->bytes;
+  offset_ += reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->slot->record_bytes;
   if (offset_ >= chunk.used) {
     offset_ = 0;
     ++chunk_;

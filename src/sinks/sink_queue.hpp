@@ -4,6 +4,8 @@
 
 #include <array>
 #include <atomic>
+#include <bit>
+#include <condition_variable>
 #include <cstddef>
 #include <memory>
 #include <mutex>
@@ -14,13 +16,18 @@
 
 namespace rtdata::detail {
 
+struct Slot;
+
 /// Lies before each payload in a chunk.
 struct RecordHeader {
-  std::uint32_t slot;
-  std::uint32_t bytes;  // of header and padded payload
+  Slot* slot;
   std::int64_t time;
   std::uint64_t sequence;
 };
+/// Of header and padded payload.
+constexpr std::size_t record_bytes_of(std::size_t payload_bytes) noexcept {
+  return sizeof(RecordHeader) + (payload_bytes + 7) / 8 * 8;
+}
 inline constexpr std::size_t chunk_bytes = 64 * 1024;
 
 struct ChunkHeader {
@@ -35,6 +42,7 @@ struct ChunkHeader {
 /// One (topic, origin): what is fixed, the loop's counts, the lane's counts.
 struct Slot {
   SlotInfo info;
+  std::size_t record_bytes = 0;
   // loop
   LiveCounts own;
   LiveCounts* live = &own;
@@ -73,13 +81,18 @@ class SinkQueue {
   Account* free_account();
   /// Queues it behind all that was handed over before.
   void hand_over_account();
-  Slot& add_slot(SlotInfo info);
+  /// `record_bytes`: of each of its records.
+  Slot& add_slot(SlotInfo info, std::size_t record_bytes);
   Slot& slot(std::uint32_t index) const noexcept {
-    return (*blocks_[index / block_size].load(std::memory_order_acquire))[index % block_size];
+    const Place at = place_of(index);
+    return blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
   /// A snapshot between two batches; while the lane ends batches faster than this can count, an approximate one.
   SinkCounts counts() const noexcept;
+  /// What was dropped of each topic that lost some. What is queued waits, or is lost too.
+  enum class Queued { waits, lost };
+  std::vector<TopicDrops> dropped_by_topic(Queued queued) const;
   bool is_idle() const noexcept;
   /// For the calls that are made on the loop.
   Writer& writer() noexcept { return *writer_; }
@@ -89,6 +102,8 @@ class SinkQueue {
   void abandon();
 
   // ---- lane
+  /// Waits, until the queue is abandoned at the latest.
+  void pause(Duration duration);
   /// Stores what is queued. An error leaves it queued, unless it is `closed`: then all that comes is refused.
   Result<void> process();
   Result<void> close_writer();
@@ -100,14 +115,23 @@ class SinkQueue {
 
  private:
   friend class rtdata::Batch;
-  static constexpr std::size_t block_size = 256;
-  static constexpr std::size_t most_blocks = 4096;
+  // Slots never move: they lie in blocks of 8, 16, 32 and so on.
+  static constexpr std::size_t first_block = 8;
+  static constexpr std::size_t most_blocks = 17;
+  static constexpr std::size_t most_slots = first_block * ((std::size_t{1} << most_blocks) - 1);
+  struct Place {
+    std::size_t block;
+    std::size_t offset;
+  };
+  static Place place_of(std::uint32_t index) noexcept {
+    const std::size_t block = std::bit_width(index / first_block + 1) - 1;
+    return {block, index - first_block * ((std::size_t{1} << block) - 1)};
+  }
   static constexpr std::size_t account_count = 4;
   struct AccountBox {
     Account account;
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
-  using Block = std::array<Slot, block_size>;
   ChunkHeader* take_chunk(Slot& slot);
   void queue_filling();
   SinkCounts sum() const noexcept;
@@ -125,7 +149,7 @@ class SinkQueue {
   std::byte* memory_ = nullptr;
   std::size_t memory_bytes_ = 0;
   std::vector<ChunkHeader> chunks_;
-  std::array<std::atomic<Block*>, most_blocks> blocks_{};
+  std::array<std::atomic<Slot*>, most_blocks> blocks_{};
   std::atomic<std::uint32_t> slot_count_{0};
   std::array<AccountBox, account_count> accounts_;
 
@@ -138,6 +162,7 @@ class SinkQueue {
   // lane
   Batch batch_;
   bool has_batch_ = false;
+  std::vector<Slot*> slots_in_batch_;
   bool is_open_ = false;
   std::size_t account_cursor_ = 0;
   std::uint64_t taken_ticket_ = 0;  // the last one gathered
@@ -149,6 +174,7 @@ class SinkQueue {
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted
   std::mutex abandon_mutex_;
+  std::condition_variable abandoned_signal_;
   bool abandoned_ = false;  // guarded by the mutex
 };
 

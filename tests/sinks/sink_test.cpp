@@ -3,12 +3,14 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <thread>
 
 #include "rtdata/loop/timer.hpp"
 #include "sinks/sink_kinds.hpp"
+#include "sinks/sink_notes.hpp"
 
 using namespace rtdata;
 using namespace sinks;
@@ -69,17 +71,20 @@ TEST_SUITE("sinks") {
       bench.script->failures = 3;
       bench.publish(10);
       CHECK(bench.script->writes == before + 1);
-      bench.loop.advance(99ms);
+      // After 100, 200 and 400 ms, each less up to a quarter.
+      bench.loop.advance(75ms);
       CHECK(sink.health() == Health::faulted);
       CHECK(bench.script->writes == before + 1);
-      bench.loop.advance(1ms);  // 100 ms
+      bench.loop.advance(25ms);
       CHECK(bench.script->writes == before + 2);
       bench.publish(25);
-      bench.loop.advance(200ms);
+      bench.loop.advance(125ms);  // 225 ms
+      CHECK(bench.script->writes == before + 2);
+      bench.loop.advance(75ms);
       CHECK(bench.script->writes == before + 3);
-      bench.loop.advance(399ms);
+      bench.loop.advance(225ms);  // 525 ms
       CHECK(bench.script->writes == before + 3);
-      bench.loop.advance(1ms);
+      bench.loop.advance(175ms);
       CHECK(bench.script->writes > before + 3);
       bench.loop.advance(2s);
       bench.check_all_once();
@@ -89,6 +94,90 @@ TEST_SUITE("sinks") {
       CHECK(bench.errors.size() == 3);
       CHECK(bench.errors.front() == (throws ? "sink script: the writer threw" : "sink script: failed by the script"));
     }
+  }
+
+  TEST_CASE("sinks that fail together do not come back in step") {
+    std::vector<Duration> delays;
+    for (const char* name : {"one", "two", "three", "four"}) {
+      Bench bench;
+      SinkConfig with = config();
+      with.name = name;
+      const Sink sink = bench.make(with);
+      bench.script->failures = 1;
+      bench.publish(10);
+      const MonotonicTime from = bench.loop.now();
+      while (bench.script->rows.empty()) bench.loop.advance(100us);
+      delays.push_back(bench.loop.now() - from);
+      CHECK(delays.back() >= 75ms);
+      CHECK(delays.back() <= 101ms);
+    }
+    CHECK(*std::max_element(delays.begin(), delays.end()) - *std::min_element(delays.begin(), delays.end()) >= 1ms);
+  }
+
+  TEST_CASE("closing in real time waits between its tries, and the deadline ends that wait too") {
+    Loop loop;
+    loop.on_error([](const ErrorReport&) {});
+    const auto script = std::make_shared<Script>();
+    SUBCASE("until they are stored") {
+      script->failures = 3;
+      SinkConfig with = config();
+      with.retry_first = 1ms;
+      Sink sink(loop, with, std::make_unique<ScriptedWriter>(script));
+      loop.topic<Number>("a").publish({1});
+      sink.close();
+      CHECK(script->rows.size() == 1);
+      CHECK(script->has_last_account);
+    }
+    SUBCASE("until the deadline") {
+      script->failures = 1'000'000;
+      SinkConfig with = config();
+      with.retry_first = with.retry_longest = 1h;
+      with.close_deadline = 20ms;
+      Sink sink(loop, with, std::make_unique<ScriptedWriter>(script));
+      loop.topic<Number>("a").publish({1});
+      sink.close();
+      CHECK(loop.runtime().sinks().front().counts.all_dropped() == 1);
+      while (script->writers.load() > 0) std::this_thread::yield();  // the lane does not wait out its hour
+    }
+  }
+
+  TEST_CASE("what a recording holds besides events is bounded while storage stalls, and what is left out is counted") {
+    detail::SinkNotes notes;
+    const Time start{std::chrono::hours{1}};
+    const auto at = [&](std::size_t i) { return start + std::chrono::seconds{i}; };
+    constexpr std::size_t most_gaps = 4096;
+    constexpr std::size_t more = 100;
+    for (std::size_t i = 0; i < most_gaps + more; ++i)
+      notes.add(0, Gap{Gap::Kind::missed, i == 0 ? "loop held" : "still reading", at(i), at(i), 2}, 1);
+    for (std::size_t i = 0; i < detail::SinkNotes::most_segments + more; ++i)
+      notes.add(0, Segment{at(i), std::chrono::seconds{1}, at(i), 1});
+    for (std::size_t i = 0; i < detail::SinkNotes::most_clock_pairs + more; ++i)
+      notes.add(ClockPair{MonotonicTime{std::chrono::seconds{i}}, at(i), "step"});
+    for (std::size_t i = 0; i < detail::SinkNotes::most_errors + more; ++i)
+      notes.add(at(i), "object " + std::to_string(i), Error{Errc::io_failed, "it fails", "", "", ""}, 3);
+    Account account;
+    account.at = at(7);
+    notes.move_into(account);
+    REQUIRE(account.gaps.size() == most_gaps);
+    std::uint64_t ticks = 0;
+    for (const Account::GapEntry& entry : account.gaps) ticks += entry.gap.count;
+    CHECK(ticks == 2 * (most_gaps + more));
+    CHECK(account.gaps.back().gap.last == at(most_gaps + more - 1));
+    CHECK(account.segments.size() == detail::SinkNotes::most_segments);
+    REQUIRE(account.clock.size() == detail::SinkNotes::most_clock_pairs);
+    CHECK(account.clock.back().realtime == at(detail::SinkNotes::most_clock_pairs + more - 1));
+    REQUIRE(account.errors.size() == detail::SinkNotes::most_errors + 3);
+    const auto told = [&](std::string_view what) {
+      for (const Account::ErrorEntry& entry : account.errors)
+        if (entry.text.find(what) != std::string::npos) return entry.count;
+      return std::uint64_t{0};
+    };
+    CHECK(told("not kept: stretches of schedule") == more);
+    CHECK(told("not kept: errors") == 3 * more);
+    CHECK(told("not kept: pairs of clocks") == more);
+    Account next;
+    notes.move_into(next);
+    CHECK(next.is_empty());
   }
 
   TEST_CASE("closing tries on while the deadline lasts") {

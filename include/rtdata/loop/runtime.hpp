@@ -46,11 +46,17 @@ struct SensorStatus {
   SensorCounts counts;
 };
 
+struct TopicDrops {
+  std::string topic;
+  std::uint64_t count = 0;
+};
+
 struct SinkStatus {
   std::string name;
   Health health = Health::ok;
   std::string reason;
   SinkCounts counts;
+  std::vector<TopicDrops> dropped;  ///< of all reasons, for each topic that lost some
 };
 
 struct TopicStatus {

@@ -181,18 +181,10 @@ Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
     }
   }
   std::vector<std::string> remarks;
-  if (auto begun = database.execute("BEGIN IMMEDIATE"); !begun) return std::move(begun).error();
   for (const OpenRun& run : open) {
     auto remark = seal_run(database, run, live);
-    if (!remark) {
-      (void)database.execute("ROLLBACK");
-      return std::move(remark).error();
-    }
+    if (!remark) return std::move(remark).error();
     remarks.push_back(*remark);
-  }
-  if (auto done = database.execute("COMMIT"); !done) {
-    (void)database.execute("ROLLBACK");
-    return std::move(done).error();
   }
   return remarks;
 }

@@ -3,24 +3,18 @@
 #include <sys/statvfs.h>
 #include <unistd.h>
 
-#include <fstream>
-
+#include "loop/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::sqlite {
 namespace {
 
-constexpr int wal_pages_to_checkpoint = 1000;
+constexpr int wal_pages_to_checkpoint = 256;  // 1 MiB: a log that stays small stays in the caches
 constexpr std::uint64_t short_of_space = std::uint64_t{64} << 20;
 constexpr Duration space_interval = std::chrono::seconds{10};
 constexpr Duration limits_interval = std::chrono::seconds{1};
 
-std::string random_uuid() {
-  std::ifstream file("/proc/sys/kernel/random/uuid");
-  std::string uuid;
-  std::getline(file, uuid);
-  return uuid;
-}
+std::string random_uuid() { return detail::first_line("/proc/sys/kernel/random/uuid"); }
 
 std::string host_name() {
   char name[256] = {};
@@ -31,13 +25,14 @@ std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(
 
 void throw_if(const Result<void>& result) { result.or_throw(); }
 
-Result<void> check_format(Database& database, const std::string& path) {
-  auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
-  if (!tables) return std::move(tables).error();
-  if (*tables == 0) return {};
+/// Whether the file is a recording of this format; else it is empty, or an older one.
+Result<bool> has_schema(const Database& database, const std::string& path) {
   auto id = database.integer("PRAGMA application_id");
   if (!id) return std::move(id).error();
   if (*id != application_id) {
+    auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
+    if (!tables) return std::move(tables).error();
+    if (*tables == 0) return false;
     return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database", "choose another path"};
   }
   auto version = database.integer("PRAGMA user_version");
@@ -47,7 +42,7 @@ Result<void> check_format(Database& database, const std::string& path) {
                  "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " + std::to_string(schema_version) + ")",
                  "update rt-data, or choose another path"};
   }
-  return {};
+  return *version == schema_version;
 }
 
 }  // namespace
@@ -60,17 +55,16 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
     throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only", "check the permissions of the file and its folder"});
   }
-  throw_if(check_format(database_, config_.path));
+  const bool is_made = has_schema(database_, config_.path).or_throw();
   live_ = std::move(LiveFile::open(config_.path)).or_throw();
   throw_if(configure());
-  throw_if(begin_run(run));
+  const std::string uuid = random_uuid();
+  throw_if(database_.execute("BEGIN IMMEDIATE"));
+  if (!is_made) throw_if(make_schema());
   remarks = std::move(seal_runs(database_, live_)).or_throw();
-  // Only now is the new run's account begun: sealing has read the old one's.
-  const auto uuid = random_uuid();
-  auto mark = database_.prepare("UPDATE rtdata_run SET uuid = ?, state = 'recording' WHERE run = ?").or_throw();
-  mark.bind(1, uuid).bind(2, run_);
-  throw_if(mark.run());
-  live_.begin(uuid);
+  throw_if(begin_run(run, uuid));
+  throw_if(database_.execute("COMMIT"));
+  live_.begin(uuid);  // only now: sealing has read the last run's account
 }
 
 Result<void> SqliteWriter::configure() {
@@ -93,22 +87,22 @@ Result<void> SqliteWriter::configure() {
   return {};
 }
 
-Result<void> SqliteWriter::begin_run(const RunInfo& run) {
-  std::string sql = "BEGIN IMMEDIATE;";
-  sql += schema;
-  sql += "PRAGMA application_id=" + std::to_string(application_id) + "; PRAGMA user_version=" + std::to_string(schema_version) + "; COMMIT;";
-  if (auto made = database_.execute(sql); !made) {
-    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
-    return made;
-  }
+Result<void> SqliteWriter::make_schema() {
+  return database_.execute(schema + ("PRAGMA application_id=" + std::to_string(application_id)) +
+                           "; PRAGMA user_version=" + std::to_string(schema_version));
+}
+
+Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid) {
   auto insert = database_.prepare(
-      "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, clock_offset, state) "
-      "VALUES('',?,?,?,?,?,?,?,?,?,?,'starting')");
+      "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
+      "clock_offset, state) "
+      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording')");
   if (!insert) return std::move(insert).error();
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
-  insert->bind(1, run.name).bind(2, run.notes).bind(3, run.configuration).bind(4, program).bind(5, host).bind(6, run.boot_id);
-  insert->bind(7, std::int64_t{::getpid()}).bind(8, to_nanoseconds(run.started)).bind(9, to_nanoseconds(run.started)).bind(10, run.clock_offset.count());
+  insert->bind(1, uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
+  insert->bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
+  insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
   return {};

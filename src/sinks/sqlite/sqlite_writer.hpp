@@ -38,7 +38,8 @@ class SqliteWriter final : public Writer {
 
  private:
   Result<void> configure();
-  Result<void> begin_run(const RunInfo& run);
+  Result<void> make_schema();
+  Result<void> begin_run(const RunInfo& run, const std::string& uuid);
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
@@ -70,7 +71,7 @@ class SqliteWriter final : public Writer {
   bool is_closed_ = false;
 };
 
-/// Seals every run that is still marked as recording, in one transaction. The caller holds the lock. `live` holds the
+/// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
 /// counts of the last run, if they survived. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
 

@@ -12,7 +12,7 @@ namespace {
 constexpr std::size_t most_rows_per_statement = 16;
 constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
 constexpr std::size_t most_columns = 1990;      // SQLITE_MAX_COLUMN is 2000
-constexpr int fixed_columns = 4;                // run, time, origin, sequence
+constexpr int fixed_parameters = 3;             // time, origin, sequence
 
 const char* type_of(const Leaf& leaf) {
   switch (leaf.kind) {
@@ -152,9 +152,10 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   TopicTable table;
   table.database_ = &database;
   table.name_ = name;
-  table.run_ = run;
-  std::string into = "INSERT INTO " + quoted(name) + "(run, time, origin, sequence";
-  std::string values = "(?,?,?,?";
+  // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
+  // In the order of the table's columns it moves no value twice.
+  std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
+  std::string values = "(" + std::to_string(run) + ",?,?,?";
   for (const Leaf& leaf : description.leaves()) {
     table.columns_.push_back({leaf.optional == nullptr ? leaf.kind : Kind::record, leaf.offset, &leaf});
     into += ", " + quoted(leaf.path);
@@ -162,17 +163,19 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   }
   into += ") VALUES ";
   values += ")";
-  const std::size_t width = table.columns_.size() + fixed_columns;
-  table.rows_per_statement_ = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
-  std::string many = into;
-  for (std::size_t i = 0; i < table.rows_per_statement_; ++i) many += (i == 0 ? "" : ",") + values;
-  auto one = database.prepare(into + values);
-  if (!one) return std::move(one).error();
-  auto several = database.prepare(many);
-  if (!several) return std::move(several).error();
-  table.one_ = std::move(*one);
-  table.many_ = std::move(*several);
-  table.pending_.reserve(table.rows_per_statement_);
+  const std::size_t width = table.columns_.size() + fixed_parameters;
+  const std::size_t most_rows = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
+  const auto prepare_rows = [&](Insert& insert, std::size_t rows) -> Result<void> {
+    std::string sql = into;
+    for (std::size_t i = 0; i < rows; ++i) sql += (i == 0 ? "" : ",") + values;
+    auto statement = database.prepare(sql);
+    if (!statement) return std::move(statement).error();
+    insert = {std::move(*statement), std::vector<const SlotInfo*>(rows)};
+    return {};
+  };
+  if (auto made = prepare_rows(table.one_, 1); !made) return std::move(made).error();
+  if (auto made = prepare_rows(table.many_, most_rows); !made) return std::move(made).error();
+  table.pending_.reserve(most_rows);
   auto last = database.integer("SELECT max(rowid) FROM " + quoted(name));
   if (!last) return std::move(last).error();
   table.last_rowid_ = *last;
@@ -180,9 +183,8 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
 }
 
 void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) const {
-  sqlite3_bind_int64(statement, index++, run_);
   sqlite3_bind_int64(statement, index++, to_nanoseconds(record.header.time));
-  sqlite3_bind_text64(statement, index++, record.header.origin.data(), record.header.origin.size(), SQLITE_STATIC, SQLITE_UTF8);
+  ++index;  // the origin
   sqlite3_bind_int64(statement, index++, static_cast<std::int64_t>(record.header.sequence));
   const std::byte* payload = record.payload.data();
   for (const Column& column : columns_) {
@@ -205,20 +207,28 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
   }
 }
 
-Result<void> TopicTable::run(Statement& statement, std::span<const Record> records) {
+Result<void> TopicTable::run(Insert& insert, std::span<const Record> records) {
+  sqlite3_stmt* const statement = insert.statement.raw();
+  const SlotInfo** bound = insert.bound.data();
   int index = 1;
   for (const Record& record : records) {
-    bind(statement.raw(), index, record);
-    index += static_cast<int>(columns_.size()) + fixed_columns;
+    if (*bound != record.info) {
+      *bound = record.info;
+      const std::string& origin = record.info->origin;
+      sqlite3_bind_text64(statement, index + 1, origin.data(), origin.size(), SQLITE_STATIC, SQLITE_UTF8);
+    }
+    ++bound;
+    bind(statement, index, record);
+    index += static_cast<int>(columns_.size()) + fixed_parameters;
   }
-  auto done = statement.run();
+  auto done = insert.statement.run();
   if (done) last_rowid_ = database_->last_rowid();
   return done;
 }
 
 Result<void> TopicTable::insert(const Record& record) {
   pending_.push_back(record);
-  if (pending_.size() < rows_per_statement_) return {};
+  if (pending_.size() < many_.bound.size()) return {};
   auto done = run(many_, pending_);
   pending_.clear();
   return done;

@@ -21,8 +21,6 @@ class TopicTable {
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   Result<void> insert(const Record& record);
   Result<void> flush();
-  /// After the transaction was rolled back.
-  void forget() noexcept { pending_.clear(); }
   std::int64_t last_rowid() const noexcept { return last_rowid_; }
   const std::string& name() const noexcept { return name_; }
 
@@ -32,16 +30,19 @@ class TopicTable {
     std::size_t offset;
     const Leaf* leaf;  // for what needs more than its bytes
   };
+  struct Insert {
+    Statement statement;
+    std::vector<const SlotInfo*> bound;  // whose origin each row has: bound anew only when it is another
+  };
+  /// All but the origin.
   void bind(sqlite3_stmt* statement, int first, const Record& record) const;
-  Result<void> run(Statement& statement, std::span<const Record> records);
+  Result<void> run(Insert& insert, std::span<const Record> records);
 
   Database* database_ = nullptr;
   std::string name_;
-  std::int64_t run_ = 0;
   std::vector<Column> columns_;
-  std::size_t rows_per_statement_ = 1;
-  Statement one_;
-  Statement many_;
+  Insert one_;
+  Insert many_;
   std::vector<Record> pending_;
   std::int64_t last_rowid_ = 0;
 };

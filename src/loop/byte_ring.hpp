@@ -1,0 +1,83 @@
+// A bounded ring of records of any size, between one thread that writes and one that reads. No lock, no allocation after it
+// was made.
+#pragma once
+
+#include <atomic>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+namespace rtdata::detail {
+
+class ByteRing {
+ public:
+  /// `bytes` is rounded up to a power of two.
+  explicit ByteRing(std::size_t bytes)
+      : mask_(std::bit_ceil(bytes) - 1), memory_(new(std::align_val_t{64}) std::byte[mask_ + 1]) {}
+  ByteRing(const ByteRing&) = delete;
+  ByteRing& operator=(const ByteRing&) = delete;
+  ~ByteRing() { ::operator delete[](memory_, std::align_val_t{64}); }
+
+  std::size_t capacity() const noexcept { return mask_ + 1; }
+
+  // ---- the writer
+
+  /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, of which the first 4 are the ring's; null
+  /// when there is no room, or when less than `spare` bytes would be left.
+  std::byte* reserve(std::uint32_t bytes, std::size_t spare = 0) noexcept {
+    const std::size_t at = head_ & mask_;
+    const std::size_t to_end = mask_ + 1 - at;
+    const std::size_t skipped = to_end < bytes ? to_end : 0;
+    const std::size_t wanted = skipped + bytes + spare;
+    if (wanted > mask_ + 1 - (head_ - known_tail_)) {
+      known_tail_ = tail_.load(std::memory_order_acquire);
+      if (wanted > mask_ + 1 - (head_ - known_tail_)) return nullptr;
+    }
+    if (skipped != 0) [[unlikely]] {
+      size_at(at) = 0;  // the reader goes on at the beginning
+      head_ += skipped;
+    }
+    std::byte* record = memory_ + (head_ & mask_);
+    size_at(head_ & mask_) = bytes;
+    reserved_ = bytes;
+    return record;
+  }
+  /// The record reserved last is complete.
+  void commit() noexcept {
+    head_ += reserved_;
+    published_head_.store(head_, std::memory_order_release);
+  }
+
+  // ---- the reader
+
+  /// The oldest record, or null. Valid until `pop`.
+  const std::byte* front() noexcept {
+    if (own_tail_ == known_head_) {
+      known_head_ = published_head_.load(std::memory_order_acquire);
+      if (own_tail_ == known_head_) return nullptr;
+    }
+    if (size_at(own_tail_ & mask_) == 0) [[unlikely]] own_tail_ += mask_ + 1 - (own_tail_ & mask_);
+    return memory_ + (own_tail_ & mask_);
+  }
+  void pop() noexcept { own_tail_ += size_at(own_tail_ & mask_); }
+  /// Gives what was popped back to the writer.
+  void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
+
+ private:
+  std::uint32_t& size_at(std::size_t offset) const noexcept { return *reinterpret_cast<std::uint32_t*>(memory_ + offset); }
+
+  const std::size_t mask_;
+  std::byte* const memory_;
+  // the writer's
+  alignas(64) std::size_t head_ = 0;
+  std::size_t known_tail_ = 0;
+  std::size_t reserved_ = 0;
+  alignas(64) std::atomic<std::size_t> published_head_{0};
+  // the reader's
+  alignas(64) std::size_t own_tail_ = 0;
+  std::size_t known_head_ = 0;
+  alignas(64) std::atomic<std::size_t> tail_{0};
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,19 @@
+// When to try again.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string_view>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+/// The delay less up to a quarter of it, which depends on who waits and how often that failed: many that fail together
+/// do not come back in step.
+inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t failures) noexcept {
+  const std::uint64_t hash = std::hash<std::string_view>{}(who) + failures * 2654435761u;
+  return delay - delay / 4 * static_cast<std::int64_t>(hash % 1024) / 1024;
+}
+
+}  // namespace rtdata::detail
