@@ -4,6 +4,7 @@
 
 #include <cstdio>
 #include <cstring>
+#include <ctime>
 #include <memory>
 #include <optional>
 #include <string>
@@ -95,6 +96,19 @@ double file_sink_row(const std::string& folder) {
   return stored_cpu(producer, sink);
 }
 
+/// The rhythm in which the producer publishes batches: both sides find their caches as cold as pauses leave them.
+class Rhythm {
+ public:
+  void wait() {
+    due_ += std::chrono::nanoseconds{batch_period}.count();
+    const timespec until{due_ / 1'000'000'000, due_ % 1'000'000'000};
+    ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr);
+  }
+
+ private:
+  std::int64_t due_ = monotonic_ns();
+};
+
 double file_by_hand_row(const std::string& folder) {
   const Scratch file(folder, "hand.jsonl");
   const int fd = ::open(file.path().c_str(), O_WRONLY | O_CREAT | O_APPEND, 0600);
@@ -102,7 +116,9 @@ double file_by_hand_row(const std::string& folder) {
   const std::int64_t begin = process_cpu_ns();
   std::int64_t time = 1'772'366'400'000'000'000;
   std::uint64_t sequence = 0;
+  Rhythm rhythm;
   for (unsigned batch = 0; batch < batches; ++batch) {
+    rhythm.wait();
     char* to = buffer.data();
     for (unsigned i = 0; i < batch_rows; ++i) to = json_by_hand(to, time += 8000, ++sequence, reading(i));
     for (const char* from = buffer.data(); from < to;) {
@@ -125,7 +141,7 @@ double sqlite_sink_row(const std::string& folder) {
   return stored_cpu(producer, sink);
 }
 
-/// The same table, settings and batches, sixteen rows a statement, the log's checkpoints outside of the commits.
+/// The same table, settings, batches and rhythm, sixteen rows a statement, the log's checkpoints outside of the commits.
 double bare_sqlite_row(const std::string& folder) {
   const Scratch file(folder, "bare.db");
   sqlite3* database = nullptr;
@@ -155,7 +171,9 @@ double bare_sqlite_row(const std::string& folder) {
   const std::int64_t start = process_cpu_ns();
   std::int64_t time = 1'772'366'400'000'000'000;
   std::int64_t sequence = 0;
+  Rhythm rhythm;
   for (unsigned batch = 0; batch < batches; ++batch) {
+    rhythm.wait();
     execute("BEGIN");
     for (unsigned i = 0; i < batch_rows;) {
       const unsigned count = batch_rows - i >= most ? most : 1;
