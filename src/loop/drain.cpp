@@ -2,8 +2,10 @@
 #include <algorithm>
 #include <memory>
 
+#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata {
@@ -22,13 +24,40 @@ class Drain : public std::enable_shared_from_this<Drain> {
     }
     loop_.core().run_due();
     for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop_schedule(loop_.core().handled_until());
-    wait_for_reads();
+    drain_tiers();
   }
 
  private:
   template <class T>
   static std::vector<T> copy(const std::vector<T>& list) {
     return list;
+  }
+
+  /// Tiers first: what they still send is recorded by this loop's sinks.
+  void drain_tiers() {
+    tiers_ = runtime_.tiers.size();
+    if (tiers_ == 0) return wait_for_reads();
+    timer_ = Timer(loop_, [self = shared_from_this()] { self->give_up_tiers(); });
+    timer_.start_at(deadline_);
+    for (detail::TierCore* tier : copy(runtime_.tiers)) {
+      tier->drain(std::max(deadline_ - loop_.now(), Duration{0}), [self = shared_from_this()] {
+        if (--self->tiers_ == 0) self->tiers_done();
+      });
+    }
+  }
+
+  void tiers_done() {
+    if (!are_tiers_waited_for_) return;
+    are_tiers_waited_for_ = false;
+    for (detail::Bridge* bridge : runtime_.inbound) bridge->receive();
+    wait_for_reads();
+  }
+
+  void give_up_tiers() {
+    runtime_.report(&loop_.core(), "loop " + loop_.config().name,
+                    {Errc::timed_out, "tiers did not stop in time", "", std::to_string(tiers_) + " still run a callback",
+                     "look at what held them; what they counted last is not recorded"});
+    tiers_done();
   }
 
   void wait_for_reads() {
@@ -66,6 +95,8 @@ class Drain : public std::enable_shared_from_this<Drain> {
   MonotonicTime deadline_;
   Callback<void(std::uint64_t)> done_;
   Timer timer_;
+  std::size_t tiers_ = 0;  // that are still draining
+  bool are_tiers_waited_for_ = true;
   std::size_t pending_ = 0;
   std::uint64_t lost_ = 0;
 };

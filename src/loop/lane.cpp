@@ -148,7 +148,10 @@ bool Lane::start_worker() noexcept {
     worker_ = std::make_shared<Worker>();
     worker_->loop_wake = loop_.wake_handle();
     // Detached, since it may have to be left behind; `ended` stands for joining.
-    std::thread([worker = worker_] { worker->run(); }).detach();
+    std::thread([worker = worker_, cpus = loop_.worker_cpus] {
+      if (cpus) ::sched_setaffinity(0, sizeof *cpus, &*cpus);
+      worker->run();
+    }).detach();
   } catch (...) {
     worker_ = nullptr;
   }

@@ -8,9 +8,12 @@
 #include <cassert>
 #include <cerrno>
 #include <limits>
+#include <semaphore>
 
+#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/runtime.hpp"
 
@@ -77,7 +80,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
                        reinterpret_cast<uv_handle_t*>(&side_->wake)}) {
     uv_unref(handle);
   }
-  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.loops.empty()) watch_clock();
+  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.loops.empty() && runtime.hub == nullptr) watch_clock();
   handled_until_ = now();
   runtime.loops.push_back(this);
 }
@@ -258,7 +261,7 @@ void LoopCore::moved(Deadline& deadline) {
 void LoopCore::arm() {
   const Deadline* top = deadlines_.top();
   if (manual_ != nullptr) return;
-  const MonotonicTime due = top == nullptr ? MonotonicTime{} : std::max(top->due, MonotonicTime{Duration{1}});
+  const MonotonicTime due = top == nullptr ? MonotonicTime{} : std::max(top->due - config.spin, MonotonicTime{Duration{1}});
   itimerspec spec{};
   spec.it_value.tv_sec = due.time_since_epoch().count() / 1'000'000'000;
   spec.it_value.tv_nsec = due.time_since_epoch().count() % 1'000'000'000;
@@ -276,10 +279,18 @@ MonotonicTime LoopCore::turn_start() noexcept {
   return turn_start_;
 }
 
+void LoopCore::spin_until_due() noexcept {
+  const Deadline* top = deadlines_.top();
+  if (top == nullptr || manual_ != nullptr) return;
+  for (MonotonicTime current = now(); current < top->due && top->due - current <= config.spin; current = now()) {
+  }
+}
+
 void LoopCore::run_due() {
   constexpr int rounds = 4;  // what comes due meanwhile is done at once rather than armed for, but I/O gets its turn
   if (firing_) return;       // asked for by a callback of a deadline
   schedule_.begin_waiting();
+  if (config.spin.count() > 0) spin_until_due();
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {
     const MonotonicTime until = now();
@@ -351,8 +362,13 @@ void LoopCore::deliver_all() { deliver(Budget::none); }
 void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
   schedule_.begin_waiting();
+  start_tiers();
+  for (Bridge* bridge : runtime.outbound) bridge->turn_done();
   if (runtime.has_injected_clock()) runtime.look_at_clock();
-  deliver(Budget::limited);
+  if (ready_first_ != nullptr) {
+    deliver(Budget::limited);
+    for (Bridge* bridge : runtime.outbound) bridge->turn_done();  // what handlers have published
+  }
   if (ready_first_ == nullptr && !turn_is_open_) uv_idle_stop(&side_->idle);
 }
 
@@ -372,6 +388,17 @@ bool LoopCore::has_posted() noexcept {
 }
 
 uv_async_t* LoopCore::wake_handle() noexcept { return &side_->wake; }
+
+void LoopCore::wake() noexcept { uv_async_send(&side_->wake); }
+
+void LoopCore::call_there(Callback<void()> function) {
+  std::binary_semaphore is_done{0};
+  post([&] {
+    function();
+    is_done.release();
+  });
+  is_done.acquire();
+}
 
 void LoopCore::remove(Lane& lane) noexcept {
   const auto found = std::find(all_lanes_.begin(), all_lanes_.end(), &lane);
@@ -394,6 +421,7 @@ void LoopCore::collect_lanes() {
 
 void LoopCore::run_posted() {
   collect_lanes();
+  for (Bridge* bridge : runtime.inbound) bridge->receive();
   {
     const std::lock_guard lock(posted_mutex_);
     running_posted_.swap(posted_);
@@ -411,6 +439,10 @@ void LoopCore::request_stop() noexcept {
   if (attached_) return;
   stop_requested_.store(true, std::memory_order_relaxed);
   uv_async_send(&side_->wake);
+}
+
+void LoopCore::start_tiers() {
+  for (TierCore* tier : runtime.tiers) tier->start_first();
 }
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
@@ -433,6 +465,7 @@ void LoopCore::run() {
                       "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
   }
   const Running running(*this, "cannot run");
+  start_tiers();
   if (manual_ != nullptr) {
     if (!is_stopping()) settle();
     while (!is_stopping() && holds_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
@@ -549,9 +582,25 @@ void LoopCore::report_exception(std::string_view name, const char* what) noexcep
 
 // ---- Node
 
-Node::Node(LoopCore& loop) : loop_(&loop) { loop.link(*this); }
+Node::Node(LoopCore& loop) : loop_(&loop) {
+  if (loop.runs_elsewhere()) {
+    throw SetupError({Errc::busy, "cannot make an object", "loop " + loop.config.name, "it runs on a thread of its own",
+                      "make it before the tier runs, or with tier.call([](rtdata::Loop& loop) { ... })"});
+  }
+  loop.link(*this);
+}
 Node::~Node() {
   if (loop_ != nullptr) loop_->unlink(*this);  // a constructor of a derived class threw
+}
+
+void Node::dispose() noexcept {
+  LoopCore* const loop = loop_;
+  if (loop != nullptr && loop->runs_elsewhere()) {
+    loop->call_there([this] { dispose(); });
+    return;
+  }
+  close();
+  release();
 }
 
 void Node::close() noexcept {

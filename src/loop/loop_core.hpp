@@ -3,8 +3,11 @@
 
 #include <uv.h>
 
+#include <sched.h>
+
 #include <atomic>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -69,6 +72,18 @@ class LoopCore {
   void add_ready(TopicCore& topic);
   void deliver_all();
 
+  /// Makes the loop turn. Thread-safe.
+  void wake() noexcept;
+  // A tier's loop belongs to its thread, also between two runs.
+  void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
+  void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_relaxed); }
+  bool runs_elsewhere() const noexcept {
+    const std::thread::id thread = bound_to_.load(std::memory_order_relaxed);
+    return thread != std::thread::id{} && thread != std::this_thread::get_id();
+  }
+  /// Runs the function on the thread that the loop is bound to, and waits for it.
+  void call_there(Callback<void()> function);
+
   /// Keeps `run` from returning while held.
   void hold() noexcept;
   void unhold() noexcept;
@@ -106,6 +121,8 @@ class LoopCore {
   void add(Lane& lane) { all_lanes_.push_back(&lane); }
   void remove(Lane& lane) noexcept;
   Duration lane_duration{0};
+  /// Where threads of lanes may run, when the loop's own thread is bound to less.
+  std::optional<cpu_set_t> worker_cpus;
   Callback<void(const ErrorReport&)> on_error;
 
   // Nodes list themselves.
@@ -138,7 +155,10 @@ class LoopCore {
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
   void deliver(Budget budget);
   void arm();
+  void spin_until_due() noexcept;
   void run_posted();
+  /// The main loop's.
+  void start_tiers();
   void collect_lanes();
   bool has_posted() noexcept;
   void start_idle() noexcept;
@@ -178,6 +198,7 @@ class LoopCore {
   std::vector<Callback<void()>> running_posted_;
   std::atomic<bool> stop_requested_{false};
   mutable std::atomic<std::thread::id> thread_{};
+  std::atomic<std::thread::id> bound_to_{};
 };
 
 }  // namespace rtdata::detail

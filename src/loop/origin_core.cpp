@@ -16,7 +16,16 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
 
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
   const RuntimeCore& runtime = topic.runtime();
+  if (is_mirror) end = first_due_ + (static_cast<std::int64_t>(counts.scheduled - scheduled_before_) - 1) * period_;
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
+}
+
+void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept {
+  counts = told;
+  sequence = last_sequence;
+  first_due_ = topic.runtime().monotonic_of(under_way.first_due);
+  period_ = under_way.period;
+  scheduled_before_ = told.scheduled - under_way.scheduled;
 }
 
 void OriginCore::end_segment(MonotonicTime end) {
@@ -24,7 +33,7 @@ void OriginCore::end_segment(MonotonicTime end) {
   close_gap();
   const Segment ended = segment(end);
   period_ = Duration{0};
-  for (Recorder* recorder : topic.runtime().recorders) recorder->on_segment(*this, ended);
+  for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
 }
 
 void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
@@ -62,7 +71,7 @@ void OriginCore::close_gap() noexcept {
   if (!gap_is_open_) return;
   const Gap closed = *gap_;
   gap_is_open_ = false;
-  for (Recorder* recorder : topic.runtime().recorders) recorder->on_gap(*this, closed);
+  for (Listener* listener : topic.runtime().listeners) listener->on_gap(*this, closed);
 }
 
 }  // namespace rtdata::detail

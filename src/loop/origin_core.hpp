@@ -11,6 +11,7 @@
 namespace rtdata::detail {
 
 class RuntimeCore;
+class SensorEntry;
 class TopicCore;
 
 class OriginCore {
@@ -53,6 +54,9 @@ class OriginCore {
 
   void close_gap() noexcept;
 
+  /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
+  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
+
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;
   TopicCore& topic;
@@ -61,12 +65,14 @@ class OriginCore {
   Duration late_after{0};
   const std::uint32_t index;  ///< within its topic
   bool is_claimed = false;    ///< a sensor or feed of this name exists now
+  bool is_mirror = false;     ///< it publishes on another loop; what is known of it comes over a bridge
 
  private:
   bool gap_is_open_ = false;
 
  public:
   SensorCounts counts;
+  SensorEntry* sensor = nullptr;  ///< that exists now, if any; feeds too
 
  private:
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last, std::uint64_t count);

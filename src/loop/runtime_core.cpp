@@ -4,6 +4,7 @@
 #include <cctype>
 #include <cstdio>
 
+#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 
 namespace rtdata {
@@ -108,7 +109,7 @@ bool RuntimeCore::look_at_clock(const char* always_source) {
     log(LogLevel::warning, "clock",
         "the time of day was set by " + to_string(moved) + "; recorded times go on without a jump, the step is recorded");
   }
-  for (Recorder* recorder : recorders) recorder->on_clock(pair);
+  for (Listener* listener : listeners) listener->on_clock(pair);
   return true;
 }
 
@@ -162,8 +163,8 @@ TopicCore& RuntimeCore::topic(std::string_view name, PayloadType type) {
     if (!topic_matches(node->pattern(), made.name)) continue;
     if (auto linked = made.link(*node->loop(), *node); !linked) refused.push_back({node->loop(), node->name, std::move(linked).error()});
   }
-  const auto told = recorders;
-  for (Recorder* recorder : told) recorder->on_topic(made);
+  const auto told = listeners;
+  for (Listener* listener : told) listener->on_topic(made);
   for (const Refusal& refusal : refused) report(refusal.loop, refusal.handler, refusal.error);
   return made;
 }
@@ -173,16 +174,15 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     throw SetupError({Errc::bad_name, "cannot make sensor", "\"" + std::string(name) + "\"",
                       "a name has 1 to 200 characters and no control characters", "give it another `name`"});
   }
-  const auto found = origins_.find(name);
-  if (found == origins_.end()) {
-    // Elements of a set are const for the sake of their key, the name, which is const in itself.
-    auto& made = const_cast<OriginCore&>(*origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
-    topic.origins().push_back(&made);
+  OriginCore* const found = find_origin(name);
+  if (found == nullptr) {
+    OriginCore& made = make_origin(name, topic);
     made.is_claimed = true;
+    for (Listener* listener : listeners) listener->on_origin(made);
     return made;
   }
-  auto& known = const_cast<OriginCore&>(*found);
-  if (known.is_claimed) {
+  OriginCore& known = *found;
+  if (known.is_claimed || known.is_mirror) {
     throw SetupError({Errc::busy, "cannot make sensor", std::string(name), "there is one of that name already",
                       "give each sensor a `name` of its own"});
   }
@@ -194,14 +194,49 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
   return known;
 }
 
+OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
+  const auto found = origins_.find(name);
+  // Elements of a set are const for the sake of their key, the name, which is const in itself.
+  return found == origins_.end() ? nullptr : const_cast<OriginCore*>(&*found);
+}
+
+OriginCore& RuntimeCore::make_origin(std::string_view name, TopicCore& topic) {
+  auto& made = const_cast<OriginCore&>(*origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
+  topic.origins().push_back(&made);
+  return made;
+}
+
+OriginCore& RuntimeCore::mirror_origin(std::string_view name, TopicCore& topic) {
+  if (find_origin(name) != nullptr) {
+    throw SetupError({Errc::busy, "cannot take over sensor", std::string(name), "there is one of that name on another tier already",
+                      "give each sensor a `name` of its own"});
+  }
+  OriginCore& made = make_origin(name, topic);
+  made.is_mirror = true;
+  return made;
+}
+
 OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
-  // One for each topic: a sequence belongs to one topic.
-  if (topic.program_origin == nullptr) topic.program_origin = &claim_origin("program:" + topic.name, topic);
+  // One for each topic and loop: a sequence belongs to one topic.
+  if (topic.program_origin == nullptr) {
+    const std::string of_tier = hub != nullptr ? "@" + loops.front()->config.name : "";
+    topic.program_origin = &claim_origin("program:" + topic.name + of_tier, topic);
+  }
   return *topic.program_origin;
 }
 
+SensorStatus status_of(const SensorEntry& sensor) {
+  const OriginCore& origin = sensor.origin();
+  return {origin.name,     origin.topic.name,            sensor.schedule_period(), sensor.is_active(),
+          sensor.health(), std::string(sensor.reason()), origin.counts};
+}
+
 void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) {
-  if (on_log) {
+  if (hub != nullptr && !on_log) {
+    hub->loops.front()->post([hub = hub, level, object = std::string(object), text = std::string(text), id = std::string(error_id)] {
+      hub->log(level, object, text, id);
+    });
+  } else if (on_log) {
     on_log({level, event_time(clock_->monotonic()), object, text, error_id});
   } else if (level >= LogLevel::warning) {
     std::fprintf(stderr, "rtdata: %s: %.*s: %.*s\n", level == LogLevel::error ? "error" : "warning",
@@ -247,7 +282,7 @@ void RuntimeCore::flush_repeats(Repeats which) {
 
 void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept try {
   const Time time = event_time(clock_->monotonic());
-  for (Recorder* recorder : recorders) recorder->on_error(time, object, error, count);
+  for (Listener* listener : listeners) listener->on_error(time, object, error, count);
   if (loop == nullptr && !loops.empty()) loop = loops.front();
   if (loop != nullptr && loop->on_error) {
     // Taken out for the call: it may set another, and an error met in it goes to the log rather than round in a circle.
@@ -277,7 +312,8 @@ void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log =
 
 std::vector<SensorStatus> Runtime::sensors() const {
   std::vector<SensorStatus> all;
-  for (const auto* sensor : core_->sensors) all.push_back(sensor->status());
+  for (const auto* sensor : core_->sensors) all.push_back(detail::status_of(*sensor));
+  for (const auto* bridge : core_->inbound) bridge->add_statuses(all);
   return all;
 }
 
@@ -299,7 +335,7 @@ std::vector<TopicStatus> Runtime::topics() const {
 
 bool Runtime::balances() const {
   for (const detail::OriginCore& origin : core_->origins()) {
-    if (!origin.counts.balances() || origin.counts.published != origin.sequence) return false;
+    if (!origin.counts.balances() || (origin.counts.published != origin.sequence && !origin.is_mirror)) return false;
   }
   for (const SinkStatus& sink : sinks()) {
     if (!sink.counts.balances()) return false;

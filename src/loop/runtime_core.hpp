@@ -13,14 +13,27 @@
 
 namespace rtdata::detail {
 
-/// What wants to know of everything that a recording holds besides events: sinks. Called on the loop's thread.
-class Recorder {
+class Bridge;
+class TierCore;
+
+/// What wants to know of everything that a recording holds besides events. Called on the loop's thread.
+class Listener {
  public:
   virtual void on_topic(TopicCore& topic) = 0;
+  /// One that is new in this run.
+  virtual void on_origin(OriginCore&) {}
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
   virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
   virtual void on_clock(const ClockPair& pair) = 0;
   virtual void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) = 0;
+
+ protected:
+  ~Listener() = default;
+};
+
+/// A sink, as the runtime sees it.
+class Recorder : public Listener {
+ public:
   virtual SinkStatus status() const = 0;
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.
   virtual void drain(MonotonicTime deadline, Callback<void(std::uint64_t lost)> done) = 0;
@@ -34,7 +47,11 @@ class SensorEntry : public Node {
  public:
   using Node::Node;
   virtual void stop() = 0;
-  virtual SensorStatus status() const = 0;
+  virtual const OriginCore& origin() const noexcept = 0;
+  virtual Duration schedule_period() const noexcept = 0;
+  virtual bool is_active() const noexcept = 0;
+  virtual Health health() const noexcept = 0;
+  virtual std::string_view reason() const noexcept = 0;
   /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
   virtual void stop_schedule(MonotonicTime end) = 0;
   virtual bool is_reading() const noexcept = 0;
@@ -48,6 +65,8 @@ struct ByName {
   std::size_t operator()(const auto& one) const noexcept { return std::hash<std::string_view>{}(name(one)); }
   bool operator()(const auto& a, const auto& b) const noexcept { return name(a) == name(b); }
 };
+
+SensorStatus status_of(const SensorEntry& sensor);
 
 /// How a payload reads in errors: the name of its description, or that of its C++ type.
 std::string payload_name(const PayloadType& type);
@@ -78,15 +97,32 @@ class RuntimeCore {
   const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
   /// Claims the origin for one sensor or feed. SetupError (bad-name, busy): the name is taken, or was on another topic.
   OriginCore& claim_origin(std::string_view name, TopicCore& topic);
+  OriginCore* find_origin(std::string_view name) noexcept;
   /// The origin of the program's own events on a topic.
   OriginCore& program_origin(TopicCore& topic);
   const auto& origins() const noexcept { return origins_; }
 
   std::vector<SubscriptionNode*> patterns;  ///< subscriptions that new topics are offered to
-  std::vector<Recorder*> recorders;
+  std::vector<Listener*> listeners;
+  std::vector<Recorder*> recorders;  ///< those of the listeners that are sinks
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
   std::vector<SensorEntry*> sensors;
   std::vector<LoopCore*> loops;
+
+  // Tiers: each has a runtime core of its own, of which this thread touches none but its own; what one publishes comes to
+  // the others through bridges.
+  RuntimeCore* hub = nullptr;       ///< of the main loop; null: this is it
+  std::vector<TierCore*> tiers;     ///< the hub's
+  std::vector<Bridge*> outbound;    ///< from this loop
+  std::vector<Bridge*> inbound;     ///< to this loop
+  /// Puts times on the hub's line.
+  void share_time(const RuntimeCore& of) noexcept {
+    start_ = of.start_;
+    offset_ = of.offset_;
+    last_offset_ = of.last_offset_;
+  }
+  /// What comes from another loop under this name. SetupError (busy): the name is taken here.
+  OriginCore& mirror_origin(std::string_view name, TopicCore& topic);
 
   void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {});
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
@@ -98,6 +134,7 @@ class RuntimeCore {
   Callback<void(const LogRecord&)> on_log;
 
  private:
+  OriginCore& make_origin(std::string_view name, TopicCore& topic);
   struct Repeat {
     std::string object;
     Error error;

@@ -128,6 +128,10 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   RuntimeCore& runtime = loop.runtime;
   if (only != nullptr) {
+    const auto hub_of = [](RuntimeCore& core) { return core.hub != nullptr ? core.hub : &core; };
+    if (&only->runtime() != &runtime && hub_of(only->runtime()) == hub_of(runtime)) {  // the topic's mirror on this tier
+      only = &runtime.topic(only->name, only->type);
+    }
     if (&only->runtime() != &runtime) {
       throw SetupError({Errc::bad_argument, "cannot subscribe", only->name, "the topic belongs to another runtime than the loop",
                         "give both loops one runtime"});

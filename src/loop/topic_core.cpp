@@ -5,6 +5,7 @@
 #include <cstring>
 #include <new>
 
+#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 
@@ -32,14 +33,17 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   if (time <= origin.last_time) time = origin.last_time + Duration{1};
   origin.last_time = time;
   const std::uint64_t sequence = ++origin.sequence;
-  if (!taps_.empty()) offer(origin, {time, sequence, origin.name}, payload);
-  if (links_.empty()) return;
+  if (!taps_.empty() || !channels_out_.empty()) offer(origin, {time, sequence, origin.name}, payload);
+  if (!links_.empty()) enqueue({time, sequence, origin.name}, payload);
+}
+
+inline void TopicCore::enqueue(const EventHeader& header, void* payload) {
   if (head_ - tail_ > mask_) {
     ++dropped_;
     return;
   }
   std::byte* to = slot(head_);
-  ::new (to) EventHeader{time, sequence, origin.name};
+  ::new (to) EventHeader(header);
   if (type.move_construct == nullptr) [[likely]] {
     std::memcpy(to + payload_offset, payload, type.size);
   } else {
@@ -51,6 +55,25 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
 
 void TopicCore::offer(OriginCore& origin, const EventHeader& header, const void* payload) {
   for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, header, payload);
+  for (Channel* channel : channels_out_) channel->send(origin, header, payload);
+}
+
+void TopicCore::receive(OriginCore& mirror, Time time, std::uint64_t sequence, void* payload) {
+  mirror.sequence = sequence;
+  mirror.last_time = time;
+  const EventHeader header{time, sequence, mirror.name};
+  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(mirror, header, payload);
+  if (!links_.empty()) enqueue(header, payload);
+}
+
+void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence) {
+  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->miss(mirror, count, last_sequence);
+  if (!links_.empty()) dropped_ += count;
+}
+
+void TopicCore::tell_sources() noexcept {
+  const bool is_wanted = !taps_.empty() || !links_.empty();
+  for (Channel* channel : channels_in_) channel->set_wanted(is_wanted);
 }
 
 void TopicCore::move_payload(std::byte* to, void* payload) {
@@ -78,9 +101,11 @@ Result<void> TopicCore::link(LoopCore& loop, SubscriptionNode& node) {
   }
   auto map = node.accept(*this);
   if (!map) return std::move(map).error();
+  for (Channel* channel : channels_in_) channel->receive_all();  // published before: not for the new one
   if (slots_ == nullptr) make_ring(runtime_.config.ring_events);
   loop_ = &loop;
   links_.push_back({&node, std::move(*map), head_, head_, dropped_});
+  tell_sources();
   return {};
 }
 
@@ -112,6 +137,7 @@ void TopicCore::unlink(SubscriptionNode& node) noexcept {
     if (link.node == &node) retire(link);
   }
   if (delivering_ == nullptr) std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
+  tell_sources();
 }
 
 void TopicCore::cancel(const OriginCore& origin) noexcept {

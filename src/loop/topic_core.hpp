@@ -10,6 +10,7 @@
 
 namespace rtdata::detail {
 
+class Channel;
 class LoopCore;
 class OriginCore;
 class RuntimeCore;
@@ -18,6 +19,8 @@ class RuntimeCore;
 class Tap {
  public:
   virtual void offer(OriginCore& origin, const EventHeader& header, const void* payload) = 0;
+  /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
+  virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
 
  protected:
   ~Tap() = default;
@@ -38,11 +41,32 @@ class TopicCore {
   /// is moved from when its type is not trivially copyable.
   void publish(OriginCore& origin, Time time, void* payload);
 
+  /// One published on another loop: with the time and number that it got there.
+  void receive(OriginCore& mirror, Time time, std::uint64_t sequence, void* payload);
+  /// See Tap::miss.
+  void miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence);
+
   /// Errors: description-differs.
   Result<void> link(LoopCore& loop, SubscriptionNode& node);
   void unlink(SubscriptionNode& node) noexcept;
-  void add_tap(Tap& tap) { taps_.push_back(&tap); }
-  void remove_tap(Tap& tap) noexcept { std::erase(taps_, &tap); }
+  void add_tap(Tap& tap) {
+    taps_.push_back(&tap);
+    tell_sources();
+  }
+  void remove_tap(Tap& tap) noexcept {
+    std::erase(taps_, &tap);
+    tell_sources();
+  }
+  // Channels to and from the topic of this name on other loops.
+  void add_channel_out(Channel& channel) { channels_out_.push_back(&channel); }
+  void add_channel_in(Channel& channel) {
+    channels_in_.push_back(&channel);
+    tell_sources();
+  }
+  void remove_channel(Channel& channel) noexcept {
+    std::erase(channels_out_, &channel);
+    std::erase(channels_in_, &channel);
+  }
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
   /// Delivers one small group of events to every link, beginning now; returns when it ended.
@@ -71,6 +95,9 @@ class TopicCore {
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;
   };
+  /// Whether anybody here wants events from other loops.
+  void tell_sources() noexcept;
+  void enqueue(const EventHeader& header, void* payload);
   void offer(OriginCore& origin, const EventHeader& header, const void* payload);
   void move_payload(std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
@@ -82,6 +109,8 @@ class TopicCore {
   RuntimeCore& runtime_;
   LoopCore* loop_ = nullptr;
   std::vector<Tap*> taps_;
+  std::vector<Channel*> channels_out_;
+  std::vector<Channel*> channels_in_;
   std::vector<Link> links_;
   std::vector<OriginCore*> origins_;
   std::byte* slots_ = nullptr;

@@ -364,7 +364,7 @@ Health AnySensor::health() const noexcept {
 }
 SensorStatus AnySensor::status() const {
   auto* s = source(node());
-  return s != nullptr ? s->status() : SensorStatus{};
+  return s != nullptr ? detail::status_of(*s) : SensorStatus{};
 }
 CallbackTimes AnySensor::times() const noexcept {
   auto* s = source(node());

@@ -17,16 +17,13 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
     : SensorEntry(loop),
       origin_(loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)))) {
   loop.runtime.sensors.push_back(this);
+  origin_.sensor = this;
 }
 
 void SourceNode::leave() noexcept {
   origin_.is_claimed = false;
+  origin_.sensor = nullptr;
   std::erase(loop()->runtime.sensors, this);
-}
-
-SensorStatus SourceNode::status() const {
-  return {origin_.name, origin_.topic.name, rate().period(), is_running(), health_, rare_ != nullptr ? rare_->reason : std::string(),
-          origin_.counts};
 }
 
 void SourceNode::report(const Error& error) noexcept {

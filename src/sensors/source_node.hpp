@@ -22,10 +22,13 @@ class SourceNode : public SensorEntry {
   virtual Rate rate() const noexcept = 0;
   virtual bool is_running() const noexcept = 0;
   virtual CallbackTimes callback_times() const noexcept { return {}; }
-  SensorStatus status() const override;
+  const OriginCore& origin() const noexcept override { return origin_; }
+  Duration schedule_period() const noexcept override { return rate().period(); }
+  bool is_active() const noexcept override { return is_running(); }
+  Health health() const noexcept override { return health_; }
+  std::string_view reason() const noexcept override { return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view(); }
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
-  Health health() const noexcept { return health_; }
   void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error = std::move(handler); }
 
  protected:

@@ -75,6 +75,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
+    runtime.listeners.push_back(this);
     runtime.recorders.push_back(this);
     notes_.add({loop()->now(), runtime.clock().realtime(), "start"});
     loop()->schedule().add(*this);
@@ -102,6 +103,14 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       std::memcpy(to + sizeof record, payload, topic.type.size);
       queue.commit(record_bytes);
       if (queue.is_batch_due()) sink.flush_rows();
+    }
+    void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override {
+      Slot& slot = origin.index < slots.size() && slots[origin.index] != nullptr ? *slots[origin.index]
+                                                                                 : sink.slot_of(*this, origin);
+      slot.live->offered += count;
+      slot.dropped_newest += count;
+      if (slot.first_sequence == 0) slot.first_sequence = last_sequence - count + 1;
+      slot.last_sequence = last_sequence;
     }
     SinkNode& sink;
     TopicCore& topic;
@@ -365,6 +374,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     retry_.stop();
     queue_->abandon();
     RuntimeCore& runtime = loop()->runtime;
+    std::erase(runtime.listeners, static_cast<Listener*>(this));
     std::erase(runtime.recorders, static_cast<Recorder*>(this));
     last_ = status();
     const std::uint64_t lost = std::exchange(last_->counts.queued, 0);

@@ -36,6 +36,8 @@ class Node {
   }
   bool is_open() const noexcept { return loop_ != nullptr; }
   LoopCore* loop() const noexcept { return loop_; }
+  /// Closes and lets go of it. From another thread than that of its tier while that runs: there, waiting for it.
+  void dispose() noexcept;
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
 
@@ -93,8 +95,7 @@ class Handle {
   /// Rule 2. Harmless on a closed handle.
   void close() noexcept {
     if (detail::Node* node = std::exchange(node_, nullptr)) {
-      node->close();
-      node->release();
+      node->dispose();
     }
   }
   bool is_open() const noexcept { return node_ != nullptr && node_->is_open(); }

@@ -1,0 +1,97 @@
+/// Tier: a loop on a thread of its own, with a scheduling policy, a priority and a processor.
+///
+///     rtdata::Loop loop;                                     // the normal tier: sinks, slow handlers
+///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus = {1}});
+///     rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc);
+///     auto s = loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });   // runs on `loop`
+///     rtdata::SqliteSink sink(loop, {.path = "run.db"});
+///     loop.run();                                            // starts the tier
+///
+/// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring for
+/// each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
+/// publishing side takes no lock and allocates nothing; the other side is woken once, however much waits. Only payloads
+/// that are trivially copyable cross.
+///
+/// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what to
+/// set, and so does the log.
+///
+/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle from another thread while the tier
+/// runs waits for the tier to do it. Reading counts there is for `call` too.
+///
+/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not. Thread: the main loop's.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <type_traits>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/scheduling.hpp"
+
+namespace rtdata {
+
+namespace detail {
+class TierCore;
+}
+
+class Tier {
+ public:
+  struct Config {
+    std::string name = "fast";  ///< in log lines, and of its thread (the first 15 characters)
+    SchedulingPolicy policy = SchedulingPolicy::other;
+    int priority = 0;             ///< 1 to 99 for real-time policies
+    std::vector<int> cpus = {};   ///< processors that it may run on; empty: any
+    bool lock_memory = true;      ///< with a real-time policy: mlockall, so that no page of the process is ever fetched late
+    std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
+    bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, for all processors
+    Duration spin{0};             ///< wait the last stretch before a deadline spinning: costs this long of a processor a tick
+    Duration hold_limit = Loop::Config{}.hold_limit;
+    Duration delivery_budget = Loop::Config{}.delivery_budget;
+    Duration phase_grid = Loop::Config{}.phase_grid;
+    Duration timer_slack = Loop::Config{}.timer_slack;
+    std::size_t ring_bytes = std::size_t{1} << 20;  ///< of each ring from and to another loop
+  };
+
+  /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in
+  /// virtual time, or belongs to a tier; a priority out of range; a name that is taken.
+  Tier(Loop& main, Config config);
+  /// Stops it.
+  ~Tier();
+  Tier(const Tier&) = delete;
+  Tier& operator=(const Tier&) = delete;
+
+  Loop& loop() noexcept;
+  const Config& config() const noexcept;
+
+  /// Begins to turn. The main loop's `run` does it too.
+  void start();
+  /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again.
+  void stop() noexcept;
+  bool is_running() const noexcept;
+
+  /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not
+  /// run, and in its own callbacks. What it throws is thrown here.
+  template <class Function>
+  auto call(Function&& function) {
+    using Returned = std::invoke_result_t<Function&, Loop&>;
+    if constexpr (std::is_void_v<Returned>) {
+      call_erased([&] { function(loop()); });
+    } else {
+      std::unique_ptr<Returned> returned;
+      call_erased([&] { returned = std::make_unique<Returned>(function(loop())); });
+      return std::move(*returned);
+    }
+  }
+
+  /// What it runs with, once started.
+  Scheduling scheduling() const noexcept;
+  /// What was asked for and not granted, and what to set for it.
+  const std::vector<std::string>& warnings() const noexcept;
+
+ private:
+  void call_erased(Callback<void()> function);
+  std::unique_ptr<detail::TierCore> core_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,311 @@
+#include "loop/bridge.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include "loop/loop_core.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr Duration accounts_every = std::chrono::milliseconds{100};
+constexpr std::size_t accounts_at_once = 128;
+
+constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uint32_t>((bytes + 7) / 8 * 8); }
+
+}  // namespace
+
+void Channel::send(OriginCore& origin, const EventHeader& header, const void* payload) {
+  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
+  Passage* passage = passages_[origin.index];
+  if (passage != nullptr) bridge_.send(*passage, header, payload, source_.type.size);
+}
+
+void Channel::receive_all() { bridge_.receive(); }
+
+Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(from), to_(to), ring_(ring_bytes), wants_accounts_(to.runtime.hub == nullptr) {
+  from_.runtime.outbound.push_back(this);
+  to_.runtime.inbound.push_back(this);
+  from_.runtime.listeners.push_back(this);
+  for (const auto& topic : from_.runtime.topics()) {
+    on_topic(*topic);
+    for (OriginCore* origin : topic->origins()) on_origin(*origin);
+  }
+}
+
+Bridge::~Bridge() {
+  from_.remove(reminder_);
+  std::erase(from_.runtime.outbound, this);
+  std::erase(to_.runtime.inbound, this);
+  std::erase(from_.runtime.listeners, static_cast<Listener*>(this));
+  for (Channel& channel : channels_) {
+    channel.source_.remove_channel(channel);
+    if (channel.mirror_ != nullptr) channel.mirror_->remove_channel(channel);
+  }
+}
+
+// ---- the sending side
+
+void Bridge::announce(Announcement announcement) {
+  {
+    const std::lock_guard lock(announced_mutex_);
+    announced_.push_back(std::move(announcement));
+  }
+  has_announced_.store(true, std::memory_order_release);
+  has_news_ = true;
+}
+
+void Bridge::on_topic(TopicCore& topic) {
+  if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return;
+  channels_.emplace_back(*this, topic);
+  topic.add_channel_out(channels_.back());
+  announce({&channels_.back(), nullptr, topic.name, topic.type});
+}
+
+void Bridge::on_origin(OriginCore& origin) {
+  if (origin.is_mirror) return;
+  Channel* channel = channel_of(origin.topic);
+  if (channel == nullptr) return;
+  Passage& passage = passages_.emplace_back();
+  passage.source = &origin;
+  passage.channel = channel;
+  if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
+  channel->passages_[origin.index] = &passage;
+  announce({channel, &passage, origin.name, {}});
+}
+
+Channel* Bridge::channel_of(const TopicCore& topic) noexcept {
+  for (Channel& channel : channels_) {
+    if (&channel.source_ == &topic) return &channel;
+  }
+  return nullptr;
+}
+
+Passage* Bridge::passage_of(const OriginCore& origin) noexcept {
+  if (origin.is_mirror) return nullptr;
+  const Channel* channel = channel_of(origin.topic);
+  return channel != nullptr && origin.index < channel->passages_.size() ? channel->passages_[origin.index] : nullptr;
+}
+
+template <class RecordType>
+RecordType* Bridge::reserve(Sort sort, Passage& passage, std::size_t spare) noexcept {
+  std::byte* room = ring_.reserve(rounded(sizeof(RecordType)), spare);
+  if (room == nullptr) return nullptr;
+  const auto bytes = reinterpret_cast<Record*>(room)->bytes;
+  auto* record = ::new (room) RecordType;
+  record->bytes = bytes;
+  record->sort = sort;
+  record->passage = &passage;
+  record->dropped = passage.dropped;
+  return record;
+}
+
+void Bridge::send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes) {
+  std::byte* room = ring_.reserve(rounded(sizeof(EventRecord) + payload_bytes), spare());
+  if (room == nullptr) {
+    ++passage.dropped;
+    return;
+  }
+  auto& record = *reinterpret_cast<EventRecord*>(room);
+  record.sort = Sort::event;
+  record.passage = &passage;
+  record.dropped = passage.dropped;
+  record.time = header.time;
+  record.sequence = header.sequence;
+  std::memcpy(room + sizeof(EventRecord), payload, payload_bytes);
+  commit();
+}
+
+void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
+  Passage* passage = passage_of(origin);
+  if (passage == nullptr) return;
+  if (auto* record = reserve<GapRecord>(Sort::gap, *passage, 0)) {
+    record->gap = gap;
+    commit();
+  } else {
+    ++notes_lost_;
+  }
+}
+
+void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
+  Passage* passage = passage_of(origin);
+  if (passage == nullptr) return;
+  if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, 0)) {
+    record->segment = segment;
+    commit();
+  } else {
+    ++notes_lost_;
+  }
+}
+
+void Bridge::on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) {
+  to_.post([&to = to_, time, object = std::string(object), error, count] {
+    for (Listener* listener : to.runtime.recorders) listener->on_error(time, object, error, count);
+  });
+}
+
+bool Bridge::send_account(Passage& passage, std::size_t spare) noexcept {
+  const OriginCore& origin = *passage.source;
+  const SensorEntry* sensor = origin.sensor;
+  const SensorCounts& counts = origin.counts;
+  const Health health = sensor != nullptr ? sensor->health() : Health::ok;
+  const bool is_active = sensor != nullptr && sensor->is_active();
+  // Each of these changes with the state, or only grows.
+  const std::uint64_t sum = counts.scheduled + counts.received + counts.taken + counts.failed + origin.sequence + passage.dropped +
+                            (sensor != nullptr ? 1 : 0) + (is_active ? 1 : 0) + static_cast<std::uint64_t>(health);
+  if (sum == passage.told) return true;
+  if (passage.dropped == passage.told_dropped && !wants_accounts_.load(std::memory_order_relaxed)) return true;
+  auto* record = reserve<AccountRecord>(Sort::account, passage, spare);
+  if (record == nullptr) return false;
+  passage.told = sum;
+  passage.told_dropped = passage.dropped;
+  record->counts = counts;
+  record->sequence = origin.sequence;
+  record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
+  record->has_sensor = sensor != nullptr;
+  record->period = sensor != nullptr ? sensor->schedule_period() : Duration{0};
+  record->is_active = is_active;
+  record->health = health;
+  const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
+  const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
+  std::memcpy(record->reason, reason.data(), length);
+  record->reason[length] = '\0';
+  commit();
+  return true;
+}
+
+void Bridge::send_accounts() {
+  for (Passage& passage : passages_) {
+    passage.told = ~std::uint64_t{0};
+    send_account(passage, 0);
+  }
+  accounts_left_ = 0;
+}
+
+void Bridge::send_some_accounts() {
+  for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
+    if (next_account_ >= passages_.size()) next_account_ = 0;
+    if (!send_account(passages_[next_account_], spare())) return;
+    ++next_account_;
+  }
+}
+
+void Bridge::Reminder::fire(MonotonicTime) {
+  bridge.from_.remove(*this);
+  bridge.is_reminded_ = true;
+}
+
+void Bridge::turn_done() {
+  if (!passages_.empty()) {
+    const MonotonicTime now = from_.now();
+    if (!std::exchange(is_reminded_, false)) accounts_left_ = passages_.size();
+    if (now >= next_accounts_) {
+      next_accounts_ = now + accounts_every;
+      send_some_accounts();
+    }
+    if (accounts_left_ > 0 && !reminder_.is_listed()) {
+      reminder_.due = next_accounts_;
+      from_.insert(reminder_);
+    }
+  }
+  if (!has_news_) return;
+  has_news_ = false;
+  if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake();
+}
+
+// ---- the receiving side
+
+void Bridge::hear_announcements() {
+  if (!has_announced_.exchange(false, std::memory_order_acquire)) return;
+  std::vector<Announcement> heard;
+  {
+    const std::lock_guard lock(announced_mutex_);
+    heard.swap(announced_);
+  }
+  for (Announcement& one : heard) {
+    try {
+      if (one.passage == nullptr) {
+        one.channel->mirror_ = &to_.runtime.topic(one.name, std::move(one.type));
+        one.channel->mirror_->add_channel_in(*one.channel);
+      } else if (one.channel->mirror_ != nullptr) {
+        one.passage->mirror = &to_.runtime.mirror_origin(one.name, *one.channel->mirror_);
+        received_.push_back(one.passage);
+      }
+    } catch (const SetupError& e) {
+      to_.runtime.report(&to_, "tier " + from_.config.name, e.error());
+    }
+  }
+}
+
+void Bridge::receive() {
+  if (is_receiving_) return;  // a handler of errors subscribes while this takes events
+  is_receiving_ = true;
+  is_woken_.store(false, std::memory_order_release);
+  std::atomic_thread_fence(std::memory_order_seq_cst);  // what is sent from here on wakes again
+  if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
+  hear_announcements();
+  std::size_t taken = 0;
+  while (const std::byte* front = ring_.front()) {
+    take(*reinterpret_cast<const Record*>(front));
+    ring_.pop();
+    if (++taken % 64 == 0) ring_.release();
+  }
+  ring_.release();
+  is_receiving_ = false;
+}
+
+void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence) {
+  const std::uint64_t more = dropped - passage.known_dropped;
+  if (more == 0) return;
+  passage.known_dropped = dropped;
+  passage.mirror->topic.miss(*passage.mirror, more, last_sequence);
+}
+
+void Bridge::take(const Record& record) {
+  Passage& passage = *record.passage;
+  if (passage.mirror == nullptr) {
+    hear_announcements();  // it was announced before it was sent
+    if (passage.mirror == nullptr) return;  // refused, which was reported
+  }
+  OriginCore& mirror = *passage.mirror;
+  switch (record.sort) {
+    case Sort::event: {
+      const auto& event = static_cast<const EventRecord&>(record);
+      note_drops(passage, event.dropped, event.sequence - 1);
+      // Payloads that cross are trivially copyable: nothing is moved out of it.
+      auto* payload = const_cast<std::byte*>(reinterpret_cast<const std::byte*>(&event) + sizeof(EventRecord));
+      mirror.topic.receive(mirror, event.time, event.sequence, payload);
+      break;
+    }
+    case Sort::gap:
+      for (Listener* listener : to_.runtime.recorders) listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
+      break;
+    case Sort::segment:
+      for (Listener* listener : to_.runtime.recorders) {
+        listener->on_segment(mirror, static_cast<const SegmentRecord&>(record).segment);
+      }
+      break;
+    case Sort::account: {
+      const auto& account = static_cast<const AccountRecord&>(record);
+      note_drops(passage, account.dropped, account.sequence);
+      mirror.mirror(account.counts, account.sequence, account.under_way);
+      passage.period = account.period;
+      passage.is_active = account.is_active;
+      passage.has_sensor = account.has_sensor;
+      passage.health = account.health;
+      if (passage.reason != account.reason) passage.reason = account.reason;
+      break;
+    }
+  }
+}
+
+void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
+  for (const Passage* passage : received_) {
+    if (!passage->has_sensor) continue;
+    all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active, passage->health,
+                   passage->reason, passage->mirror->counts});
+  }
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,179 @@
+// A bridge: takes what is published on one loop to another, through a ring of copies. One for each ordered pair of loops.
+//
+//   1. The sending side hears of each topic and sensor of its loop, and announces it (a short lock; no event is on its way yet).
+//   2. The receiving side makes topic and origin of the same names, the mirrors. Whether anybody there wants the topic's
+//      events is a flag of its channel, which the sending side looks at for each event.
+//   3. Events, gaps, ended segments and accounts go through the ring in the order in which they happened. A full ring drops
+//      the event and counts it with its sensor; the next record of that sensor tells how many there were.
+//   4. After the sending loop's callbacks, the receiving loop is woken once for all that waits.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "loop/byte_ring.hpp"
+#include "loop/deadline.hpp"
+#include "loop/runtime_core.hpp"
+#include "loop/topic_core.hpp"
+
+namespace rtdata::detail {
+
+class Bridge;
+
+/// One sensor (origin) and its mirror.
+struct Passage {
+  OriginCore* source;            // the sending side's
+  Channel* channel;
+  std::uint64_t dropped = 0;     // the sending side's: for want of room in the ring, counted from the beginning
+  std::uint64_t told = 0;        // sum of what its last account said
+  std::uint64_t told_dropped = 0;
+  OriginCore* mirror = nullptr;  // from here on the receiving side's
+  std::uint64_t known_dropped = 0;
+  Duration period{0};
+  bool is_active = false;
+  bool has_sensor = false;
+  Health health = Health::ok;
+  std::string reason;
+};
+
+/// One topic and its mirror.
+class Channel {
+ public:
+  Channel(Bridge& bridge, TopicCore& source) : bridge_(bridge), source_(source) {}
+
+  // The sending side
+  void send(OriginCore& origin, const EventHeader& header, const void* payload);
+
+  // The receiving side
+  void set_wanted(bool is_wanted) noexcept { is_wanted_.store(is_wanted, std::memory_order_relaxed); }
+  void receive_all();
+
+ private:
+  friend class Bridge;
+  Bridge& bridge_;
+  TopicCore& source_;
+  std::vector<Passage*> passages_;  // the sending side's, by the origin's index within the topic
+  std::atomic<bool> is_wanted_{false};
+  TopicCore* mirror_ = nullptr;  // the receiving side's
+};
+
+class Bridge final : public Listener {
+ public:
+  /// While neither loop turns, or on both threads at once as far as anybody can tell: at set-up.
+  Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes);
+  /// As above.
+  ~Bridge();
+  Bridge(const Bridge&) = delete;
+  Bridge& operator=(const Bridge&) = delete;
+
+  LoopCore& from() const noexcept { return from_; }
+  LoopCore& to() const noexcept { return to_; }
+
+  // ---- the sending side
+  void on_topic(TopicCore& topic) override;
+  void on_origin(OriginCore& origin) override;
+  void on_gap(OriginCore& origin, const Gap& gap) override;
+  void on_segment(OriginCore& origin, const Segment& segment) override;
+  void on_clock(const ClockPair&) override {}  // the hub looks at the clock itself
+  void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
+  void send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes);
+  /// The end of a turn of the sending loop: wakes the other side if there is something for it.
+  void turn_done();
+  /// Sends how the sensors do, all of them, now.
+  void send_accounts();
+
+  // ---- the receiving side
+  /// Takes what was sent before the call.
+  void receive();
+  void add_statuses(std::vector<SensorStatus>& all) const;
+
+ private:
+  enum class Sort : std::uint32_t { event, gap, segment, account };
+  struct Record {  // the ring's records begin with it
+    std::uint32_t bytes;  // the ring's
+    Sort sort;
+    Passage* passage;
+    std::uint64_t dropped;
+  };
+  struct EventRecord : Record {
+    Time time;
+    std::uint64_t sequence;
+    // the payload
+  };
+  struct GapRecord : Record {
+    Gap gap;
+  };
+  struct SegmentRecord : Record {
+    Segment segment;
+  };
+  struct AccountRecord : Record {
+    SensorCounts counts;
+    std::uint64_t sequence;
+    Segment under_way;
+    Duration period;
+    bool is_active;
+    bool has_sensor;
+    Health health;
+    char reason[96];
+  };
+  struct Announcement {
+    Channel* channel;
+    Passage* passage;  // null: the channel itself
+    std::string name;
+    PayloadType type;
+  };
+  /// Gaps and segments find this room when events have filled the ring.
+  std::size_t spare() const noexcept { return ring_.capacity() / 8; }
+  Channel* channel_of(const TopicCore& topic) noexcept;
+  Passage* passage_of(const OriginCore& origin) noexcept;
+  template <class RecordType>
+  RecordType* reserve(Sort sort, Passage& passage, std::size_t spare) noexcept;
+  /// False when there is no room for it.
+  bool send_account(Passage& passage, std::size_t spare) noexcept;
+  void send_some_accounts();
+  void commit() noexcept {
+    ring_.commit();
+    has_news_ = true;
+  }
+  void announce(Announcement announcement);
+  void hear_announcements();
+  void take(const Record& record);
+  void note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence);
+
+  LoopCore& from_;
+  LoopCore& to_;
+  ByteRing ring_;
+  std::mutex announced_mutex_;
+  std::vector<Announcement> announced_;
+  std::atomic<bool> has_announced_{false};
+  std::atomic<bool> wants_accounts_;   // the other side has sinks, or is the main loop, which shows them
+  std::atomic<bool> is_woken_{false};  // set by the sender, cleared by the receiver before it looks
+
+  // the sending side
+  std::deque<Channel> channels_;
+  std::deque<Passage> passages_;
+  bool has_news_ = false;
+  /// Accounts are sent some time after something happened, and not while nothing does.
+  struct Reminder final : Deadline {
+    explicit Reminder(Bridge& bridge_) : bridge(bridge_) {}
+    void fire(MonotonicTime) override;
+    Bridge& bridge;
+  };
+  Reminder reminder_{*this};
+  bool is_reminded_ = false;
+  MonotonicTime next_accounts_{};
+  std::size_t next_account_ = 0;
+  std::size_t accounts_left_ = 0;  // to be looked at since something happened last
+  std::uint64_t notes_lost_ = 0;  // gaps and segments that found no room
+
+  // the receiving side
+  std::vector<Passage*> received_;  // those with a mirror
+  bool is_receiving_ = false;
+};
+
+}  // namespace rtdata::detail

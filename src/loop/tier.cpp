@@ -1,0 +1,242 @@
+#include "rtdata/loop/tier.hpp"
+
+#include <alloca.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <sched.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <csignal>
+#include <cstring>
+#include <exception>
+#include <semaphore>
+
+#include "loop/bridge.hpp"
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+Runtime::Config runtime_config(Loop& main) {
+  Runtime::Config config = main.runtime().config();
+  config.configuration.clear();
+  return config;
+}
+
+Loop::Config loop_config(const Tier::Config& tier) {
+  return {.name = tier.name,
+          .delivery_budget = tier.delivery_budget,
+          .hold_limit = tier.hold_limit,
+          .phase_grid = tier.phase_grid,
+          .spin = tier.spin,
+          .timer_slack = tier.timer_slack};
+}
+
+const Tier::Config& checked(Loop& main, const Tier::Config& config) {
+  const auto refuse = [&](Errc code, std::string why, std::string what_to_do) {
+    throw SetupError({code, "cannot make tier", config.name, std::move(why), std::move(what_to_do)});
+  };
+  const RuntimeCore& hub = main.core().runtime;
+  if (main.core().is_manual()) refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
+  if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
+  if (config.name.empty() || config.name == main.config().name) refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
+  for (const TierCore* tier : hub.tiers) {
+    if (tier->config.name == config.name) refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");
+    if (tier->is_running()) refuse(Errc::busy, "tier " + tier->config.name + " runs already", "make all tiers before the main loop runs");
+  }
+  const PriorityRange range = priority_range(config.policy);
+  if (config.priority < range.lowest || config.priority > range.highest) {
+    refuse(Errc::bad_argument, "priority " + std::to_string(config.priority) + " does not go with policy " + std::string(name_of(config.policy)),
+           "use " + std::to_string(range.lowest) + " to " + std::to_string(range.highest));
+  }
+  for (const int cpu : config.cpus) {
+    if (cpu < 0 || cpu >= CPU_SETSIZE) refuse(Errc::bad_argument, "there is no processor " + std::to_string(cpu), "count from 0");
+  }
+  return config;
+}
+
+/// Puts a tier's runtime below that of the main loop.
+Runtime& below(Loop& main, Runtime& runtime) {
+  runtime.core().hub = &main.core().runtime;
+  runtime.core().share_time(main.core().runtime);
+  return runtime;
+}
+
+/// Touches so many bytes of the stack, so that none of its pages is fetched later.
+[[gnu::noinline]] void touch_stack(std::size_t bytes) {
+  auto* memory = static_cast<volatile char*>(alloca(bytes));
+  for (std::size_t i = 0; i < bytes; i += 1024) memory[i] = 0;
+}
+
+}  // namespace
+
+TierCore::TierCore(Loop& main_, Tier::Config config_)
+    : config(checked(main_, config_)), main(main_), runtime(runtime_config(main_)), loop(below(main_, runtime), loop_config(config)) {
+  make_bridges();
+  main.core().runtime.tiers.push_back(this);
+}
+
+void TierCore::make_bridges() {
+  const auto connect = [&](LoopCore& other) {
+    bridges_.push_back(std::make_unique<Bridge>(loop.core(), other, config.ring_bytes));
+    bridges_.push_back(std::make_unique<Bridge>(other, loop.core(), config.ring_bytes));
+  };
+  connect(main.core());
+  for (TierCore* tier : main.core().runtime.tiers) connect(tier->loop.core());
+}
+
+TierCore::~TierCore() {
+  // Bridges to other tiers are taken down while none of the two sides turns.
+  const auto tiers = main.core().runtime.tiers;
+  if (tiers.size() > 1) {
+    for (TierCore* tier : tiers) tier->stop();
+  }
+  stop();
+  for (const TierCore* tier : tiers) {
+    if (tier == this) continue;
+    auto& theirs = const_cast<TierCore*>(tier)->bridges_;
+    std::erase_if(theirs, [this](const auto& bridge) { return &bridge->from() == &loop.core() || &bridge->to() == &loop.core(); });
+  }
+  bridges_.clear();
+  std::erase(main.core().runtime.tiers, this);
+}
+
+void TierCore::warn(const Error& error) {
+  warnings.push_back(error.text());
+  main.core().post([&hub = main.core().runtime, name = "tier " + config.name, text = error.text(), id = std::string(error.id())] {
+    hub.log(LogLevel::warning, name, text, id);
+  });
+}
+
+void TierCore::set_up_thread() {
+  ::pthread_setname_np(::pthread_self(), config.name.substr(0, 15).c_str());
+  if (!config.cpus.empty()) {
+    cpu_set_t set;
+    CPU_ZERO(&set);
+    std::string list;
+    for (const int cpu : config.cpus) {
+      CPU_SET(static_cast<std::size_t>(cpu), &set);
+      list += (list.empty() ? "" : ", ") + std::to_string(cpu);
+    }
+    if (::sched_setaffinity(0, sizeof set, &set) != 0) {
+      warn({Errc::bad_argument, "cannot bind to processors", list, std::strerror(errno),
+            "use processors that this machine has and the process may use; it runs on any"});
+    }
+  }
+  const bool is_real_time = config.policy != SchedulingPolicy::other;
+  if (is_real_time) {
+    if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
+      warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
+            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it runs unlocked"});
+    }
+    touch_stack(config.stack);
+    if (auto set = set_scheduling({config.policy, config.priority}); !set) warn(set.error());
+  }
+  if (config.keep_cpu_awake) {
+    latency_fd_ = ::open("/dev/cpu_dma_latency", O_WRONLY | O_CLOEXEC);
+    const std::int32_t microseconds = 0;
+    if (latency_fd_ < 0 || ::write(latency_fd_, &microseconds, sizeof microseconds) != sizeof microseconds) {
+      warn({Errc::not_permitted, "cannot keep the processor awake", "/dev/cpu_dma_latency", std::strerror(errno),
+            "give the user write access to it, by a udev rule; it runs with deeper idle states"});
+    }
+  }
+  scheduling = current_scheduling();
+}
+
+void TierCore::start() {
+  if (is_running()) return;
+  was_started_ = true;
+  quit_.store(false, std::memory_order_relaxed);
+  warnings.clear();
+  loop.core().hold();
+  ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
+  sigset_t all;
+  sigset_t before;
+  ::sigfillset(&all);
+  ::pthread_sigmask(SIG_SETMASK, &all, &before);  // signals are the main thread's
+  std::binary_semaphore is_set_up{0};
+  try {
+    thread_ = std::thread([this, &is_set_up] {
+      loop.core().bind_to_this_thread();
+      set_up_thread();
+      is_set_up.release();
+      run();
+    });
+    is_set_up.acquire();
+  } catch (const std::system_error& e) {
+    loop.core().unhold();
+    ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+    throw SetupError({Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
+  }
+  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+}
+
+void TierCore::run() {
+  while (!quit_.load(std::memory_order_acquire)) loop.run();  // a callback may have stopped it: a tier ends with its main loop
+}
+
+void TierCore::stop() noexcept {
+  if (!is_running()) return;
+  quit_.store(true, std::memory_order_release);
+  loop.stop();
+  thread_.join();
+  if (latency_fd_ >= 0) ::close(std::exchange(latency_fd_, -1));
+  loop.core().unbind();
+  loop.core().unhold();
+  loop.core().forget_stop();
+  scheduling = {};
+}
+
+void TierCore::call(Callback<void()> function) {
+  if (!loop.core().runs_elsewhere()) return function();
+  std::binary_semaphore is_done{0};
+  std::exception_ptr thrown;
+  loop.post([&] {
+    try {
+      function();
+    } catch (...) {
+      thrown = std::current_exception();
+    }
+    is_done.release();
+  });
+  is_done.acquire();
+  if (thrown) std::rethrow_exception(thrown);
+}
+
+void TierCore::drain(Duration deadline, Callback<void()> done) {
+  const auto send_all = [this] {
+    for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
+  };
+  if (!is_running()) {
+    loop.close(deadline);
+    send_all();
+    return done();
+  }
+  loop.post([this, deadline, send_all, done = std::move(done)]() mutable {
+    loop.drain(deadline, [this, send_all, done = std::move(done)](std::uint64_t) mutable {
+      send_all();
+      main.post(std::move(done));
+    });
+  });
+}
+
+}  // namespace detail
+
+Tier::Tier(Loop& main, Config config) : core_(std::make_unique<detail::TierCore>(main, std::move(config))) {}
+Tier::~Tier() = default;
+Loop& Tier::loop() noexcept { return core_->loop; }
+const Tier::Config& Tier::config() const noexcept { return core_->config; }
+void Tier::start() { core_->start(); }
+void Tier::stop() noexcept { core_->stop(); }
+bool Tier::is_running() const noexcept { return core_->is_running(); }
+void Tier::call_erased(Callback<void()> function) { core_->call(std::move(function)); }
+Scheduling Tier::scheduling() const noexcept { return core_->scheduling; }
+const std::vector<std::string>& Tier::warnings() const noexcept { return core_->warnings; }
+
+}  // namespace rtdata

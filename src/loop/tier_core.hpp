@@ -1,0 +1,56 @@
+// What lies behind a Tier: a thread that runs a loop.
+#pragma once
+
+#include <atomic>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
+
+namespace rtdata::detail {
+
+class Bridge;
+
+class TierCore {
+ public:
+  TierCore(Loop& main, Tier::Config config);
+  ~TierCore();
+  TierCore(const TierCore&) = delete;
+  TierCore& operator=(const TierCore&) = delete;
+
+  void start();
+  /// The main loop turns: starts it, unless somebody did before.
+  void start_first() {
+    if (!was_started_) start();
+  }
+  /// Asks the thread to end, and waits for it.
+  void stop() noexcept;
+  bool is_running() const noexcept { return thread_.joinable(); }
+  void call(Callback<void()> function);
+  /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
+  void drain(Duration deadline, Callback<void()> done);
+
+  const Tier::Config config;
+  Loop& main;
+  Runtime runtime;
+  Loop loop;
+  Scheduling scheduling;  ///< what it runs with, once started
+  std::vector<std::string> warnings;
+
+ private:
+  void make_bridges();
+  void run();
+  void set_up_thread();
+  void warn(const Error& error);
+
+  std::vector<std::unique_ptr<Bridge>> bridges_;  // to and from it; those between it and a later tier are the later one's
+  std::thread thread_;
+  bool was_started_ = false;
+  std::atomic<bool> quit_{false};
+  int latency_fd_ = -1;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,373 @@
+#include <doctest/doctest.h>
+#include <sched.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using namespace std::chrono_literals;
+
+namespace {
+
+struct Count {
+  std::uint64_t number = 0;
+  friend constexpr auto describe(type_tag<Count>) { return record("count", field("number", &Count::number, "1")); }
+};
+
+/// Publishes so many numbers, a burst each millisecond, then stops.
+class Burst {
+ public:
+  Burst(Loop& loop, std::uint64_t total, std::uint64_t at_once, std::string name = "count")
+      : feed_(loop, {.name = name, .topic = "count"}), ticker_(loop, 1ms, [this, total, at_once](const Tick&) {
+          for (std::uint64_t i = 0; i < at_once && next_ < total; ++i) feed_.publish({next_++});
+          if (next_ == total) {
+            ticker_.stop();
+            is_done = true;
+          }
+        }) {}
+  std::atomic<bool> is_done{false};
+
+ private:
+  std::uint64_t next_ = 0;
+  Feed<Count> feed_;
+  Ticker ticker_;
+};
+
+/// Runs the loop until the condition holds; it is looked at every millisecond, for a minute at most.
+template <class Condition>
+bool run_until(Loop& loop, Condition condition) {
+  bool held = false;
+  unsigned looks = 0;
+  Ticker look(loop, 1ms, [&](const Tick&) {
+    held = condition();
+    if (held || ++looks == 60'000) loop.stop();
+  });
+  loop.run();
+  return held;
+}
+
+/// Runs a function in a child process; true when it returned true.
+template <class Function>
+bool in_child(Function function) {
+  const pid_t child = ::fork();
+  if (child == 0) {
+    bool good = false;
+    try {
+      good = function();
+    } catch (...) {
+    }
+    ::_exit(good ? 0 : 1);
+  }
+  int status = -1;
+  ::waitpid(child, &status, 0);
+  return WIFEXITED(status) && WEXITSTATUS(status) == 0;
+}
+
+}  // namespace
+
+TEST_SUITE("tiers") {
+  TEST_CASE("US-33 current, lowest and highest priorities can be asked, and a policy be set") {
+    CHECK(priority_range(SchedulingPolicy::fifo).lowest == 1);
+    CHECK(priority_range(SchedulingPolicy::fifo).highest == 99);
+    CHECK(priority_range(SchedulingPolicy::round_robin).highest == 99);
+    CHECK(priority_range(SchedulingPolicy::other).highest == 0);
+    CHECK(current_scheduling().policy == SchedulingPolicy::other);
+    std::thread([] {
+      const auto set = set_scheduling({SchedulingPolicy::fifo, 3});
+      if (!set) {
+        CHECK(set.error().code == Errc::not_permitted);
+        CHECK(set.error().text().find("limits.conf") != std::string::npos);
+        MESSAGE("skipped: " << set.error().text());
+        return;
+      }
+      CHECK(current_scheduling().policy == SchedulingPolicy::fifo);
+      CHECK(current_scheduling().priority == 3);
+      std::thread([] { CHECK(current_scheduling().policy == SchedulingPolicy::other); }).join();  // not inherited
+      CHECK(set_scheduling({SchedulingPolicy::round_robin, 4}));
+      CHECK(current_scheduling().policy == SchedulingPolicy::round_robin);
+      const auto refused = set_scheduling({SchedulingPolicy::fifo, 100});
+      REQUIRE(!refused);
+      CHECK(refused.error().code == Errc::bad_argument);
+    }).join();
+  }
+
+  TEST_CASE("US-16 what a tier publishes reaches handlers of the main loop, all of it, in order, on their thread") {
+    Loop loop;
+    Tier fast(loop, {});
+    Burst burst(fast.loop(), 5000, 10);
+    std::vector<std::uint64_t> seen;
+    std::uint64_t elsewhere = 0;
+    const auto main_thread = std::this_thread::get_id();
+    auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>& event) {
+      seen.push_back(event->number);
+      if (std::this_thread::get_id() != main_thread || event.origin != "count" || event.sequence != event->number + 1) ++elsewhere;
+    });
+    CHECK(run_until(loop, [&] { return burst.is_done && seen.size() + subscription.counts().dropped == 5000; }));
+    const auto counts = subscription.counts();
+    CHECK(counts.balances());
+    CHECK(counts.offered == 5000);
+    CHECK(seen.size() == counts.delivered);
+    CHECK(std::is_sorted(seen.begin(), seen.end()));
+    CHECK(elsewhere == 0);
+  }
+
+  TEST_CASE("US-16 what the main loop publishes reaches handlers of a tier, and one tier's those of another") {
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    Tier slow(loop, {.name = "slow"});
+    Feed<Count> feed(loop, {.name = "main", .topic = "main"});
+    std::atomic<unsigned> on_fast{0};
+    std::atomic<unsigned> on_slow{0};
+    Feed<Count> echo(fast.loop(), {.name = "echo"});
+    auto a = fast.loop().subscribe<Count>("main", [&](const Event<Count>& event) {
+      ++on_fast;
+      echo.publish(*event);
+    });
+    auto b = slow.loop().subscribe<Count>("echo", [&](const Event<Count>&) { ++on_slow; });
+    unsigned sent = 0;
+    Ticker ticker(loop, 1ms, [&](const Tick&) {
+      if (sent < 100) feed.publish({sent++});
+    });
+    CHECK(run_until(loop, [&] { return on_slow == 100; }));
+    CHECK(on_fast == 100);
+  }
+
+  TEST_CASE("US-25 a full ring drops the new events and counts each with the subscription that misses it") {
+    Loop loop;
+    Tier fast(loop, {.ring_bytes = 4096});
+    Burst burst(fast.loop(), 20'000, 1000);
+    std::uint64_t delivered = 0;
+    auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
+      if (delivered++ == 0) std::this_thread::sleep_for(50ms);
+    });
+    CHECK(run_until(loop, [&] { return burst.is_done && subscription.counts().offered == 20'000 && subscription.counts().queued == 0; }));
+    const auto counts = subscription.counts();
+    CHECK(counts.offered == 20'000);
+    CHECK(counts.delivered == delivered);
+    CHECK(counts.dropped > 0);
+    CHECK(counts.balances());
+    loop.close();
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-28 a handler that subscribes while a tier publishes sees nothing from before") {
+    Loop loop;
+    Tier fast(loop, {});
+    Burst burst(fast.loop(), 3000, 3);
+    Subscription first = loop.subscribe<Count>("count", [](const Event<Count>&) {});
+    unsigned rounds = 0;
+    unsigned past = 0;
+    Subscription again;
+    Ticker ticker(loop, 5ms, [&](const Tick&) {
+      const Time from = loop.time();
+      again = loop.subscribe<Count>("count", [&, from](const Event<Count>& event) {
+        if (event.time + 1ms < from) ++past;
+      });
+      ++rounds;
+    });
+    CHECK(run_until(loop, [&] { return burst.is_done && rounds > 20; }));
+    CHECK(past == 0);
+    again.close();
+    ticker.close();
+    CHECK(run_until(loop, [&] { return first.counts().queued == 0; }));
+    CHECK(first.counts().balances());
+  }
+
+  TEST_CASE("US-8 a handle may be closed from the main thread while its tier runs") {
+    Loop loop;
+    std::atomic<std::uint64_t> reads{0};
+    Tier fast(loop, {});
+    Sensor<Count> sensor(fast.loop(), {.name = "reader", .rate = 1_kHz}, [&] { return Count{++reads}; });
+    std::uint64_t seen = 0;
+    auto subscription = loop.subscribe<Count>("reader", [&](const Event<Count>&) { ++seen; });
+    CHECK(run_until(loop, [&] { return seen > 20; }));
+    sensor.close();
+    const std::uint64_t after = reads;
+    loop.run_for(20ms);
+    CHECK(reads == after);
+    CHECK(fast.call([](Loop& on) { return on.runtime().sensors().size(); }) == 0);
+  }
+
+  TEST_CASE("objects are made on a running tier in call(), which returns and throws what its function does") {
+    Loop loop;
+    Tier fast(loop, {});
+    fast.start();
+    CHECK(fast.is_running());
+    CHECK_THROWS_AS(Feed<Count>(fast.loop(), {.name = "wrong thread"}), SetupError);
+    auto feed = fast.call([](Loop& on) { return Feed<Count>(on, {.name = "made.there"}); });
+    CHECK(fast.call([](Loop& on) { return on.runtime().sensors().at(0).name; }) == "made.there");
+    CHECK_THROWS_WITH(fast.call([](Loop&) { throw std::runtime_error("from the tier"); }), "from the tier");
+    const auto thread = fast.call([](Loop&) { return std::this_thread::get_id(); });
+    CHECK(thread != std::this_thread::get_id());
+    fast.stop();
+    CHECK_FALSE(fast.is_running());
+    CHECK(fast.call([](Loop&) { return std::this_thread::get_id(); }) == std::this_thread::get_id());
+    fast.start();
+    CHECK(fast.call([](Loop& on) { return on.runtime().sensors().size(); }) == 1);
+  }
+
+  TEST_CASE("a tier that cannot be made says why") {
+    Loop loop;
+    Loop manual(Loop::Manual{});
+    CHECK_THROWS_AS(Tier(manual, {}), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.name = "main"}), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.name = ""}), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::fifo, .priority = 0}), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::other, .priority = 5}), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.cpus = {-1}}), SetupError);
+    Tier fast(loop, {.name = "fast"});
+    CHECK_THROWS_AS(Tier(loop, {.name = "fast"}), SetupError);
+    CHECK_THROWS_AS(Tier(fast.loop(), {.name = "below"}), SetupError);
+    fast.start();
+    CHECK_THROWS_AS(Tier(loop, {.name = "late"}), SetupError);
+  }
+
+  TEST_CASE("US-33 a system without any permission warns what to set, and runs on") {
+    CHECK(in_child([] {
+      if (::geteuid() == 0 && (::setgid(65534) != 0 || ::setuid(65534) != 0)) return false;
+      Loop loop;
+      std::vector<std::string> logged;
+      loop.runtime().on_log([&](const LogRecord& record) { logged.emplace_back(record.text); });
+      Tier fast(loop, {.policy = SchedulingPolicy::fifo, .priority = 80, .cpus = {4000 % CPU_SETSIZE}, .keep_cpu_awake = true});
+      Burst burst(fast.loop(), 100, 10);
+      std::uint64_t seen = 0;
+      auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) { ++seen; });
+      const bool all = run_until(loop, [&] { return seen == 100; });
+      bool says_limits = false;
+      for (const std::string& warning : fast.warnings()) says_limits = says_limits || warning.find("limits.conf") != std::string::npos;
+      return all && says_limits && fast.warnings().size() >= 3 && logged.size() >= 3 &&
+             fast.scheduling().policy == SchedulingPolicy::other;
+    }));
+  }
+
+  TEST_CASE("US-33 a tier has the policy, priority, name and processor that it was given, its lanes have not") {
+    Loop loop;
+    Tier fast(loop, {.name = "pressure-loop-of-the-bench", .policy = SchedulingPolicy::round_robin, .priority = 7, .cpus = {0}});
+    fast.start();
+    if (fast.scheduling().policy != SchedulingPolicy::round_robin) {
+      MESSAGE("skipped: no permission: " << (fast.warnings().empty() ? "" : fast.warnings().front()));
+      return;
+    }
+    CHECK(fast.scheduling().priority == 7);
+    const auto [cpu, child] = fast.call([](Loop&) {
+      Scheduling inherited;
+      std::thread([&] { inherited = current_scheduling(); }).join();
+      return std::pair{::sched_getcpu(), inherited};
+    });
+    CHECK(cpu == 0);
+    CHECK(child.policy == SchedulingPolicy::other);
+  }
+
+  TEST_CASE("NFR-1 a handler that blocks the main loop costs its tier nothing but a queue") {
+    Loop loop;
+    Tier fast(loop, {});
+    std::atomic<std::uint64_t> reads{0};
+    Sensor<Count> sensor(fast.loop(), {.name = "reader", .rate = 1_kHz}, [&] { return Count{++reads}; });
+    std::uint64_t seen = 0;
+    std::uint64_t reads_while_blocked = 0;
+    auto subscription = loop.subscribe<Count>("reader", [&](const Event<Count>&) {
+      if (seen++ != 10) return;
+      const std::uint64_t before = reads;
+      for (int i = 0; i < 1000 && reads < before + 20; ++i) std::this_thread::sleep_for(1ms);
+      reads_while_blocked = reads - before;
+    });
+    CHECK(run_until(loop, [&] { return seen > 50; }));
+    CHECK(reads_while_blocked >= 20);
+    loop.close();
+    CHECK(loop.runtime().balances());
+    const auto status = loop.runtime().sensors();
+    REQUIRE(status.size() == 1);
+    CHECK(status[0].counts.balances());
+    CHECK(status[0].counts.published == reads);
+    CHECK(subscription.counts().offered == status[0].counts.published);
+  }
+
+  TEST_CASE("errors and log lines of a tier come out on the main loop") {
+    Loop loop;
+    std::vector<std::string> told;
+    loop.runtime().on_log([&](const LogRecord& record) { told.push_back(std::string(record.object) + ": " + std::string(record.text)); });
+    Tier fast(loop, {});
+    Sensor<Count> sensor(fast.loop(), {.name = "broken", .rate = 100_Hz}, []() -> Result<Count> {
+      return Error{Errc::disconnected, "cannot read", "the device", "it is gone", ""};
+    });
+    CHECK(run_until(loop, [&] {
+      return std::any_of(told.begin(), told.end(), [](const std::string& line) { return line.find("it is gone") != std::string::npos; });
+    }));
+    CHECK(run_until(loop, [&] {
+      const auto sensors = loop.runtime().sensors();
+      return sensors.size() == 1 && sensors[0].health == Health::faulted && sensors[0].reason.find("it is gone") != std::string::npos;
+    }));
+  }
+
+  TEST_CASE("a tier may go while its events are under way, and before or after its handles") {
+    Loop loop;
+    std::uint64_t seen = 0;
+    auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) { ++seen; });
+    for (int round = 0; round < 5; ++round) {
+      auto fast = std::make_unique<Tier>(loop, Tier::Config{});
+      auto burst = std::make_unique<Burst>(fast->loop(), 1'000'000, 50, "count" + std::to_string(round));
+      CHECK(run_until(loop, [&, from = seen] { return seen > from + 100; }));
+      if (round % 2 == 0) burst.reset();
+      fast.reset();
+    }
+    loop.run_for(5ms);
+    CHECK(subscription.counts().balances());
+  }
+
+  TEST_CASE("a million events to a subscriber that is too slow: each is delivered or counted") {
+    Loop loop;
+    Tier fast(loop, {});
+    Burst burst(fast.loop(), 1'000'000, 20'000);
+    std::uint64_t seen = 0;
+    auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
+      if (++seen % 1000 == 0) std::this_thread::sleep_for(1ms);
+    });
+    CHECK(run_until(loop, [&] {
+      const auto counts = subscription.counts();
+      return burst.is_done && counts.offered == 1'000'000 && counts.queued == 0;
+    }));
+    const auto counts = subscription.counts();
+    CHECK(counts.delivered == seen);
+    CHECK(counts.balances());
+  }
+
+  TEST_CASE("NFR-4 everything works on one processor") {
+    CHECK(in_child([] {
+      cpu_set_t one;
+      CPU_ZERO(&one);
+      CPU_SET(0, &one);
+      if (::sched_setaffinity(0, sizeof one, &one) != 0) return false;
+      Loop loop;
+      Tier fast(loop, {.policy = SchedulingPolicy::fifo, .priority = 10});
+      Burst burst(fast.loop(), 2000, 10);
+      auto subscription = loop.subscribe<Count>("count", [](const Event<Count>&) {});
+      const bool all = run_until(loop, [&] { return burst.is_done && subscription.counts().offered == 2000 && subscription.counts().queued == 0; });
+      return all && subscription.counts().balances();
+    }));
+  }
+
+  TEST_CASE("spinning ends at the deadline and leaves the schedule as it is") {
+    Loop loop;
+    Tier fast(loop, {.spin = 200us});
+    std::atomic<unsigned> early{0};
+    std::atomic<unsigned> ticks{0};
+    Ticker ticker(fast.loop(), 2ms, [&](const Tick& tick) {
+      if (tick.now < tick.due) ++early;
+      ++ticks;
+    });
+    CHECK(run_until(loop, [&] { return ticks > 20; }));
+    CHECK(early == 0);
+  }
+}
