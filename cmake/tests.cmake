@@ -19,6 +19,16 @@ foreach(suite data loop sensors sinks config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
 
+# Run by script/test --all in the kernel bench, with real drivers.
+if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
+  rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources)
+  add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
+  target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
+  target_include_directories(rtdata_kernel_tests PRIVATE tests src)
+  target_compile_definitions(rtdata_kernel_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+  add_dependencies(rtdata_kernel_tests rtdata_main)
+endif()
+
 # Replaces operator new and delete, so it is a program of its own; the sanitizers replace them too.
 if(NOT RTDATA_SANITIZE)
   add_executable(rtdata_allocation_tests tests/loop/allocation_test.cpp)

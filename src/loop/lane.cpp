@@ -2,7 +2,6 @@
 
 #include <pthread.h>
 #include <semaphore.h>
-#include <uv.h>
 
 #include <algorithm>
 #include <array>
@@ -29,7 +28,7 @@ struct Lane::Worker {
   std::mutex mutex;
   std::condition_variable ended_signal;
   std::condition_variable job_finished;
-  uv_async_t* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
+  Wake* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
 
   Worker() { ::sem_init(&wake, 0, 0); }
   ~Worker() { ::sem_destroy(&wake); }
@@ -66,7 +65,7 @@ struct Lane::Worker {
       job->run();
       job->state_.store(LaneJob::finished, std::memory_order_release);
       const std::lock_guard lock(mutex);
-      if (loop_wake != nullptr) uv_async_send(loop_wake);
+      if (loop_wake != nullptr) loop_wake->send();
       job_finished.notify_all();
     }
     const std::lock_guard lock(mutex);
@@ -146,7 +145,7 @@ bool Lane::start_worker() noexcept {
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // signals are the program's; a worker takes none
   try {
     worker_ = std::make_shared<Worker>();
-    worker_->loop_wake = loop_.wake_handle();
+    worker_->loop_wake = &loop_.wake();
     // Detached, since it may have to be left behind; `ended` stands for joining.
     std::thread([worker = worker_, cpus = loop_.worker_cpus] {
       if (cpus) ::sched_setaffinity(0, sizeof *cpus, &*cpus);

@@ -27,7 +27,8 @@ struct LoopCore::UvSide {
   uv_poll_t timer{};
   uv_check_t check{};
   uv_idle_t idle{};
-  uv_async_t wake{};
+  Wake wake;
+  uv_poll_t wake_poll{};
   int clock_fd = -1;
   uv_poll_t clock{};
   int open_handles = 0;
@@ -77,7 +78,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
   });
   uv_check_start(&side_->check, [](uv_check_t* handle) { static_cast<UvSide*>(handle->data)->core->turn_done(); });
   for (auto* handle : {reinterpret_cast<uv_handle_t*>(&side_->timer), reinterpret_cast<uv_handle_t*>(&side_->check),
-                       reinterpret_cast<uv_handle_t*>(&side_->wake)}) {
+                       reinterpret_cast<uv_handle_t*>(&side_->wake_poll)}) {
     uv_unref(handle);
   }
   if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.loops.empty() && runtime.hub == nullptr) watch_clock();
@@ -98,20 +99,20 @@ void LoopCore::make_side() {
     give_up();
     throw SetupError(system_error(failure, "cannot make a loop", "timerfd_create"));
   }
-  const auto on_wake = [](uv_async_t* handle) {
-    LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
-    core.run_posted();
-    if (!core.attached_ && core.stop_requested_.load(std::memory_order_relaxed)) uv_stop(core.uv_loop_);
-  };
-  int status = uv_async_init(uv_loop_, &side->wake, on_wake);
+  if (!side->wake.open()) {
+    const int number = errno;
+    give_up();
+    throw SetupError(system_error(number, "cannot make a loop", "eventfd"));
+  }
+  int status = uv_poll_init(uv_loop_, &side->wake_poll, side->wake.fd());
   if (status != 0) {
     give_up();
-    throw_uv(status, "cannot make a wake-up");
+    throw_uv(status, "cannot watch for wake-ups");
   }
   status = uv_poll_init(uv_loop_, &side->timer, side->timer_fd);
   if (status != 0) {
     UvSide* abandoned = side.release();
-    abandoned->close(abandoned->wake);
+    abandoned->close(abandoned->wake_poll);
     if (!attached_) {
       uv_run(&own_loop_, UV_RUN_NOWAIT);
       uv_loop_close(&own_loop_);
@@ -121,7 +122,13 @@ void LoopCore::make_side() {
   side_ = side.release();
   uv_check_init(uv_loop_, &side_->check);
   uv_idle_init(uv_loop_, &side_->idle);
-  side_->timer.data = side_->check.data = side_->idle.data = side_->wake.data = side_;
+  side_->timer.data = side_->check.data = side_->idle.data = side_->wake_poll.data = side_;
+  uv_poll_start(&side_->wake_poll, UV_READABLE, [](uv_poll_t* handle, int, int) {
+    LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
+    core.side_->wake.answer();
+    core.run_posted();
+    if (!core.attached_ && core.stop_requested_.load(std::memory_order_relaxed)) uv_stop(core.uv_loop_);
+  });
 }
 
 void LoopCore::watch_clock() {
@@ -177,7 +184,7 @@ LoopCore::~LoopCore() {
   side_->close(side_->timer);
   side_->close(side_->check);
   side_->close(side_->idle);
-  side_->close(side_->wake);
+  side_->close(side_->wake_poll);
   if (side_->clock_fd >= 0) side_->close(side_->clock);
   if (!attached_) {
     bool is_closed = false;
@@ -206,11 +213,11 @@ void LoopCore::assert_thread() const noexcept {
 }
 
 void LoopCore::hold() noexcept {
-  if (holds_++ == 0) uv_ref(reinterpret_cast<uv_handle_t*>(&side_->wake));
+  if (holds_++ == 0) uv_ref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
 
 void LoopCore::unhold() noexcept {
-  if (--holds_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake));
+  if (--holds_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
 
 void LoopCore::link(Node& node) noexcept {
@@ -379,7 +386,7 @@ void LoopCore::post(Callback<void()> function) {
     const std::lock_guard lock(posted_mutex_);
     posted_.push_back(std::move(function));
   }
-  uv_async_send(&side_->wake);
+  side_->wake.send();
 }
 
 bool LoopCore::has_posted() noexcept {
@@ -387,7 +394,7 @@ bool LoopCore::has_posted() noexcept {
   return !posted_.empty();
 }
 
-uv_async_t* LoopCore::wake_handle() noexcept { return &side_->wake; }
+Wake& LoopCore::wake() noexcept { return side_->wake; }
 
 void LoopCore::wake() noexcept { uv_async_send(&side_->wake); }
 
@@ -438,7 +445,7 @@ void LoopCore::run_posted() {
 void LoopCore::request_stop() noexcept {
   if (attached_) return;
   stop_requested_.store(true, std::memory_order_relaxed);
-  uv_async_send(&side_->wake);
+  side_->wake.send();
 }
 
 void LoopCore::start_tiers() {

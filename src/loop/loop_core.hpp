@@ -13,6 +13,7 @@
 
 #include "loop/deadline.hpp"
 #include "loop/schedule.hpp"
+#include "loop/wake.hpp"
 #include "rtdata/loop/handle.hpp"
 #include "rtdata/loop/loop.hpp"
 
@@ -116,7 +117,7 @@ class LoopCore {
 
   /// Lanes by key: one per physical device; made when first asked for.
   Lane& lane(const std::string& key, Duration give_up_after);
-  uv_async_t* wake_handle() noexcept;
+  Wake& wake() noexcept;
   // Lanes list themselves, to be told of finished jobs.
   void add(Lane& lane) { all_lanes_.push_back(&lane); }
   void remove(Lane& lane) noexcept;

@@ -13,7 +13,7 @@ version = re.search(r"project\(rtdata VERSION ([\d.]+)", cmake).group(1)
 if f"version: '{version}'" not in meson:
     problems.append(f"CMake builds version {version}, meson another")
 
-lists = sorted(p.relative_to(root).as_posix() for p in root.glob("src/**/*.sources")) + ["tests/tests.sources"]
+lists = sorted(p.relative_to(root).as_posix() for folder in ("src", "tests") for p in root.glob(f"{folder}/**/*.sources"))
 for name in lists:
     for build, text in (("CMake", cmake), ("meson", meson)):
         if name not in text:

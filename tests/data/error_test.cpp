@@ -38,5 +38,7 @@ TEST_SUITE("data") {
     Result<int> good = 3;
     CHECK(good.or_throw() == 3);
     CHECK_NOTHROW(Result<void>().or_throw());
+    // The value outlives a temporary result, so that it can be looped over.
+    static_assert(std::is_same_v<decltype(Result<std::string>("").or_throw()), std::string>);
   }
 }

@@ -113,7 +113,7 @@ class [[nodiscard]] Result {
     if (!has_value()) throw SetupError(error());
     return value();
   }
-  T&& or_throw() && {
+  T or_throw() && {  // by value: it outlives the result in the head of a for loop
     if (!has_value()) throw SetupError(std::move(*this).error());
     return std::move(*this).value();
   }
