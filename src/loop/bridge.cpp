@@ -22,8 +22,6 @@ void Channel::send(OriginCore& origin, const EventHeader& header, const void* pa
   if (passage != nullptr) bridge_.send(*passage, header, payload, source_.type.size);
 }
 
-void Channel::receive_all() { bridge_.receive(); }
-
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(from), to_(to), ring_(ring_bytes), wants_accounts_(to.runtime.hub == nullptr) {
   from_.runtime.outbound.push_back(this);
   to_.runtime.inbound.push_back(this);
@@ -211,7 +209,7 @@ void Bridge::turn_done() {
   }
   if (!has_news_) return;
   has_news_ = false;
-  if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake();
+  if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake().send();
 }
 
 // ---- the receiving side

@@ -51,14 +51,13 @@ class Channel {
 
   // The receiving side
   void set_wanted(bool is_wanted) noexcept { is_wanted_.store(is_wanted, std::memory_order_relaxed); }
-  void receive_all();
 
  private:
   friend class Bridge;
   Bridge& bridge_;
   TopicCore& source_;
   std::vector<Passage*> passages_;  // the sending side's, by the origin's index within the topic
-  std::atomic<bool> is_wanted_{false};
+  std::atomic<bool> is_wanted_{true};  // until the other side has heard of it
   TopicCore* mirror_ = nullptr;  // the receiving side's
 };
 

@@ -37,10 +37,10 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void drain_tiers() {
     tiers_ = runtime_.tiers.size();
     if (tiers_ == 0) return wait_for_reads();
-    timer_ = Timer(loop_, [self = shared_from_this()] { self->give_up_tiers(); });
-    timer_.start_at(deadline_);
+    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;  // the sinks need time too
+    timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      tier->drain(std::max(deadline_ - loop_.now(), Duration{0}), [self = shared_from_this()] {
+      tier->drain(share, [self = shared_from_this()] {
         if (--self->tiers_ == 0) self->tiers_done();
       });
     }

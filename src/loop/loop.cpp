@@ -396,8 +396,6 @@ bool LoopCore::has_posted() noexcept {
 
 Wake& LoopCore::wake() noexcept { return side_->wake; }
 
-void LoopCore::wake() noexcept { uv_async_send(&side_->wake); }
-
 void LoopCore::call_there(Callback<void()> function) {
   std::binary_semaphore is_done{0};
   post([&] {

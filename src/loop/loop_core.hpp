@@ -73,8 +73,6 @@ class LoopCore {
   void add_ready(TopicCore& topic);
   void deliver_all();
 
-  /// Makes the loop turn. Thread-safe.
-  void wake() noexcept;
   // A tier's loop belongs to its thread, also between two runs.
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
   void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_relaxed); }

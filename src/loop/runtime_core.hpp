@@ -105,6 +105,14 @@ class RuntimeCore {
   std::vector<SubscriptionNode*> patterns;  ///< subscriptions that new topics are offered to
   std::vector<Listener*> listeners;
   std::vector<Recorder*> recorders;  ///< those of the listeners that are sinks
+  void attach(Recorder& recorder) {
+    listeners.push_back(&recorder);
+    recorders.push_back(&recorder);
+  }
+  void detach(Recorder& recorder) noexcept {
+    std::erase(listeners, &recorder);
+    std::erase(recorders, &recorder);
+  }
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
   std::vector<SensorEntry*> sensors;
   std::vector<LoopCore*> loops;

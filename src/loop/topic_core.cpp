@@ -101,7 +101,6 @@ Result<void> TopicCore::link(LoopCore& loop, SubscriptionNode& node) {
   }
   auto map = node.accept(*this);
   if (!map) return std::move(map).error();
-  for (Channel* channel : channels_in_) channel->receive_all();  // published before: not for the new one
   if (slots_ == nullptr) make_ring(runtime_.config.ring_events);
   loop_ = &loop;
   links_.push_back({&node, std::move(*map), head_, head_, dropped_});

@@ -75,8 +75,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
-    runtime.listeners.push_back(this);
-    runtime.recorders.push_back(this);
+    runtime.attach(*this);
     notes_.add({loop()->now(), runtime.clock().realtime(), "start"});
     loop()->schedule().add(*this);
     is_attached_ = true;
@@ -374,8 +373,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     retry_.stop();
     queue_->abandon();
     RuntimeCore& runtime = loop()->runtime;
-    std::erase(runtime.listeners, static_cast<Listener*>(this));
-    std::erase(runtime.recorders, static_cast<Recorder*>(this));
+    runtime.detach(*this);
     last_ = status();
     const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
     last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;

@@ -43,7 +43,7 @@ TEST_SUITE("loop") {
     Runtime runtime({.clock = &clock});
     Loop loop(runtime, {});
     Pairs recorder;
-    runtime.core().recorders.push_back(&recorder);
+    runtime.core().attach(recorder);
     runtime.on_log([](const LogRecord&) {});
     std::vector<Time> times;
     Sensor<Number> sensor(loop, {.name = "s", .rate = 100_Hz}, [] { return Number{}; });
@@ -72,7 +72,7 @@ TEST_SUITE("loop") {
     CHECK(std::string(recorder.pairs.back().source) == "regular");
     loop.close();
     CHECK(std::string(recorder.pairs.back().source) == "end");
-    std::erase(runtime.core().recorders, &recorder);
+    runtime.core().detach(recorder);
   }
 
   TEST_CASE("event times of a feed with times of its own rise too") {
@@ -92,7 +92,7 @@ TEST_SUITE("loop") {
     Runtime runtime({.clock = &clock});
     Loop loop(runtime, {});
     Pairs recorder;
-    runtime.core().recorders.push_back(&recorder);
+    runtime.core().attach(recorder);
     runtime.on_log([](const LogRecord&) {});
     std::vector<Time> times;
     Sensor<Number> sensor(loop, {.name = "s", .rate = 1_kHz}, [] { return Number{}; });
@@ -108,7 +108,7 @@ TEST_SUITE("loop") {
     CHECK(rising);
     CHECK(times.back() - times.front() < 1h);
     CHECK(recorder.pairs.size() == 2);
-    std::erase(runtime.core().recorders, &recorder);
+    runtime.core().detach(recorder);
   }
 
   TEST_CASE("the machine's clocks") {

@@ -26,8 +26,8 @@ struct Account final : detail::Recorder {
     std::uint64_t count;
     bool operator==(const NamedGap&) const = default;
   };
-  explicit Account(Runtime& runtime) : core(runtime.core()) { core.recorders.push_back(this); }
-  ~Account() { std::erase(core.recorders, this); }
+  explicit Account(Runtime& runtime) : core(runtime.core()) { core.attach(*this); }
+  ~Account() { core.detach(*this); }
   Duration since_start(Time time) const { return time - core.start().realtime; }
   void on_topic(detail::TopicCore&) override {}
   void on_gap(detail::OriginCore&, const Gap& gap) override {

@@ -1,0 +1,135 @@
+// Sensors on tiers, recorded by a sink of the main loop.
+#include <atomic>
+#include <thread>
+
+#include "recordings.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/sinks/verify.hpp"
+
+using namespace recordings;
+using namespace std::chrono_literals;
+
+namespace {
+
+VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
+
+std::string text_of(const VerifyReport& report) {
+  std::string text;
+  for (const auto& run : report.runs) {
+    for (const auto& problem : run.problems) text += problem + "\n";
+  }
+  return text;
+}
+
+}  // namespace
+
+TEST_SUITE("tiers, recorded") {
+  TEST_CASE("US-26 sensors of two tiers and the main loop in one recording, which balances") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::uint64_t published = 0;
+    {
+      Loop loop;
+      Tier fast(loop, {.name = "fast"});
+      Tier slow(loop, {.name = "slow"});
+      SqliteSink sink(loop, {.path = path});
+      std::atomic<unsigned> reads{0};
+      Sensor<Climate> a(fast.loop(), {.name = "a", .topic = "shared", .rate = 1_kHz}, [&] { return Climate{1.0 * ++reads, 0}; });
+      Sensor<Climate> b(slow.loop(), {.name = "b", .topic = "shared", .rate = 200_Hz}, [] { return Climate{2, 0}; });
+      Sensor<Climate> c(loop, {.name = "c", .topic = "shared", .rate = 50_Hz}, [] { return Climate{3, 0}; });
+      Sensor<Climate> broken(fast.loop(), {.name = "broken", .rate = 100_Hz}, []() -> Result<Climate> {
+        return Error{Errc::disconnected, "cannot read", "device", "gone", ""};
+      });
+      broken.on_error([](const ErrorReport&) {});
+      loop.run_for(300ms);
+      CHECK(loop.close() == 0);
+      CHECK(loop.runtime().balances());
+      CHECK(sink.counts().balances());
+      CHECK(sink.counts().stored == sink.counts().offered);
+      for (const SensorStatus& sensor : loop.runtime().sensors()) published += sensor.counts.published;
+      CHECK(sink.counts().stored == published);
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT count(*) FROM shared") == static_cast<std::int64_t>(published));
+    CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 4);
+    CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") == number(path, "SELECT sum(scheduled) FROM rtdata_ledger"));
+    CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE origin = 'broken' AND kind = 'failed'") >= 1);
+  }
+
+  TEST_CASE("US-26 what found no room between tiers is dropped in the ledger, and the recording balances") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::uint64_t dropped = 0;
+    {
+      Loop loop;
+      Tier fast(loop, {.ring_bytes = 8192});
+      SqliteSink sink(loop, {.path = path});
+      Feed<Climate> feed(fast.loop(), {.name = "feed"});
+      unsigned bursts = 0;
+      Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+        if (bursts++ < 20) {
+          for (int i = 0; i < 500; ++i) feed.publish({1.0 * i, 0});
+        }
+      });
+      loop.run_for(100ms);
+      CHECK(loop.close() == 0);
+      dropped = sink.counts().all_dropped();
+      CHECK(sink.counts().offered == 20 * 500);
+      CHECK(dropped > 0);
+      CHECK(loop.runtime().balances());
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") == static_cast<std::int64_t>(dropped));
+    CHECK(number(path, "SELECT count(*) FROM feed") == static_cast<std::int64_t>(20 * 500 - dropped));
+  }
+
+  TEST_CASE("US-9 rates that change and sensors that stop on a tier leave their segments in the recording") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop;
+      Tier fast(loop, {});
+      SqliteSink sink(loop, {.path = path});
+      Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [] { return Climate{}; });
+      loop.run_for(50ms);
+      fast.call([&](Loop&) { sensor.set_rate(100_Hz); });
+      loop.run_for(50ms);
+      fast.call([&](Loop&) { sensor.stop(); });
+      loop.run_for(20ms);
+      fast.call([&](Loop&) { sensor.start(); });
+      loop.run_for(50ms);
+      CHECK(loop.close() == 0);
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 3);
+  }
+
+  TEST_CASE("NFR-1 a tier whose callback hangs does not keep the recording from being closed") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::atomic<bool> let_go{false};
+    Loop loop;
+    std::vector<std::string> told;
+    loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
+    Tier fast(loop, {});
+    SqliteSink sink(loop, {.path = path});
+    unsigned reads = 0;
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
+      if (++reads == 20) {
+        while (!let_go) std::this_thread::sleep_for(1ms);
+      }
+      return Climate{};
+    });
+    loop.run_for(100ms);
+    loop.close(200ms);
+    CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) { return line.find("tiers did not stop in time") != std::string::npos; }));
+    CHECK(number(path, "SELECT count(*) FROM a") >= 10);
+    let_go = true;
+  }
+}
