@@ -180,6 +180,7 @@ TEST_SUITE("app") {
       folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz"} ]})");
       Process run(folder, program, {"run", "bench.json"});
       REQUIRE(run.wait_for("running bench"));
+      REQUIRE(run.wait_for("cannot open the device"));
       run.signal(signal);
       const int status = run.end();
       CHECK(status != 0);  // the signal, or what a sanitizer makes of it
