@@ -1,8 +1,13 @@
 #include "rtdata/app/program.hpp"
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <functional>
 #include <iostream>
-#include <optional>
+#include <memory>
+#include <string_view>
+#include <utility>
+#include <vector>
 
 #ifdef RTDATA_WITH_SQLITE
 #include "app/commands.hpp"
@@ -21,53 +26,113 @@ constexpr const char* examples = R"(examples:
   rtdata types analog                     what can be configured
 exit status: 0 good, 2 mistakes in the configuration, 3 loss with --fail-on-loss, 1 anything else)";
 
+/// What a subcommand does once the command line is read; returns the exit status.
+using Action = std::function<int(const Registry&)>;
+
+Action prepare_init(CLI::App& command) {
+  const auto file = std::make_shared<std::string>("rtdata.json");
+  command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
+  return [file](const Registry& registry) { return app::init(registry, *file); };
+}
+
+Action prepare_run(CLI::App& command) {
+  struct Given {
+    app::RunOptions options;
+    std::string duration;
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("FILE", given->options.file, "The configuration")->required();
+  command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
+  command.add_flag_callback("--fail-on-loss", [given] { given->options.on_loss = app::OnLoss::fail; }, "Exit 3 when anything was missed, failed or dropped");
+  command.add_flag_callback("--quiet,-q", [given] { given->options.talk = app::Talk::quiet; }, "Print warnings and errors only");
+  command.add_option("--log", given->options.log_file, "The log file; default: as the configuration says, or its name with .log, in the working directory")
+      ->type_name("FILE");
+  command.footer("example:\n  rtdata run bench.json --for 10s --fail-on-loss");
+  return [given](const Registry& registry) {
+    const std::string& duration = given->duration;
+    if (!duration.empty()) {
+      const Result<Duration> parsed = parse_duration(duration);
+      if (!parsed || *parsed <= Duration{0}) {
+        std::cerr << "rtdata: --for " << duration << ": " << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
+        return app::exit_other;
+      }
+      given->options.duration = *parsed;
+    }
+    return app::run(registry, given->options);
+  };
+}
+
+Action prepare_check(CLI::App& command) {
+  const auto file = std::make_shared<std::string>();
+  command.add_option("FILE", *file, "The configuration")->required();
+  return [file](const Registry& registry) { return app::check(registry, *file); };
+}
+
+Action prepare_types(CLI::App& command) {
+  struct Given {
+    std::string type;
+    app::TypesAs format = app::TypesAs::text;
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("NAME", given->type, "Only this type");
+  command.add_flag_callback("--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
+  command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
+  return [given](const Registry& registry) { return app::types(registry, given->type, given->format); };
+}
+
 #ifdef RTDATA_WITH_SQLITE
-/// The subcommands that read recordings.
-class Reading {
- public:
-  explicit Reading(CLI::App& program) {
-    verify_ = program.add_subcommand("verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable");
-    verify_->add_option("DB", verify_options_.database, "The recording")->required();
-    verify_->add_flag_callback("--json", [this] { verify_options_.output = app::Output::json; }, "Print JSON");
+Action prepare_verify(CLI::App& command) {
+  const auto options = std::make_shared<app::VerifyOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_flag_callback("--json", [options] { options->output = app::Output::json; }, "Print JSON");
+  return [options](const Registry&) { return app::verify(*options, std::cout, std::cerr); };
+}
 
-    info_ = program.add_subcommand("info", "Sum up a recording");
-    info_->add_option("DB", info_options_.database, "The recording")->required();
-    info_->add_option("--run", info_options_.run, "Which run; default: the last")->type_name("NUMBER");
-    info_->add_flag_callback("--json", [this] { info_options_.output = app::Output::json; }, "Print JSON");
+Action prepare_info(CLI::App& command) {
+  const auto options = std::make_shared<app::InfoOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
+  command.add_flag_callback("--json", [options] { options->output = app::Output::json; }, "Print JSON");
+  return [options](const Registry&) { return app::info(*options, std::cout, std::cerr); };
+}
 
-    using Export = app::ExportOptions;
-    export_ = program.add_subcommand("export", "Write out what was recorded");
-    export_->add_option("DB", export_options_.database, "The recording")->required();
-    export_->add_option("--topic", export_options_.topic, "Topic or pattern")->capture_default_str();
-    export_->add_option("--format", export_options_.format, "csv, json, jsonl or raw")->capture_default_str();
-    export_->add_option("--folder", export_options_.folder, "Write a file a topic into this folder; default: standard output");
-    export_->add_option("--run", export_options_.run, "Only this run")->type_name("NUMBER");
-    export_->add_option("--origin", export_options_.origin, "Only events of this sensor")->type_name("NAME");
-    export_->add_option("--from", export_options_.from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
-    export_->add_option("--until", export_options_.until, "First time that is left out")->type_name("TIME");
-    export_->add_option("--limit", export_options_.limit, "At most so many rows; 0: all");
-    export_->add_option("--every", export_options_.every, "Only each n-th row");
-    export_->add_flag_callback("--utc", [this] { export_options_.times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
-    export_->add_flag_callback("--units", [this] { export_options_.header = Export::Header::names_and_units; }, "Units in the heading of CSV");
-    export_->footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
-  }
-  /// The exit status, when one of them was asked for.
-  std::optional<int> run() const {
-    if (verify_->parsed()) return app::verify(verify_options_, std::cout, std::cerr);
-    if (info_->parsed()) return app::info(info_options_, std::cout, std::cerr);
-    if (export_->parsed()) return app::export_recording(export_options_, std::cout, std::cerr);
-    return std::nullopt;
-  }
-
- private:
-  CLI::App* verify_;
-  CLI::App* info_;
-  CLI::App* export_;
-  app::VerifyOptions verify_options_;
-  app::InfoOptions info_options_;
-  app::ExportOptions export_options_;
-};
+Action prepare_export(CLI::App& command) {
+  using Export = app::ExportOptions;
+  const auto options = std::make_shared<Export>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
+  command.add_option("--format", options->format, "csv, json, jsonl or raw")->capture_default_str();
+  command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
+  command.add_option("--run", options->run, "Only this run")->type_name("NUMBER");
+  command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
+  command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
+  command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
+  command.add_option("--limit", options->limit, "At most so many rows; 0: all");
+  command.add_option("--every", options->every, "Only each n-th row");
+  command.add_flag_callback("--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
+  command.add_flag_callback("--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
+  command.footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
+  return [options](const Registry&) { return app::export_recording(*options, std::cout, std::cerr); };
+}
 #endif
+
+struct Command {
+  std::string_view name;
+  const char* doc;
+  Action (*prepare)(CLI::App&);
+};
+
+constexpr Command commands[] = {
+    {"init", "Write a starter file for this machine, ready to run", prepare_init},
+    {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", prepare_run},
+    {"check", "Find every mistake in a configuration; exit 2 if there is any", prepare_check},
+    {"types", "List the types of sensors, sinks and formats with their parameters", prepare_types},
+#ifdef RTDATA_WITH_SQLITE
+    {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", prepare_verify},
+    {"info", "Sum up a recording", prepare_info},
+    {"export", "Write out what was recorded", prepare_export},
+#endif
+};
 
 int parse_and_run(const Registry& registry, int argc, char** argv) {
   CLI::App program{"rtdata acquires data from sensors into recordings, and accounts for every sample.", "rtdata"};
@@ -75,55 +140,24 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   program.footer(examples);
   program.require_subcommand(1);
 
-  std::string init_file = "rtdata.json";
-  CLI::App* init = program.add_subcommand("init", "Write a starter file for this machine, ready to run");
-  init->add_option("FILE", init_file, "The file; one that exists is not overwritten")->capture_default_str();
-
-  app::RunOptions options;
-  std::string duration;
-  CLI::App* run = program.add_subcommand("run", "Run a configuration; Ctrl-C ends it and stores what is queued");
-  run->add_option("FILE", options.file, "The configuration")->required();
-  run->add_option("--for", duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
-  run->add_flag_callback("--fail-on-loss", [&] { options.on_loss = app::OnLoss::fail; }, "Exit 3 when anything was missed, failed or dropped");
-  run->add_flag_callback("--quiet,-q", [&] { options.talk = app::Talk::quiet; }, "Print warnings and errors only");
-  run->add_option("--log", options.log_file, "The log file; default: as the configuration says, or its name with .log, in the working directory")
-      ->type_name("FILE");
-  run->footer("example:\n  rtdata run bench.json --for 10s --fail-on-loss");
-
-  std::string check_file;
-  CLI::App* check = program.add_subcommand("check", "Find every mistake in a configuration; exit 2 if there is any");
-  check->add_option("FILE", check_file, "The configuration")->required();
-
-  std::string type;
-  bool schema = false;
-  CLI::App* types = program.add_subcommand("types", "List the types of sensors, sinks and formats with their parameters");
-  types->add_option("NAME", type, "Only this type");
-  types->add_flag("--schema", schema, "Print the JSON Schema, for editors");
-  types->footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
-
-#ifdef RTDATA_WITH_SQLITE
-  Reading reading(program);
-#endif
+  // A subcommand that comes first is the only one that matters: the others are not even made, so that `run` starts soon.
+  const std::string_view first = argc > 1 ? argv[1] : "";
+  const bool is_named = std::any_of(std::begin(commands), std::end(commands), [&](const Command& command) { return command.name == first; });
+  std::vector<std::pair<const CLI::App*, Action>> prepared;
+  for (const Command& command : commands) {
+    if (is_named && command.name != first) continue;
+    CLI::App* const made = program.add_subcommand(std::string(command.name), command.doc);
+    prepared.emplace_back(made, command.prepare(*made));
+  }
   try {
     program.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return program.exit(error) == 0 ? app::exit_good : app::exit_other;
   }
-  if (!duration.empty()) {
-    Result<Duration> parsed = parse_duration(duration);
-    if (!parsed || *parsed <= Duration{0}) {
-      std::cerr << "rtdata: --for " << duration << ": " << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
-      return app::exit_other;
-    }
-    options.duration = *parsed;
+  for (const auto& [made, act] : prepared) {
+    if (made->parsed()) return act(registry);
   }
-#ifdef RTDATA_WITH_SQLITE
-  if (const std::optional<int> status = reading.run()) return *status;
-#endif
-  if (init->parsed()) return app::init(registry, init_file);
-  if (run->parsed()) return app::run(registry, options);
-  if (check->parsed()) return app::check(registry, check_file);
-  return app::types(registry, type, schema ? app::TypesAs::schema : app::TypesAs::text);
+  return app::exit_other;
 }
 
 }  // namespace

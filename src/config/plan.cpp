@@ -185,10 +185,11 @@ bool plan_sensor(const Registry& registry, const ConfigItem& item, SensorPlan& p
   ConfigItem known = item;
   const std::size_t before = problems.size();
   for (const std::string_view key : later_sensor_keys) {
-    const TypeInfo* type = nullptr;
+    if (&child_or_self(item, key) == &item) continue;  // it is not there
+    std::optional<TypeInfo> type;
     if (const std::string* name = child_or_self(item, "type").as_string()) type = registry.sensors().find(*name);
     const auto has_key = [&](const ParameterInfo& parameter) { return parameter.key == key; };
-    if (type != nullptr && std::any_of(type->parameters.begin(), type->parameters.end(), has_key)) continue;
+    if (type && std::any_of(type->parameters.begin(), type->parameters.end(), has_key)) continue;
     refuse_later_key(known, key, problems);
   }
   if (!plan_item(registry.sensors(), known, plan, problems)) return false;

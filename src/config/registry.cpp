@@ -5,27 +5,41 @@ namespace rtdata {
 TypeRegistryBase::TypeRegistryBase(std::string what, std::vector<ParameterInfo> common)
     : what_(std::move(what)), common_(std::move(common)) {}
 
-const TypeInfo* TypeRegistryBase::find(std::string_view type) const {
-  for (const TypeInfo& info : types_)
-    if (info.name == type) return &info;
-  return nullptr;
+TypeInfo TypeRegistryBase::info_of(const Type& type) const {
+  TypeInfo info{type.name, type.doc, common_};
+  const std::vector<ParameterInfo> own = type.parameters();
+  info.parameters.insert(info.parameters.end(), own.begin(), own.end());
+  return info;
 }
 
-void TypeRegistryBase::add_type(std::string type, std::string doc, std::vector<ParameterInfo> parameters) {
-  if (find(type) != nullptr)
-    throw SetupError({Errc::bad_argument, "cannot add the " + what_ + " type \"" + type + "\"", "",
-                      "there is one of this name already", "choose another name"});
-  parameters.insert(parameters.begin(), common_.begin(), common_.end());
-  types_.push_back({std::move(type), std::move(doc), std::move(parameters)});
+std::vector<TypeInfo> TypeRegistryBase::types() const {
+  std::vector<TypeInfo> infos;
+  for (const Type& type : types_) infos.push_back(info_of(type));
+  return infos;
+}
+
+std::optional<TypeInfo> TypeRegistryBase::find(std::string_view name) const {
+  for (const Type& type : types_)
+    if (type.name == name) return info_of(type);
+  return std::nullopt;
+}
+
+void TypeRegistryBase::add_type(std::string type, std::string doc, Parameters parameters) {
+  for (const Type& other : types_) {
+    if (other.name == type)
+      throw SetupError({Errc::bad_argument, "cannot add the " + what_ + " type \"" + type + "\"", "",
+                        "there is one of this name already", "choose another name"});
+  }
+  types_.push_back({std::move(type), std::move(doc), parameters});
 }
 
 std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems) const {
   if (!config_detail::check_is_object(item, problems)) return none;
   std::vector<std::string> names;
   std::string listed;
-  for (const TypeInfo& info : types_) {
-    names.push_back(info.name);
-    listed += (listed.empty() ? "" : ", ") + info.name;
+  for (const Type& known : types_) {
+    names.push_back(known.name);
+    listed += (listed.empty() ? "" : ", ") + known.name;
   }
   const ConfigItem* type = nullptr;
   for (const ConfigChild& child : item.children())

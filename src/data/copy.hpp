@@ -1,8 +1,11 @@
-// Copying of a few bytes, without the call that std::memcpy of a size unknown to the compiler is.
+// Copying and comparing of a few bytes, without the calls that std::memcpy and std::memcmp of a size unknown to the
+// compiler are.
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
+#include <string_view>
 
 namespace rtdata::detail {
 
@@ -24,6 +27,26 @@ Byte* copy_short(Byte* to, const void* data, std::size_t size) {
     for (std::size_t i = 0; i < size; ++i) to[i] = static_cast<Byte>(from[i]);
   }
   return to + size;
+}
+
+/// Like operator== of the texts, which it is for more than 16 bytes.
+inline bool equal_short(std::string_view a, std::string_view b) {
+  if (a.size() != b.size()) return false;
+  const auto word = []<class Word>(const char* at, Word) {
+    Word bytes;
+    std::memcpy(&bytes, at, sizeof bytes);
+    return bytes;
+  };
+  const auto both_ends = [&]<class Word>(Word kind) {
+    const std::size_t last = a.size() - sizeof kind;
+    return word(a.data(), kind) == word(b.data(), kind) && word(a.data() + last, kind) == word(b.data() + last, kind);
+  };
+  if (a.size() > 16) return std::memcmp(a.data(), b.data(), a.size()) == 0;
+  if (a.size() >= 8) return both_ends(std::uint64_t{});
+  if (a.size() >= 4) return both_ends(std::uint32_t{});
+  for (std::size_t i = 0; i < a.size(); ++i)
+    if (a[i] != b[i]) return false;
+  return true;
 }
 
 }  // namespace rtdata::detail

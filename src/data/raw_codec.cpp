@@ -59,6 +59,7 @@ struct Plan {
 
   std::vector<Step> steps;
   std::size_t longest = 0;  ///< bytes that all this may take
+  bool is_fixed = true;     ///< there are only numbers: it always takes as many bytes
 
  private:
   void add(const std::vector<Field>& fields, std::size_t base, const std::string& prefix) {
@@ -72,6 +73,7 @@ struct Plan {
       } else if (field.is_array || field.optional != nullptr || field.kind == Kind::text ||
                  field.kind == Kind::boolean) {
         steps.push_back({Sort::field, offset, 1, &field, prefix + field.name});
+        is_fixed = false;
         longest += 1 + std::min(longest_value, field.count * field.size);
       } else {
         add_number(offset, field.size);
@@ -138,6 +140,79 @@ std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at,
   begin[-1] = static_cast<std::byte>(to - begin);
   return to;
 }
+
+/// `count` numbers over others of their size.
+template <std::size_t size>
+std::byte* replace_numbers(std::byte* to, const std::byte* from, std::size_t count) {
+#pragma GCC unroll 8
+  for (; count > 0; --count, to += 1 + size, from += size) copy_number(to + 1, from, size);
+  return to;
+}
+
+/// The bytes of an event of numbers only: the next of the same topic, origin and description differs in the numbers.
+class LastEvent {
+ public:
+  bool is_like(const EventView& event) const noexcept {
+    return serial_ == event.description().serial() && detail::equal_short(topic_, event.topic()) &&
+           detail::equal_short(origin_, event.origin());
+  }
+
+  void append_with_numbers_of(const EventView& event, std::vector<std::byte>& out) const {
+    const std::size_t begin = out.size();
+    out.insert(out.end(), bytes_.begin(), bytes_.end());
+    std::byte* const bytes = out.data() + begin;
+    const std::int64_t time = to_nanoseconds(event.time());
+    replace_numbers<sizeof time>(bytes + time_at_, reinterpret_cast<const std::byte*>(&time), 1);
+    std::byte* to = bytes + behind_origin_;
+    if (has_sequence_) {
+      const std::uint64_t sequence = event.sequence();
+      to = replace_numbers<sizeof sequence>(to, reinterpret_cast<const std::byte*>(&sequence), 1);
+    }
+    for (const Plan::Step& step : plan_->steps) {
+      const std::byte* const from = event.payload().data() + step.offset;
+      switch (step.sort) {
+        case Plan::Sort::numbers_8:
+          to = replace_numbers<8>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_4:
+          to = replace_numbers<4>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_2:
+          to = replace_numbers<2>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_1:
+          to = replace_numbers<1>(to, from, step.count);
+          break;
+        case Plan::Sort::field:
+          break;  // there is none
+      }
+    }
+  }
+
+  /// `plan`: of its description, fixed; lives until the next call or until `forget`.
+  void keep(const EventView& event, const Plan& plan, RawConfig::Sequence sequence, std::span<const std::byte> bytes) {
+    plan_ = &plan;
+    topic_ = event.topic();
+    origin_ = event.origin();
+    bytes_.assign(bytes.begin(), bytes.end());
+    time_at_ = 4 + 1 + topic_.size();
+    behind_origin_ = time_at_ + 9 + 1 + origin_.size();
+    has_sequence_ = sequence == RawConfig::Sequence::include;
+    serial_ = event.description().serial();
+  }
+  /// Until the next `keep`, no event is like the last.
+  void forget() noexcept { serial_ = 0; }
+
+ private:
+  const Plan* plan_ = nullptr;
+  std::uint64_t serial_ = 0;  // serials start at 1
+  std::string topic_;
+  std::string origin_;
+  std::vector<std::byte> bytes_;
+  std::size_t time_at_ = 0;
+  std::size_t behind_origin_ = 0;
+  bool has_sequence_ = false;
+};
 
 class Decoder {
  public:
@@ -249,46 +324,8 @@ class RawCodec final : public Codec {
   std::string_view name() const noexcept override { return "raw"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
-    if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
-    const Plan& plan = plans_.of(event.description());
-    const std::size_t begin = out.size();
-    out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
-    std::byte* to = put_text(out.data() + begin + 4, event.topic());
-    const std::int64_t time = to_nanoseconds(event.time());
-    to = put_number<sizeof time>(to, &time);
-    to = put_text(to, event.origin());
-    const std::uint64_t sequence = event.sequence();
-    if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
-    const std::byte* const payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
-      const std::byte* from = payload + step.offset;
-      switch (step.sort) {
-        case Plan::Sort::numbers_8:
-          to = put_numbers<8>(to, from, step.count);
-          break;
-        case Plan::Sort::numbers_4:
-          to = put_numbers<4>(to, from, step.count);
-          break;
-        case Plan::Sort::numbers_2:
-          to = put_numbers<2>(to, from, step.count);
-          break;
-        case Plan::Sort::numbers_1:
-          to = put_numbers<1>(to, from, step.count);
-          break;
-        case Plan::Sort::field: {
-          Error why;
-          to = put_field(to, step, from, why);
-          if (to != nullptr) break;
-          out.resize(begin);
-          return why;
-        }
-      }
-    }
-    const auto end = static_cast<std::size_t>(to - out.data());
-    const auto size = static_cast<std::uint32_t>(end - begin - 4);
-    copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
-    out.resize(end);
+    if (!last_.is_like(event)) return encode_unlike_last(event, out);
+    last_.append_with_numbers_of(event, out);
     return {};
   }
 
@@ -327,11 +364,70 @@ class RawCodec final : public Codec {
   }
 
  private:
+  /// Where an event came from, as addresses that are compared and never followed.
+  struct Source {
+    const void* topic = nullptr;
+    const void* origin = nullptr;
+    const void* plan = nullptr;
+    bool operator==(const Source&) const = default;
+  };
+
+  [[gnu::noinline]] Result<void> encode_unlike_last(const EventView& event, std::vector<std::byte>& out) {
+    if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
+    if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
+    last_.forget();  // its plan may go now
+    const Plan& plan = plans_.of(event.description());
+    const std::size_t begin = out.size();
+    out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
+    std::byte* to = put_text(out.data() + begin + 4, event.topic());
+    const std::int64_t time = to_nanoseconds(event.time());
+    to = put_number<sizeof time>(to, &time);
+    to = put_text(to, event.origin());
+    const std::uint64_t sequence = event.sequence();
+    if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
+    const std::byte* const payload = event.payload().data();
+    for (const Plan::Step& step : plan.steps) {
+      const std::byte* from = payload + step.offset;
+      switch (step.sort) {
+        case Plan::Sort::numbers_8:
+          to = put_numbers<8>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_4:
+          to = put_numbers<4>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_2:
+          to = put_numbers<2>(to, from, step.count);
+          break;
+        case Plan::Sort::numbers_1:
+          to = put_numbers<1>(to, from, step.count);
+          break;
+        case Plan::Sort::field: {
+          Error why;
+          to = put_field(to, step, from, why);
+          if (to != nullptr) break;
+          out.resize(begin);
+          return why;
+        }
+      }
+    }
+    const auto end = static_cast<std::size_t>(to - out.data());
+    const auto size = static_cast<std::uint32_t>(end - begin - 4);
+    copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
+    out.resize(end);
+    // Where origins or topics take turns, keeping each would cost more than it saves.
+    const Source source{event.topic().data(), event.origin().data(), &plan};
+    if (plan.is_fixed && source == previous_) last_.keep(event, plan, config_.sequence, std::span(out).subspan(begin));
+    previous_ = source;
+    return {};
+  }
+
   /// Total size, topic, time, origin and sequence but for the two texts.
   static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;
   detail::PerDescription<Plan> plans_;
+  Source previous_;  // of the last event that was not like `last_`
+  LastEvent last_;
 };
 
 }  // namespace

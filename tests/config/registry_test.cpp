@@ -105,7 +105,8 @@ TEST_SUITE("config") {
   TEST_CASE("US-17 types are listed with parameters and schema") {
     const Sensors registry = sensors();
     REQUIRE(registry.types().size() == 2);
-    const TypeInfo& analog = *registry.find("analog");
+    CHECK_FALSE(registry.find("gps").has_value());
+    const TypeInfo analog = registry.find("analog").value();
     CHECK(analog.doc == "an analog sensor");
     CHECK(analog.parameters.size() == 3);
     CHECK(analog.parameters[0].key == "name");

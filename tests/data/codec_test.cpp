@@ -329,6 +329,32 @@ TEST_SUITE("data") {
     CHECK(decode<Small>(*codec, bytes).or_throw().sequence == std::nullopt);
   }
 
+  TEST_CASE("US-31 raw bytes do not depend on the events encoded before") {
+    Bytes together;
+    Bytes apart;
+    for (const auto sequence : {RawConfig::Sequence::omit, RawConfig::Sequence::include}) {
+      auto shared = make_raw_codec({.sequence = sequence});
+      const auto encode_both = [&](std::string_view topic, const auto& event) {
+        encode(*shared, topic, event, together).or_throw();
+        encode(*make_raw_codec({.sequence = sequence}), topic, event, apart).or_throw();
+      };
+      std::uint64_t number = 0;
+      for (const std::string_view topic :
+           {"ab", "ac", "a topic of more than sixteen bytes", "a topic of more than Sixteen bytes", ""}) {
+        for (const std::string_view origin : {"o", "origin", "o", "origins", "an origin", "an_origin"}) {
+          for (int i = 0; i < 3; ++i) {
+            ++number;
+            const EventHeader header{from_nanoseconds(static_cast<std::int64_t>(number) * 1001), number, origin};
+            encode_both(topic, Event<Number>{header, {1.5 * i, 0.5F * static_cast<float>(i)}});
+            encode_both(topic, Event<Number>{header, {-1.5 * i, 2.5F}});
+            if (i == 1) encode_both(topic, Event<Small>{header, {-2, 1.0, 'x', "hi", true, {7, 8}}});
+          }
+        }
+      }
+    }
+    CHECK(together == apart);
+  }
+
   TEST_CASE("US-31 raw bytes: what does not fit is an error, not a cut, and appends nothing") {
     auto codec = make_raw_codec();
     Bytes bytes{std::byte{1}};

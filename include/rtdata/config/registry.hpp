@@ -15,6 +15,7 @@
 
 #include <cstddef>
 #include <functional>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -28,11 +29,11 @@ namespace rtdata {
 class TypeRegistryBase {
  public:
   /// All types, in the order they were added; the common parameters come first in each.
-  const std::vector<TypeInfo>& types() const noexcept { return types_; }
-  /// Null when there is no such type.
-  const TypeInfo* find(std::string_view type) const;
+  std::vector<TypeInfo> types() const;
+  /// Nothing when there is no such type.
+  std::optional<TypeInfo> find(std::string_view type) const;
   /// The JSON Schema (draft-07) of an item of any type.
-  std::string schema() const { return rtdata::schema(types_); }
+  std::string schema() const { return rtdata::schema(types()); }
 
  protected:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
@@ -44,7 +45,9 @@ class TypeRegistryBase {
   TypeRegistryBase(TypeRegistryBase&&) = default;
   TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
 
-  void add_type(std::string type, std::string doc, std::vector<ParameterInfo> parameters);
+  using Parameters = std::vector<ParameterInfo> (*)();
+  /// `parameters` is called when somebody asks for them: making things needs none.
+  void add_type(std::string type, std::string doc, Parameters parameters);
   /// Which type the item names; `none`, with a problem, when it names none of these.
   std::size_t type_of(const ConfigItem& item, Problems& problems) const;
   /// "type" and the common keys: known, but not the Config's.
@@ -52,9 +55,16 @@ class TypeRegistryBase {
   static Error placed(Error error, const ConfigItem& item);
 
  private:
+  struct Type {
+    std::string name;
+    std::string doc;
+    Parameters parameters;
+  };
+  TypeInfo info_of(const Type& type) const;
+
   std::string what_;
   std::vector<ParameterInfo> common_;
-  std::vector<TypeInfo> types_;
+  std::vector<Type> types_;
 };
 
 template <class Product, class... Context>
@@ -68,7 +78,7 @@ class TypeRegistry : public TypeRegistryBase {
 
   template <Configurable Config>
   void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory) {
-    add_type(std::move(type), std::move(doc), parameters_of<Config>());
+    add_type(std::move(type), std::move(doc), &parameters_of<Config>);
     const auto read = [](const ConfigItem& item, Config& config, const std::vector<std::string>& others,
                          Problems& problems) {
       return read_config(item, config, problems, UnknownKeys::report, others);

@@ -452,12 +452,18 @@ constexpr bool check_describe() {
   return false;
 }
 
+/// Apart, so that `description_of` stays small enough to be inlined wherever an event is viewed.
+template <class T>
+[[gnu::noinline]] std::shared_ptr<const Description> make_description() {
+  return describe_type<T>(describe(type_tag<T>{}));
+}
+
 }  // namespace detail
 
 template <class T>
-const std::shared_ptr<const Description>& description_of() {
+inline const std::shared_ptr<const Description>& description_of() {
   if constexpr (constexpr bool good = detail::check_describe<T>(); good) {
-    static const std::shared_ptr<const Description> description = detail::describe_type<T>(describe(type_tag<T>{}));
+    static const std::shared_ptr<const Description> description = detail::make_description<T>();
     return description;
   } else {
     static const std::shared_ptr<const Description> none;
