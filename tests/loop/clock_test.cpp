@@ -75,6 +75,20 @@ TEST_SUITE("loop") {
     std::erase(runtime.core().recorders, &recorder);
   }
 
+  TEST_CASE("an event exactly at the epoch, or before it, keeps its time") {
+    ManualClock clock(Time{-1s});
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    const auto topic = loop.topic<Number>("t");
+    std::vector<Time> times;
+    const auto subscription = topic.subscribe(loop, [&](const Event<Number>& e) { times.push_back(e.time); });
+    topic.publish({});
+    loop.advance(1s);
+    topic.publish({});
+    loop.poll();
+    CHECK(times == std::vector<Time>{Time{-1s}, Time{}});
+  }
+
   TEST_CASE("event times of a feed with times of its own rise too") {
     ManualClock clock;
     Runtime runtime({.clock = &clock});
