@@ -1,5 +1,8 @@
 #include "rtdata/loop/clock.hpp"
 
+#include <sys/timex.h>
+
+#include <algorithm>
 #include <ctime>
 
 #include "loop/first_line.hpp"
@@ -19,5 +22,17 @@ MonotonicTime SystemClock::monotonic() noexcept { return MonotonicTime{read_cloc
 Time SystemClock::realtime() noexcept { return Time{read_clock(CLOCK_REALTIME)}; }
 
 std::string SystemClock::boot_id() { return detail::first_line("/proc/sys/kernel/random/boot_id"); }
+
+std::optional<Duration> SystemClock::accuracy() noexcept {
+  constexpr Duration least = std::chrono::milliseconds{1};  // some tell the kernel 0 and mean "set just now"
+  timex now{};                                              // modes 0: only reads
+  if (::adjtimex(&now) < 0 || (now.status & STA_UNSYNC) != 0) return std::nullopt;
+  return std::max<Duration>(least, std::chrono::microseconds{std::max(now.maxerror, now.esterror)});
+}
+
+std::string ManualClock::boot_id() {
+  if (boot_id_.empty()) boot_id_ = "manual " + detail::first_line("/proc/sys/kernel/random/uuid");
+  return boot_id_;
+}
 
 }  // namespace rtdata

@@ -61,7 +61,7 @@ class OriginCore {
   const std::string name;
   TopicCore& topic;
   std::uint64_t sequence = 0;  ///< of the last event published
-  Time last_time{};            ///< of the last event published
+  Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
   const std::uint32_t index;  ///< within its topic
   bool is_claimed = false;    ///< a sensor or feed of this name exists now

@@ -24,7 +24,6 @@ class Listener {
   virtual void on_origin(OriginCore&) {}
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
   virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
-  virtual void on_clock(const ClockPair& pair) = 0;
   virtual void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) = 0;
 
  protected:
@@ -34,6 +33,7 @@ class Listener {
 /// A sink, as the runtime sees it.
 class Recorder : public Listener {
  public:
+  virtual void on_clock(const ClockPair& pair) = 0;
   virtual SinkStatus status() const = 0;
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.
   virtual void drain(MonotonicTime deadline, Callback<void(std::uint64_t lost)> done) = 0;
@@ -87,9 +87,15 @@ class RuntimeCore {
   Time event_time(MonotonicTime at) const noexcept { return Time{at.time_since_epoch() + offset_}; }
   MonotonicTime monotonic_of(Time time) const noexcept { return MonotonicTime{time.time_since_epoch() - offset_}; }
   const ClockPair& start() const noexcept { return start_; }
-  /// Records a pair when the time of day has moved against the monotonic line by more than 1 ms since the last pair, or
-  /// always when asked for. Returns whether it did.
-  bool look_at_clock(const char* always_source = nullptr);
+  /// Records the time of day when it was set (moved against the monotonic line by more than 1 ms), when its accuracy is
+  /// another, once in a while as long as that is known, or always when an occasion is given. Returns whether it did.
+  bool look_at_clock(const char* occasion = nullptr);
+  /// See Runtime::note_wall_clock.
+  Result<void> note_wall_clock(ClockPair pair);
+  /// The time of day now; offsets that differ by less than 1 ms are the noise of reading two clocks, and are one.
+  ClockPair read_clock(const char* occasion) noexcept;
+  /// What a recording that begins now must know of clocks: the pair now and the last ones of other sources.
+  std::vector<ClockPair> clock_pairs();
 
   /// SetupError: bad-name, description-differs.
   TopicCore& topic(std::string_view name, PayloadType type);
@@ -150,6 +156,14 @@ class RuntimeCore {
     std::uint64_t held_back = 0;
   };
   void write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept;
+  /// A source of the time of day.
+  struct ClockSource {
+    ClockPair recorded, latest;
+    std::optional<Duration> best;  ///< since it is known
+    /// Whether a pair says what the recorded one does not.
+    bool is_news(const ClockPair& pair) const noexcept;
+  };
+  void record(ClockSource& source, const ClockPair& pair);
 
   SystemClock system_clock_;
   ManualClock manual_clock_;
@@ -157,6 +171,8 @@ class RuntimeCore {
   Duration offset_{0};
   ClockPair start_;
   Duration last_offset_{0};
+  ClockSource system_;
+  std::vector<ClockSource> plugged_;
   std::vector<std::unique_ptr<TopicCore>> topics_;
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
   std::unordered_map<std::string, std::string> name_by_lower_case_;

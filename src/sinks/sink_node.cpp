@@ -76,7 +76,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
     runtime.attach(*this);
-    notes_.add({loop()->now(), runtime.clock().realtime(), "start"});
+    for (const ClockPair& pair : runtime.clock_pairs()) notes_.add(pair);
     loop()->schedule().add(*this);
     is_attached_ = true;
   }
@@ -341,7 +341,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     RuntimeCore& runtime = loop()->runtime;
     runtime.flush_repeats(RuntimeCore::Repeats::all);  // a user's handler may close this sink: then that does the rest
     if (!is_attached_) return;
-    if (!notes_.has_end()) notes_.add({loop()->now(), runtime.clock().realtime(), "end"});
+    if (!notes_.has_end()) notes_.add(runtime.read_clock("end"));
     if (is_scheduled()) loop()->schedule().remove(*this);
     queue_->hand_over();
     queue_->keep_own_counts();

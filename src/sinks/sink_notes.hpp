@@ -62,7 +62,7 @@ class SinkNotes {
     }
     clock_.push_back(pair);
   }
-  bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().source) == "end"; }
+  bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
   void move_into(Account& account) {
     move(gaps_, account.gaps);

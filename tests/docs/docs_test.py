@@ -4,6 +4,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: configuration -->   `rtdata check` finds no mistake in it
   <!-- test: compile -->         it compiles
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
+  <!-- test: python -->          it runs in that folder, and prints something
   <!-- test: file PATH -->       the file has it, word for word
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
 that there are into the tables of docs/requirements.md.
@@ -49,7 +50,7 @@ def check_blocks(source, build, compiler, program):
                     done = run([compiler, *flags, file])
                     if done.returncode != 0 or done.stderr:
                         problem(where, "does not compile:\n" + done.stderr)
-                elif kind not in ("configuration", "run"):
+                elif kind not in ("configuration", "run", "python"):
                     problem(where, f"unknown mark: {block['test']}")
                 elif program is None:
                     skipped += 1
@@ -59,6 +60,10 @@ def check_blocks(source, build, compiler, program):
                     done = run([program, "check", file])
                     if done.returncode != 0:
                         problem(where, "is no good configuration:\n" + done.stdout + done.stderr)
+                elif kind == "python":
+                    done = run([sys.executable, "-c", block["text"]], cwd=folder)
+                    if done.returncode != 0 or not done.stdout:
+                        problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
                 else:
                     environment = dict(os.environ, PATH=f"{build}:{os.environ['PATH']}")
                     done = run(["sh", "-euc", block["text"]], cwd=folder, env=environment)

@@ -6,9 +6,10 @@
 #include <string>
 #include <vector>
 
-#include "loop/runtime_core.hpp"
 #include "loop/observed.hpp"
+#include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 using namespace rtdata;
@@ -33,6 +34,7 @@ struct Pairs final : detail::Recorder {
 struct SettableClock final : SystemClock {
   Duration offset{0};
   Time realtime() noexcept override { return SystemClock::realtime() + offset; }
+  std::optional<Duration> accuracy() noexcept override { return std::nullopt; }
 };
 
 }  // namespace
@@ -61,7 +63,7 @@ TEST_SUITE("loop") {
     CHECK(exact);
     REQUIRE(recorder.pairs.size() == 3);
     for (std::size_t i = 0; i < 3; ++i) {
-      CHECK(std::string(recorder.pairs[i].source) == "step");
+      CHECK(std::string(recorder.pairs[i].occasion) == "step");
       CHECK(recorder.pairs[i].monotonic.time_since_epoch() == (i + 1) * Duration{1s});
     }
     CHECK(recorder.pairs[0].realtime == Time{1'700'000'000s});
@@ -69,10 +71,140 @@ TEST_SUITE("loop") {
     CHECK(recorder.pairs[2].realtime - recorder.pairs[1].realtime == 1s + 1h);
     CHECK_FALSE(runtime.core().look_at_clock());
     CHECK(runtime.core().look_at_clock("regular"));
-    CHECK(std::string(recorder.pairs.back().source) == "regular");
+    CHECK(std::string(recorder.pairs.back().occasion) == "regular");
     loop.close();
-    CHECK(std::string(recorder.pairs.back().source) == "end");
+    CHECK(std::string(recorder.pairs.back().occasion) == "end");
     runtime.core().detach(recorder);
+  }
+
+  TEST_CASE("an event exactly at the epoch, or before it, keeps its time") {
+    ManualClock clock(Time{-1s});
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    const auto topic = loop.topic<Number>("t");
+    std::vector<Time> times;
+    const auto subscription = topic.subscribe(loop, [&](const Event<Number>& e) { times.push_back(e.time); });
+    topic.publish({});
+    loop.advance(1s);
+    topic.publish({});
+    loop.poll();
+    CHECK(times == std::vector<Time>{Time{-1s}, Time{}});
+  }
+
+  TEST_CASE("the time of day is recorded once in a while as long as somebody keeps it right, and when that changes") {
+    ManualClock clock;
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    Pairs recorder;
+    runtime.core().attach(recorder);
+    runtime.on_log([](const LogRecord&) {});
+    Ticker seconds(loop, 1s, [](const Tick&) {});
+    loop.advance(30min);
+    CHECK(recorder.pairs.empty());  // nobody does
+    clock.set_accuracy(20ms);
+    loop.advance(1h);
+    REQUIRE(recorder.pairs.size() == 6);
+    CHECK(std::string(recorder.pairs[0].occasion) == "sync");
+    CHECK(recorder.pairs[0].accuracy == 20ms);
+    for (std::size_t i = 1; i < 6; ++i) {
+      CHECK(std::string(recorder.pairs[i].occasion) == "regular");
+      CHECK(recorder.pairs[i].monotonic - recorder.pairs[i - 1].monotonic == 10min);
+    }
+    clock.set_accuracy(10ms);  // twice as good
+    loop.advance(20s);
+    REQUIRE(recorder.pairs.size() == 7);
+    CHECK(recorder.pairs[6].accuracy == 10ms);
+    clock.set_accuracy(7ms);
+    loop.advance(20s);
+    CHECK(recorder.pairs.size() == 7);
+    clock.set_accuracy({});
+    loop.advance(1h);
+    REQUIRE(recorder.pairs.size() == 8);
+    CHECK(std::string(recorder.pairs[7].occasion) == "sync");
+    CHECK(recorder.pairs[7].accuracy == std::nullopt);
+    runtime.core().detach(recorder);
+  }
+
+  TEST_CASE("a clock that was right and steps: where it stood before is recorded too") {
+    ManualClock clock;
+    clock.set_accuracy(20ms);
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    Pairs recorder;
+    runtime.core().attach(recorder);
+    runtime.on_log([](const LogRecord&) {});
+    Ticker seconds(loop, 1s, [](const Tick&) {});
+    loop.advance(5min);
+    clock.set_realtime(clock.realtime() - 1s);  // 23:59:60
+    loop.advance(1s);
+    REQUIRE(recorder.pairs.size() == 2);
+    CHECK(std::string(recorder.pairs[0].occasion) == "regular");
+    CHECK(std::string(recorder.pairs[1].occasion) == "step");
+    CHECK(recorder.pairs[1].monotonic - recorder.pairs[0].monotonic <= 1s);
+    CHECK(recorder.pairs[1].realtime - recorder.pairs[0].realtime <= Duration{0});
+    runtime.core().detach(recorder);
+  }
+
+  TEST_CASE("a plugged clock tells the time as often as it likes, and floods no recording") {
+    ManualClock clock;
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    Pairs recorder;
+    runtime.core().attach(recorder);
+    Duration accuracy = 1ms;
+    Duration wrong{0};
+    Ticker gps(loop, 100ms, [&](const Tick&) {
+      const Time utc = clock.realtime() + 3s + wrong;
+      CHECK(runtime.note_wall_clock({.monotonic = loop.now(), .realtime = utc, .source = "gps", .accuracy = accuracy}));
+    });
+    loop.advance(1h);
+    REQUIRE(recorder.pairs.size() == 7);
+    CHECK(recorder.pairs[0].source == "gps");
+    CHECK(std::string(recorder.pairs[0].occasion) == "start");
+    CHECK(recorder.pairs[6].monotonic - recorder.pairs[0].monotonic == 1h);
+    loop.advance(1min);
+    accuracy = 1us;
+    loop.advance(1min);
+    REQUIRE(recorder.pairs.size() == 8);
+    CHECK(recorder.pairs[7].accuracy == 1us);
+    accuracy = 10us;
+    loop.advance(1min);
+    accuracy = 1us;  // as it was before
+    wrong = 5ms;     // drift is followed by the next regular one
+    loop.advance(1min);
+    CHECK(recorder.pairs.size() == 8);
+    wrong = 5s;
+    loop.advance(1min);
+    CHECK(recorder.pairs.size() == 9);
+    // A recording that begins now is told the last of it.
+    const auto pairs = runtime.core().clock_pairs();
+    REQUIRE(pairs.size() == 2);
+    CHECK(pairs[0].source == "gps");
+    CHECK(pairs[0].monotonic == loop.now());
+    CHECK(pairs[1].source == "system");
+    loop.advance(5s);
+    CHECK(recorder.pairs.size() == 9);
+    gps.close();
+    loop.close();
+    REQUIRE(recorder.pairs.size() == 11);  // what it said last is not lost
+    CHECK(recorder.pairs[9].source == "gps");
+    CHECK(std::string(recorder.pairs[10].occasion) == "end");
+    runtime.core().detach(recorder);
+  }
+
+  TEST_CASE("a plugged clock is refused with a reason") {
+    Loop loop{Loop::Manual{}};
+    const auto refusal = [&](const ClockPair& pair) {
+      const auto done = loop.runtime().note_wall_clock(pair);
+      return done ? "" : std::string(done.error().id());
+    };
+    CHECK(refusal({.source = ""}) == "bad-name");
+    CHECK(refusal({.source = "system"}) == "bad-name");
+    CHECK(refusal({.source = std::string(65, 'x')}) == "bad-name");
+    CHECK(refusal({.source = "gps", .accuracy = Duration{0}}) == "bad-argument");
+    for (int i = 0; i < 16; ++i) CHECK(refusal({.source = "clock " + std::to_string(i)}) == "");
+    CHECK(refusal({.source = "one more"}) == "bad-argument");
+    CHECK(refusal({.source = "clock 3"}) == "");
   }
 
   TEST_CASE("event times of a feed with times of its own rise too") {
@@ -116,5 +248,9 @@ TEST_SUITE("loop") {
     const auto first = clock.monotonic();
     CHECK(clock.monotonic() >= first);
     CHECK_FALSE(clock.boot_id().empty());
+    if (const auto accuracy = clock.accuracy()) CHECK(*accuracy >= 1ms);
+    ManualClock one, other;
+    CHECK(one.boot_id() == one.boot_id());
+    CHECK(one.boot_id() != other.boot_id());
   }
 }

@@ -61,7 +61,7 @@ TEST_SUITE("loop") {
     Feed<Number> a(loop, {.name = "a", .topic = "t"});
     Feed<Number> b(loop, {.name = "b", .topic = "t"});
     std::vector<std::pair<std::string, std::uint64_t>> seen;
-    Time last[2] = {};
+    Time last[2] = {Time::min(), Time::min()};
     bool rising = true;
     const auto subscription = loop.subscribe<Number>("t", [&](const Event<Number>& e) {
       seen.emplace_back(e.origin, e.sequence);

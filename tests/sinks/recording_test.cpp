@@ -252,35 +252,35 @@ TEST_CASE("FW-5 a value that does not fit its field is damage, named with its pl
 TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {
   const auto at = [](std::int64_t s) { return Time{std::chrono::seconds{s}}; };
   const auto pair = [&](std::int64_t monotonic, std::int64_t realtime, const char* source) {
-    return RecordedClock{MonotonicTime{std::chrono::seconds{monotonic}}, at(realtime), source};
+    return RecordedClock{MonotonicTime{std::chrono::seconds{monotonic}}, at(realtime), "system", {}, source};
   };
   constexpr std::int64_t now = 1'800'000'000;
   SUBCASE("never set") {
     const std::vector<RecordedClock> clock{pair(100, now, "start"), pair(200, now + 100, "end")};
-    CHECK(wall_time(at(now + 50), clock, std::chrono::seconds{now - 100}) == at(now + 50));
-    CHECK(wall_time(at(now + 50), {}, std::chrono::seconds{now - 100}) == at(now + 50));
+    CHECK(UtcLine(clock, std::chrono::seconds{now - 100}).utc(at(now + 50)) == at(now + 50));
+    CHECK(UtcLine({}, std::chrono::seconds{now - 100}).utc(at(now + 50)) == at(now + 50));
   }
   SUBCASE("started in 1970 and set right later: before and after the step") {
     const std::vector<RecordedClock> clock{pair(10, 15, "start"), pair(60, now + 50, "step"), pair(100, now + 90, "end")};
-    CHECK(wall_time(at(15), clock, 5s) == at(now));
-    CHECK(wall_time(at(64), clock, 5s) == at(now + 49));
-    CHECK(wall_time(at(105), clock, 5s) == at(now + 90));
+    CHECK(UtcLine(clock, 5s).utc(at(15)) == at(now));
+    CHECK(UtcLine(clock, 5s).utc(at(64)) == at(now + 49));
+    CHECK(UtcLine(clock, 5s).utc(at(105)) == at(now + 90));
   }
   SUBCASE("set by an hour forwards or backwards: no hole and no hour twice") {
     for (const std::int64_t hour : {3600, -3600}) {
       const std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, now + 60 + hour, "step")};
-      CHECK(wall_time(at(now + 59), clock, std::chrono::seconds{now}) == at(now + 59 + hour));
-      CHECK(wall_time(at(now + 61), clock, std::chrono::seconds{now}) == at(now + 61 + hour));
+      CHECK(UtcLine(clock, std::chrono::seconds{now}).utc(at(now + 59)) == at(now + 59 + hour));
+      CHECK(UtcLine(clock, std::chrono::seconds{now}).utc(at(now + 61)) == at(now + 61 + hour));
     }
   }
   SUBCASE("a clock that fell back to 1970 overrules none that was set") {
     const std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, 0, "step"), pair(90, 30, "end")};
-    CHECK(wall_time(at(now + 70), clock, std::chrono::seconds{now}) == at(now + 70));
+    CHECK(UtcLine(clock, std::chrono::seconds{now}).utc(at(now + 70)) == at(now + 70));
   }
   SUBCASE("the noise of reading two clocks moves nothing") {
     std::vector<RecordedClock> clock{pair(0, now, "start"), pair(60, now + 60, "end")};
     clock[1].realtime += 900us;
-    CHECK(wall_time(at(now + 61), clock, std::chrono::seconds{now}) == at(now + 61));
+    CHECK(UtcLine(clock, std::chrono::seconds{now}).utc(at(now + 61)) == at(now + 61));
   }
 }
 

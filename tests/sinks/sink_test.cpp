@@ -152,7 +152,7 @@ TEST_SUITE("sinks") {
     for (std::size_t i = 0; i < detail::SinkNotes::most_segments + more; ++i)
       notes.add(0, Segment{at(i), std::chrono::seconds{1}, at(i), 1});
     for (std::size_t i = 0; i < detail::SinkNotes::most_clock_pairs + more; ++i)
-      notes.add(ClockPair{MonotonicTime{std::chrono::seconds{i}}, at(i), "step"});
+      notes.add(ClockPair{MonotonicTime{std::chrono::seconds{i}}, at(i)});
     for (std::size_t i = 0; i < detail::SinkNotes::most_errors + more; ++i)
       notes.add(at(i), "object " + std::to_string(i), Error{Errc::io_failed, "it fails", "", "", ""}, 3);
     Account account;

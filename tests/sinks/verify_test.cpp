@@ -112,7 +112,9 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
 TEST_CASE("US-26 a run that ended without closing is reported as such, and held to its last account") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '00000000-0000-0000-0000-000000000000'");
+  sql(path,
+      "UPDATE rtdata_run SET state = 'recording', boot_id = '00000000-0000-0000-0000-000000000000'; UPDATE rtdata_utc "
+      "SET boot_id = '00000000-0000-0000-0000-000000000000'");
   VerifyReport report = report_of(path);
   CHECK(report.verdict() == Verdict::unsealed);
   CHECK(report.exit_code() == 1);
@@ -132,7 +134,8 @@ TEST_CASE("US-26 a run that is being recorded by a living process is no mistake"
   std::ifstream boot("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
   std::getline(boot, boot_id);
-  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id + "', pid = " + std::to_string(::getpid()));
+  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id +
+                "', pid = " + std::to_string(::getpid()) + "; UPDATE rtdata_utc SET boot_id = '" + boot_id + "'");
   const VerifyReport report = report_of(path);
   CHECK(report.verdict() == Verdict::recording);
   CHECK(report.exit_code() == 0);

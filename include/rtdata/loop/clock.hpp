@@ -3,6 +3,7 @@
 /// Thread: called from the loop's thread only.
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "rtdata/data/time.hpp"
@@ -19,14 +20,17 @@ class Clock {
   virtual Time realtime() noexcept = 0;
   /// Names the time during which `monotonic` counts from one start: the machine's boot id.
   virtual std::string boot_id() = 0;
+  /// How far `realtime` may be from UTC; none: not known, since nobody keeps it right.
+  virtual std::optional<Duration> accuracy() noexcept { return std::nullopt; }
 };
 
-/// The machine's clocks.
+/// The machine's clocks. Their accuracy is what the kernel was told by who keeps it right (NTP, PTP), at least 1 ms.
 class SystemClock : public Clock {
  public:
   MonotonicTime monotonic() noexcept override;
   Time realtime() noexcept override;
   std::string boot_id() override;
+  std::optional<Duration> accuracy() noexcept override;
 };
 
 /// The clocks of a manual loop: they stand still unless moved.
@@ -35,7 +39,9 @@ class ManualClock : public Clock {
   explicit ManualClock(Time realtime = Time{std::chrono::seconds{1'700'000'000}}) : realtime_(realtime) {}
   MonotonicTime monotonic() noexcept override { return monotonic_; }
   Time realtime() noexcept override { return realtime_; }
-  std::string boot_id() override { return "manual"; }
+  /// Another for each object.
+  std::string boot_id() override;
+  std::optional<Duration> accuracy() noexcept override { return accuracy_; }
 
   /// Lets time pass on both lines. Within a callback of a manual loop: that callback took this long.
   void pass(Duration duration) noexcept {
@@ -44,18 +50,24 @@ class ManualClock : public Clock {
   }
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
+  /// What keeps the time of day right, or no longer.
+  void set_accuracy(std::optional<Duration> accuracy) noexcept { accuracy_ = accuracy; }
 
  private:
   MonotonicTime monotonic_{};
   Time realtime_;
+  std::optional<Duration> accuracy_;
+  std::string boot_id_;
 };
 
-/// The time of day at one instant of the monotonic line.
+/// The time of day at one instant of the monotonic line, by one source.
 struct ClockPair {
   MonotonicTime monotonic{};
   Time realtime{};
-  /// "start", "step" (the clock was set), "regular" or "end".
-  const char* source = "start";
+  std::string source = "system";          ///< "system": the program's clock; or the name of a plugged one: "gps"
+  std::optional<Duration> accuracy = {};  ///< how far `realtime` may be from UTC; none: not known
+  /// Why it is recorded: "start", "step" (the clock was set), "sync" (its accuracy changed), "regular", "end".
+  const char* occasion = "regular";
 };
 
 }  // namespace rtdata

@@ -84,6 +84,16 @@ class Runtime {
   const Config& config() const noexcept;
   /// Where log records go. Default: warnings and errors to standard error, a line each.
   void on_log(Callback<void(const LogRecord&)> handler);
+  /// Tells what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. Nothing is set
+  /// by it: recordings keep it, and bind the UTC of their rows by the best of what they were told.
+  ///
+  ///     loop.runtime().note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy =
+  ///     1us}).or_throw();
+  ///
+  /// As often as the source speaks: of each source only what says something new is kept, at most once in 10 s. Its
+  /// `occasion` is not looked at. Errors: bad-name (empty, over 64 characters, "system"), bad-argument (an accuracy
+  /// that is not positive; a 17th source).
+  Result<void> note_wall_clock(const ClockPair& pair);
 
   std::vector<SensorStatus> sensors() const;
   /// Those that were closed in this run first.

@@ -17,7 +17,7 @@ namespace rtdata {
 
 enum class ExportTime {
   recorded,  ///< as stored: never jumps within a run
-  utc,       ///< see wall_time
+  utc,       ///< see UtcLine
 };
 
 struct ExportConfig {

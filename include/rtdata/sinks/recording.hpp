@@ -2,14 +2,16 @@
 ///
 ///     auto recording = rtdata::Recording::open("run.db").or_throw();
 ///     auto rows = recording.rows({.topic = "room/#"}).or_throw();
-///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) print(row->event().time(), row->event().topic());
+///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) print(row->event().time(),
+///     row->event().topic());
 ///
-/// Every payload comes back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0 comes
-/// back as 0.0, which is equal: SQLite keeps no sign of zero.) A field that a later run added reads as absent, NaN, zero or
-/// empty in the rows from before.
+/// Every payload comes back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0
+/// comes back as 0.0, which is equal: SQLite keeps no sign of zero.) A field that a later run added reads as absent,
+/// NaN, zero or empty in the rows from before.
 ///
-/// Owner: the holder; Rows may outlive the Recording. Thread: one at a time. Times are as they were recorded (a line that
-/// never jumps); `wall_time` gives UTC. Errors: not-found, not-permitted, not-a-recording, newer-version, damaged, busy.
+/// Owner: the holder; Rows may outlive the Recording. Thread: one at a time. Times are as they were recorded (a line
+/// that never jumps); `Recording::utc_line` gives UTC. Errors: not-found, not-permitted, not-a-recording,
+/// newer-version, damaged, busy.
 #pragma once
 
 #include <cstdint>
@@ -77,10 +79,43 @@ struct RecordedSegment {
   Segment segment;
 };
 
+/// See ClockPair.
 struct RecordedClock {
   MonotonicTime monotonic{};
   Time realtime{};
-  std::string source;  ///< "start", "step", "regular" or "end"
+  std::string source = {};
+  std::optional<Duration> accuracy = {};
+  std::string occasion = {};
+};
+
+/// The UTC of the monotonic line of one boot, bound late: by all that recordings of it were told of the time of day.
+///
+/// A pair says the time of day at its instant to within its accuracy, and less well away from it: worse by 1 us for
+/// each second (1 ppm). A pair counts if none vouches better for its instant. From one that counts to the next the line
+/// is straight; before the first and after the last it is parallel to the monotonic one. It never goes back.
+///
+/// Pairs of unknown accuracy count only when there are no others. Then a clock was set because it was wrong, so the
+/// last one holds for the whole boot: an hour's step leaves neither a hole nor an hour twice. (One before 2020 was
+/// never set, and overrules none that was.)
+class UtcLine {
+ public:
+  /// From `since` on: UTC = monotonic + offset + (monotonic - since) * rate.
+  struct Stretch {
+    MonotonicTime since{};
+    Duration offset{0};
+    double rate = 0;
+    bool operator==(const Stretch&) const = default;
+  };
+  /// `pairs`: of the boot, in any order. `clock_offset`: of the run whose times are asked for.
+  explicit UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset = Duration{0});
+  /// The UTC of a time as recorded in that run. One from before the boot (a source with times of its own) stays.
+  Time utc(Time recorded) const noexcept;
+  /// In order; the first begins at 0. None when there are no pairs.
+  const std::vector<Stretch>& stretches() const noexcept { return stretches_; }
+
+ private:
+  Duration clock_offset_;
+  std::vector<Stretch> stretches_;
 };
 
 struct RecordedError {
@@ -155,6 +190,8 @@ class Recording {
   Result<std::vector<RecordedGap>> gaps(std::int64_t run) const;
   Result<std::vector<RecordedSegment>> schedule(std::int64_t run) const;
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
+  /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
+  Result<UtcLine> utc_line(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
   /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
   Result<Rows> rows(const RowFilter& filter) const;
@@ -166,14 +203,6 @@ class Recording {
   explicit Recording(std::shared_ptr<detail::RecordingFile> file);
   std::shared_ptr<detail::RecordingFile> file_;
 };
-
-/// The UTC of a recorded time.
-///
-/// A clock is set because it was wrong, so the last clock of the run holds for all of it: rows taken before NTP, GPS or a
-/// person set the clock get the time that the right clock would have shown, and an hour's step forwards or backwards
-/// leaves neither a hole nor an hour twice. One exception: a clock before 2020 was never set and does not overrule one
-/// that was. Offsets that differ by at most 1 ms are the noise of reading two clocks: the recorded time is returned.
-Time wall_time(Time stored, std::span<const RecordedClock> clock, Duration clock_offset) noexcept;
 
 /// What a topic of a run came to.
 struct TopicSummary {

@@ -27,28 +27,24 @@ std::string header_of(const ExportConfig& config, const Codec& codec, const Desc
   return codec.header(description);
 }
 
-/// The clocks of the runs, read when they are first needed.
-class Clocks {
+/// The UTC lines of the runs, read when they are first needed.
+class UtcLines {
  public:
-  explicit Clocks(const Recording& recording) : recording_(recording) {}
-  Result<Time> utc(std::int64_t run, Time stored) {
-    if (runs_.empty()) {
-      auto infos = recording_.runs();
-      if (!infos) return std::move(infos).error();
-      for (const RunInfo& info : *infos) {
-        auto clock = recording_.clock(info.run);
-        if (!clock) return std::move(clock).error();
-        // What moves one time of a run moves all of them.
-        runs_[info.run] = wall_time(Time{}, *clock, info.clock_offset) - Time{};
-      }
+  explicit UtcLines(const Recording& recording) : recording_(recording) {}
+  Result<Time> utc(std::int64_t run, Time recorded) {
+    auto found = lines_.find(run);
+    if (found == lines_.end()) {
+      auto line = recording_.utc_line(run);
+      if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
+      found =
+          lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;  // rows of a run that is not listed stay
     }
-    const auto found = runs_.find(run);
-    return found == runs_.end() ? stored : stored + found->second;
+    return found->second.utc(recorded);
   }
 
  private:
   const Recording& recording_;
-  std::map<std::int64_t, Duration> runs_;
+  std::map<std::int64_t, UtcLine> lines_;
 };
 
 Error cannot_write(const std::string& path) {
@@ -62,7 +58,7 @@ Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig&
   unlimited.limit = 0;
   auto rows = recording.rows(unlimited);
   if (!rows) return std::move(rows).error();
-  Clocks clocks(recording);
+  UtcLines lines(recording);
   std::vector<std::byte> bytes;
   std::uint64_t written = 0;
   const auto flush = [&] {
@@ -78,7 +74,7 @@ Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig&
     if (version != 0 && given.topic().version != version) continue;
     EventHeader header = given.header();
     if (config.time == ExportTime::utc) {
-      auto utc = clocks.utc(given.run(), header.time);
+      auto utc = lines.utc(given.run(), header.time);
       if (!utc) return std::move(utc).error();
       header.time = *utc;
     }

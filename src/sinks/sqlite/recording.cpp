@@ -8,6 +8,7 @@
 #include "rtdata/loop/topic.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 
 namespace rtdata {
 
@@ -230,10 +231,19 @@ Result<std::vector<RecordedSegment>> Recording::schedule(std::int64_t run) const
 }
 
 Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const {
-  return all<RecordedClock>(*file_, "SELECT monotonic, realtime, source FROM rtdata_clock WHERE run = ? ORDER BY monotonic, rowid", run,
-                            [](const Statement& row) {
-                              return RecordedClock{MonotonicTime{Duration{row.integer(0)}}, time_of(row, 1), string_of(row, 2)};
-                            });
+  return sqlite::clock_pairs(file_->database, "r.run = " + std::to_string(run));
+}
+
+Result<UtcLine> Recording::utc_line(std::int64_t run) const {
+  auto infos = runs();
+  if (!infos) return std::move(infos).error();
+  for (const RunInfo& info : *infos) {
+    if (info.run != run) continue;
+    auto pairs = sqlite::clock_pairs_of_boot(file_->database, info.boot_id);
+    if (!pairs) return std::move(pairs).error();
+    return UtcLine(*pairs, info.clock_offset);
+  }
+  return Error{Errc::not_found, doing, path(), "it has no run " + std::to_string(run), "see `rtdata info`"};
 }
 
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
@@ -241,19 +251,6 @@ Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
                             [](const Statement& row) {
                               return RecordedError{time_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3), count_of(row, 4)};
                             });
-}
-
-Time wall_time(Time stored, std::span<const RecordedClock> clock, Duration clock_offset) noexcept {
-  constexpr Time plausible{std::chrono::sys_days{std::chrono::year{2020} / 1 / 1}};
-  constexpr Duration noise = std::chrono::milliseconds{1};
-  const RecordedClock* right = nullptr;
-  for (const RecordedClock& pair : clock) {
-    if (right == nullptr || pair.realtime >= plausible || right->realtime < plausible) right = &pair;
-  }
-  if (right == nullptr) return stored;
-  const Duration offset = right->realtime.time_since_epoch() - right->monotonic.time_since_epoch();
-  const Duration moved = offset - clock_offset;
-  return moved > noise || moved < -noise ? stored + moved : stored;
 }
 
 }  // namespace rtdata

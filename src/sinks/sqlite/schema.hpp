@@ -1,17 +1,20 @@
-// The tables of a recording. docs/recording.md explains them to users. All times are ns since the epoch on the run's line
-// that never jumps, except rtdata_clock.monotonic.
+// The tables of a recording. docs/recording.md explains them to users. All times are ns since the epoch on the run's
+// line that never jumps, except those of rtdata_clock and rtdata_utc. The views "TABLE~utc" and rtdata_run_utc have UTC
+// too.
 //
 // One table a topic, named as the topic (rtdata_topic maps the exceptions), columns:
-//   run, time, origin, sequence, then one column a leaf of the description, named by its path ("position.x", "accel[0]").
+//   run, time, origin, sequence, then one column a leaf of the description, named by its path ("position.x",
+//   "accel[0]").
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
-// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT; char TEXT of one
-// character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name; absent NULL.
+// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT; char TEXT of
+// one character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name;
+// absent NULL.
 #pragma once
 
 namespace rtdata::sqlite {
 
 inline constexpr int application_id = 0x52544441;  // "RTDA"
-inline constexpr int schema_version = 1;           // PRAGMA user_version
+inline constexpr int schema_version = 2;           // PRAGMA user_version
 
 inline constexpr const char* schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_run(
@@ -61,10 +64,24 @@ CREATE TABLE IF NOT EXISTS rtdata_gap(
   count INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS rtdata_clock(
   run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL,
-  source TEXT NOT NULL);            -- start, step (the time of day was set), end
+  source TEXT NOT NULL,             -- system, or the name of a plugged clock
+  occasion TEXT NOT NULL DEFAULT '',  -- start, step (the time of day was set), sync (its accuracy changed), regular, end
+  accuracy INTEGER);                -- NULL: not known
+CREATE TABLE IF NOT EXISTS rtdata_utc(  -- computed from rtdata_clock: UTC = monotonic + offset + (monotonic - since) * rate
+  boot_id TEXT NOT NULL,
+  since INTEGER NOT NULL,           -- monotonic; up to the next row's
+  "offset" INTEGER NOT NULL, rate REAL NOT NULL,
+  PRIMARY KEY(boot_id, since)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_error(
   run INTEGER NOT NULL, time INTEGER NOT NULL, object TEXT NOT NULL, id TEXT NOT NULL, text TEXT NOT NULL,
   count INTEGER NOT NULL);
+)sql";
+
+/// What `schema` does not do to the tables of a file of version 1.
+inline constexpr const char* from_version_1 = R"sql(
+ALTER TABLE rtdata_clock ADD COLUMN occasion TEXT NOT NULL DEFAULT '';
+ALTER TABLE rtdata_clock ADD COLUMN accuracy INTEGER;
+UPDATE rtdata_clock SET occasion = source, source = 'system';
 )sql";
 
 }  // namespace rtdata::sqlite

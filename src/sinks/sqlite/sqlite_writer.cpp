@@ -5,6 +5,7 @@
 
 #include "loop/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -25,14 +26,14 @@ std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(
 
 void throw_if(const Result<void>& result) { result.or_throw(); }
 
-/// Whether the file is a recording of this format; else it is empty, or an older one.
-Result<bool> has_schema(const Database& database, const std::string& path) {
+/// The version of the recording's format; 0: the file is empty.
+Result<std::int64_t> format_of(const Database& database, const std::string& path) {
   auto id = database.integer("PRAGMA application_id");
   if (!id) return std::move(id).error();
   if (*id != application_id) {
     auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
     if (!tables) return std::move(tables).error();
-    if (*tables == 0) return false;
+    if (*tables == 0) return 0;
     return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database", "choose another path"};
   }
   auto version = database.integer("PRAGMA user_version");
@@ -42,7 +43,7 @@ Result<bool> has_schema(const Database& database, const std::string& path) {
                  "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " + std::to_string(schema_version) + ")",
                  "update rt-data, or choose another path"};
   }
-  return *version == schema_version;
+  return *version;
 }
 
 }  // namespace
@@ -55,12 +56,12 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
     throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only", "check the permissions of the file and its folder"});
   }
-  const bool is_made = has_schema(database_, config_.path).or_throw();
+  (void)format_of(database_, config_.path).or_throw();
   live_ = std::move(LiveFile::open(config_.path)).or_throw();
   throw_if(configure());
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
-  if (!is_made) throw_if(make_schema());
+  throw_if(make_schema());
   remarks = std::move(seal_runs(database_, live_)).or_throw();
   throw_if(begin_run(run, uuid));
   throw_if(database_.execute("COMMIT"));
@@ -88,8 +89,29 @@ Result<void> SqliteWriter::configure() {
 }
 
 Result<void> SqliteWriter::make_schema() {
-  return database_.execute(schema + ("PRAGMA application_id=" + std::to_string(application_id)) +
-                           "; PRAGMA user_version=" + std::to_string(schema_version));
+  auto version = format_of(database_, config_.path);  // again, now that nobody else can change it
+  if (!version) return std::move(version).error();
+  if (*version == schema_version) return {};
+  std::string sql = schema + run_view();
+  if (*version == 1) sql += std::string(";") + from_version_1;
+  sql += ";PRAGMA application_id=" + std::to_string(application_id) +
+         ";PRAGMA user_version=" + std::to_string(schema_version);
+  if (auto made = database_.execute(sql); !made || *version == 0) return made;
+  if (auto written = write_utc_lines(database_); !written) return written;
+  auto topic = database_.prepare("SELECT table_name, description FROM rtdata_topic");
+  if (!topic) return std::move(topic).error();
+  std::vector<std::pair<std::string, std::shared_ptr<const Description>>> tables;
+  for (;;) {
+    auto row = topic->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    // Written by something else: left alone.
+    if (auto description = Description::from_json(topic->text(1))) tables.emplace_back(topic->text(0), *description);
+  }
+  for (const auto& [table, description] : tables) {
+    if (auto made = make_utc_view(database_, table, *description); !made) return made;
+  }
+  return {};
 }
 
 Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid) {
@@ -105,6 +127,7 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
+  boot_id_ = run.boot_id;
   return {};
 }
 
@@ -121,24 +144,31 @@ Result<void> SqliteWriter::prepare_account() {
       {begin_, "BEGIN IMMEDIATE"},
       {commit_, "COMMIT"},
       {ledger_,
-       "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, "
-       "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, "
+       "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, "
+       "late, received, "
+       "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
+       "first_sequence, "
        "last_sequence, rows_up_to) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
-       "repeated=excluded.repeated, filtered=excluded.filtered, lost=excluded.lost, offered=excluded.offered, stored=excluded.stored, "
-       "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, dropped_refused=excluded.dropped_refused, "
+       "repeated=excluded.repeated, filtered=excluded.filtered, lost=excluded.lost, offered=excluded.offered, "
+       "stored=excluded.stored, "
+       "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
+       "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
-       "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, period=excluded.period"},
+       "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
+       "period=excluded.period"},
       {slot_,
-       "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, "
-       "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, "
+       "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, "
+       "in_flight, late, "
+       "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
+       "first_sequence, "
        "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
-      {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source) VALUES(?,?,?,?)"},
+      {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
       {run_end_, "UPDATE rtdata_run SET ended = ?, state = ? WHERE run = ?"},
   };
@@ -243,7 +273,16 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   }
   for (const ClockPair& pair : account.clock) {
     clock_.bind(1, run_).bind(2, pair.monotonic.time_since_epoch().count()).bind(3, to_nanoseconds(pair.realtime)).bind(4, std::string_view(pair.source));
+    clock_.bind(5, std::string_view(pair.occasion));
+    if (pair.accuracy) {
+      clock_.bind(6, pair.accuracy->count());
+    } else {
+      clock_.bind_null(6);
+    }
     if (auto done = clock_.run(); !done) return done;
+  }
+  if (!account.clock.empty()) {
+    if (auto done = write_utc_line(database_, boot_id_); !done) return done;
   }
   for (const Account::ErrorEntry& entry : account.errors) {
     error_.bind(1, run_).bind(2, to_nanoseconds(entry.time)).bind(3, entry.object).bind(4, entry.id).bind(5, entry.text).bind(6, as_integer(entry.count));

@@ -51,6 +51,7 @@ class SqliteWriter final : public Writer {
   Database database_;
   LiveFile live_;
   std::int64_t run_ = 0;
+  std::string boot_id_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
   Statement begin_;
   Statement commit_;

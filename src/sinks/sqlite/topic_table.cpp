@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "rtdata/data/value.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -141,12 +142,14 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
     if (!insert) return std::move(insert).error();
     insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
     if (auto done = insert->run(); !done) return std::move(done).error();
+    if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
   } else if (!widen.empty()) {
     if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added) return std::move(added).error();
     auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
     if (!update) return std::move(update).error();
     update->bind(1, json).bind(2, slot.topic).bind(3, version);
     if (auto done = update->run(); !done) return std::move(done).error();
+    if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
   }
 
   TopicTable table;

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <set>
 
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata {
@@ -168,6 +170,17 @@ Result<VerifyReport> verify(const Recording& recording) {
   if (!topics) return std::move(topics).error();
   for (const RecordedTopic& topic : *topics) {
     if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned) return std::move(scanned).error();
+  }
+  auto version = recording.file()->database.integer("PRAGMA user_version");
+  if (!version) return std::move(version).error();
+  std::set<std::string> boots;
+  for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
+  for (const std::string& boot : boots) {
+    if (*version < 2) break;
+    auto agrees = sqlite::utc_line_agrees(recording.file()->database, boot);
+    if (!agrees) return std::move(agrees).error();
+    if (!*agrees)
+      report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
   }
   for (RunReport& run : report.runs) {
     if (auto done = detail::verify_run(recording, rows[run.info.run], run); !done) return std::move(done).error();

@@ -1,0 +1,246 @@
+#include "sinks/sqlite/utc_line.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <limits>
+
+namespace rtdata {
+namespace {
+
+Duration offset_of(const RecordedClock& pair) {
+  return pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
+}
+
+/// Of pairs of known accuracy, in order of time: those for whose instant no other vouches better.
+std::vector<RecordedClock> best_of(const std::vector<RecordedClock>& pairs) {
+  constexpr double drift = 1e-6;
+  std::vector<double> vouched(pairs.size(), std::numeric_limits<double>::infinity());  // by the best of the others
+  const auto walk = [&](std::size_t from, std::ptrdiff_t step) {
+    double best = std::numeric_limits<double>::infinity();
+    for (std::size_t i = from, last = from; i < pairs.size(); last = i, i += static_cast<std::size_t>(step)) {
+      best += drift * static_cast<double>(std::chrono::abs(pairs[i].monotonic - pairs[last].monotonic).count());
+      vouched[i] = std::min(vouched[i], best);
+      best = std::min(best, static_cast<double>(pairs[i].accuracy->count()));
+    }
+  };
+  walk(0, 1);
+  walk(pairs.size() - 1, -1);  // ends by running below 0
+  std::vector<RecordedClock> best;
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    if (static_cast<double>(pairs[i].accuracy->count()) <= vouched[i]) best.push_back(pairs[i]);
+  }
+  return best;
+}
+
+/// Leaves out pairs until both clocks rise from each to the next; of two that do not agree, the less accurate one or
+/// else the earlier one goes.
+std::vector<RecordedClock> rising(const std::vector<RecordedClock>& pairs) {
+  std::vector<RecordedClock> kept;
+  for (const RecordedClock& pair : pairs) {
+    bool is_kept = true;
+    while (is_kept && !kept.empty() &&
+           (pair.monotonic <= kept.back().monotonic || pair.realtime <= kept.back().realtime)) {
+      is_kept = *pair.accuracy <= *kept.back().accuracy;
+      if (is_kept) kept.pop_back();
+    }
+    if (is_kept) kept.push_back(pair);
+  }
+  return kept;
+}
+
+/// Of pairs of unknown accuracy: what was set last.
+Duration last_set(const std::vector<RecordedClock>& pairs) {
+  constexpr Time plausible{std::chrono::sys_days{std::chrono::year{2020} / 1 / 1}};
+  constexpr Duration noise = std::chrono::milliseconds{1};  // of reading two clocks
+  std::size_t last = 0;
+  for (std::size_t i = 0; i < pairs.size(); ++i) {
+    if (pairs[i].realtime >= plausible || pairs[last].realtime < plausible) last = i;
+  }
+  const Duration offset = offset_of(pairs[last]);
+  while (last > 0 && std::chrono::abs(offset_of(pairs[last - 1]) - offset) <= noise) --last;
+  return offset_of(pairs[last]);
+}
+
+}  // namespace
+
+UtcLine::UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset) : clock_offset_(clock_offset) {
+  if (pairs.empty()) return;
+  std::vector<RecordedClock> all(pairs.begin(), pairs.end());
+  std::stable_sort(all.begin(), all.end(), [](const auto& a, const auto& b) { return a.monotonic < b.monotonic; });
+  std::vector<RecordedClock> known;
+  std::copy_if(all.begin(), all.end(), std::back_inserter(known),
+               [](const auto& pair) { return pair.accuracy.has_value(); });
+  if (known.empty()) {
+    stretches_.push_back({MonotonicTime{}, last_set(all), 0});
+    return;
+  }
+  const std::vector<RecordedClock> best = rising(best_of(known));
+  stretches_.push_back({MonotonicTime{}, offset_of(best.front()), 0});
+  for (std::size_t i = 0; i < best.size(); ++i) {
+    Stretch stretch{best[i].monotonic, offset_of(best[i]), 0};
+    if (i + 1 < best.size()) {
+      stretch.rate = static_cast<double>((offset_of(best[i + 1]) - stretch.offset).count()) /
+                     static_cast<double>((best[i + 1].monotonic - stretch.since).count());
+    }
+    const Stretch& before = stretches_.back();
+    if (before.offset != stretch.offset || before.rate != stretch.rate) {
+      if (before.since == stretch.since) stretches_.pop_back();
+      stretches_.push_back(stretch);
+    }
+  }
+}
+
+Time UtcLine::utc(Time recorded) const noexcept {
+  const MonotonicTime at{recorded.time_since_epoch() - clock_offset_};
+  const auto after = std::upper_bound(stretches_.begin(), stretches_.end(), at,
+                                      [](MonotonicTime t, const Stretch& s) { return t < s.since; });
+  if (after == stretches_.begin()) return recorded;
+  const Stretch& stretch = *std::prev(after);
+  // As the views have it: double, then towards zero.
+  const Duration more{static_cast<std::int64_t>(static_cast<double>((at - stretch.since).count()) * stretch.rate)};
+  return Time{at.time_since_epoch() + stretch.offset + more};
+}
+
+namespace sqlite {
+
+Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database, std::string_view boot_id) {
+  std::string text = "'";
+  for (const char c : boot_id) text.append(c == '\'' ? 2 : 1, c);
+  return clock_pairs(database, "r.boot_id = " + text + "'");
+}
+
+Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const std::string& condition) {
+  auto version = database.integer("PRAGMA user_version");
+  if (!version) return std::move(version).error();
+  // Up to version 1 the column source had the occasion.
+  auto query = database.prepare(std::string("SELECT c.monotonic, c.realtime, ") +
+                                (*version < 2 ? "'system', NULL, c.source" : "c.source, c.accuracy, c.occasion") +
+                                " FROM rtdata_run r JOIN rtdata_clock c ON c.run = r.run WHERE " + condition +
+                                " ORDER BY c.monotonic, c.rowid");
+  if (!query) return std::move(query).error();
+  std::vector<RecordedClock> pairs;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return pairs;
+    RecordedClock& pair = pairs.emplace_back();
+    pair.monotonic = MonotonicTime{Duration{query->integer(0)}};
+    pair.realtime = from_nanoseconds(query->integer(1));
+    pair.source = std::string(query->text(2));
+    if (!query->is_null(3)) pair.accuracy = Duration{query->integer(3)};
+    pair.occasion = std::string(query->text(4));
+  }
+}
+
+namespace {
+
+Result<std::vector<UtcLine::Stretch>> written_stretches(const Database& database, std::string_view boot_id) {
+  auto query = database.prepare("SELECT since, \"offset\", rate FROM rtdata_utc WHERE boot_id = ? ORDER BY since");
+  if (!query) return std::move(query).error();
+  query->bind(1, boot_id);
+  std::vector<UtcLine::Stretch> stretches;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return stretches;
+    stretches.push_back({MonotonicTime{Duration{query->integer(0)}}, Duration{query->integer(1)}, query->real(2)});
+  }
+}
+
+}  // namespace
+
+Result<bool> utc_line_agrees(const Database& database, std::string_view boot_id) {
+  auto pairs = clock_pairs_of_boot(database, boot_id);
+  if (!pairs) return std::move(pairs).error();
+  auto written = written_stretches(database, boot_id);
+  if (!written) return std::move(written).error();
+  return *written == UtcLine(*pairs).stretches();
+}
+
+Result<void> write_utc_line(Database& database, std::string_view boot_id) {
+  auto pairs = clock_pairs_of_boot(database, boot_id);
+  if (!pairs) return std::move(pairs).error();
+  auto written = written_stretches(database, boot_id);
+  if (!written) return std::move(written).error();
+  const UtcLine line(*pairs);
+  const auto [old, wanted] =
+      std::mismatch(written->begin(), written->end(), line.stretches().begin(), line.stretches().end());
+  if (old != written->end()) {
+    auto remove = database.prepare("DELETE FROM rtdata_utc WHERE boot_id = ? AND since >= ?");
+    if (!remove) return std::move(remove).error();
+    remove->bind(1, boot_id).bind(2, old->since.time_since_epoch().count());
+    if (auto done = remove->run(); !done) return done;
+  }
+  if (wanted == line.stretches().end()) return {};
+  auto insert = database.prepare("INSERT INTO rtdata_utc(boot_id, since, \"offset\", rate) VALUES(?,?,?,?)");
+  if (!insert) return std::move(insert).error();
+  for (auto next = wanted; next != line.stretches().end(); ++next) {
+    insert->bind(1, boot_id)
+        .bind(2, next->since.time_since_epoch().count())
+        .bind(3, next->offset.count())
+        .bind(4, next->rate);
+    if (auto done = insert->run(); !done) return done;
+  }
+  return {};
+}
+
+Result<void> write_utc_lines(Database& database) {
+  std::vector<std::string> boots;
+  auto query = database.prepare("SELECT DISTINCT boot_id FROM rtdata_run");
+  if (!query) return std::move(query).error();
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    boots.emplace_back(query->text(0));
+  }
+  for (const std::string& boot : boots) {
+    if (auto written = write_utc_line(database, boot); !written) return written;
+  }
+  return {};
+}
+
+namespace {
+
+/// The UTC in ns of a time column of run `run`; without a line it stays.
+std::string utc_of(const std::string& time, const std::string& run) {
+  const std::string at = "(" + time + " - r.clock_offset)";
+  return "coalesce((SELECT " + at + " + u.\"offset\" + CAST((" + at +
+         " - u.since) * u.rate AS INTEGER) FROM rtdata_run r" +
+         " JOIN rtdata_utc u ON u.boot_id = r.boot_id AND u.since <= " + at + " WHERE r.run = " + run +
+         " ORDER BY u.since DESC LIMIT 1), " + time + ")";
+}
+
+/// ISO 8601 of a column of ns.
+std::string text_of(const std::string& ns) {
+  const std::string fraction = "((" + ns + " % 1000000000 + 1000000000) % 1000000000)";
+  return "strftime('%Y-%m-%dT%H:%M:%S', (" + ns + " - " + fraction +
+         ") / 1000000000, 'unixepoch') || printf('.%09dZ', " + fraction + ")";
+}
+
+}  // namespace
+
+Result<void> make_utc_view(Database& database, const std::string& table, const Description& description) {
+  const std::string view = quoted(table + "~utc");
+  std::string sql = "DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view +
+                    " AS SELECT run, time, origin, sequence, " + text_of("\"~\"") + " AS utc, \"~\" AS utc_ns";
+  for (const Leaf& leaf : description.leaves()) {
+    std::string lower = leaf.path;
+    std::transform(lower.begin(), lower.end(), lower.begin(),
+                   [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    sql += ", " + quoted(leaf.path);
+    if (lower == "utc" || lower == "utc_ns") sql += " AS " + quoted(leaf.path + "~");
+  }
+  return database.execute(sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) +
+                          " t)");
+}
+
+std::string run_view() {
+  return "DROP VIEW IF EXISTS rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT run, name, host, state, " +
+         text_of("started_ns") + " AS started, " + text_of("ended_ns") +
+         " AS ended, started_ns, ended_ns FROM (SELECT run, name, host, state, " + utc_of("t.started", "t.run") +
+         " AS started_ns, " + utc_of("t.ended", "t.run") + " AS ended_ns FROM rtdata_run t)";
+}
+
+}  // namespace sqlite
+}  // namespace rtdata

@@ -1,0 +1,27 @@
+// The table rtdata_utc: the UTC line of each boot, which the views apply. All of it can be computed from rtdata_clock.
+#pragma once
+
+#include "rtdata/sinks/recording.hpp"
+#include "sinks/sqlite/database.hpp"
+
+namespace rtdata::sqlite {
+
+/// The pairs of the runs (called r) for which an SQL condition holds. Errors: those of the database.
+Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const std::string& condition);
+/// The pairs that the runs of one boot recorded.
+Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database, std::string_view boot_id);
+
+/// Within a transaction: brings the boot's stretches in line with its pairs; those that did not change are not touched.
+Result<void> write_utc_line(Database& database, std::string_view boot_id);
+/// Whether they are so.
+Result<bool> utc_line_agrees(const Database& database, std::string_view boot_id);
+/// Writes them for all boots of the file.
+Result<void> write_utc_lines(Database& database);
+
+/// Makes the view with UTC of a topic's table anew: "room/climate~utc" for "room/climate".
+Result<void> make_utc_view(Database& database, const std::string& table, const Description& description);
+
+/// View of the runs with UTC.
+std::string run_view();
+
+}  // namespace rtdata::sqlite
