@@ -11,8 +11,8 @@ namespace rtdata {
 namespace {
 
 /// Keys of the design that this version does not know yet: said so, instead of "unknown key".
-constexpr std::string_view later_sensor_keys[] = {"tier", "bus"};
-constexpr std::string_view later_document_keys[] = {"tiers", "buses"};
+constexpr std::string_view later_sensor_keys[] = {"bus"};
+constexpr std::string_view later_document_keys[] = {"buses"};
 
 void refuse_later_key(ConfigItem& item, std::string_view key, Problems& problems) {
   for (const ConfigChild& child : item.children()) {
@@ -92,6 +92,7 @@ class AcrossItems {
     for (const SensorPlan& sensor : sensors) {
       check_name("sensor", sensor.name, sensor.item, sensor_names_);
       check_topic(sensor);
+      check_tier(sensor);
     }
     for (const SinkPlan& sink : sinks) {
       if (!sink.path.empty() && sink.path != "-") check_path(sink);
@@ -116,8 +117,24 @@ class AcrossItems {
     }
   }
 
+  void warn_of_tiers(const std::vector<SensorPlan>& sensors, const ConfigItem& root) {
+    for (const ConfigChild& tier : child_or_self(root, "tiers").children()) {
+      const auto is_here = [&](const SensorPlan& sensor) { return sensor.tier == tier.key; };
+      if (std::any_of(sensors.begin(), sensors.end(), is_here)) continue;
+      plan_.warnings.add(tier.item.problem("unused-tier", "no sensor runs on tier \"" + tier.key + "\""));
+    }
+  }
+
  private:
   using Names = std::map<std::string, const ConfigItem*>;
+
+  void check_tier(const SensorPlan& sensor) {
+    if (sensor.tier.empty() || plan_.settings.tiers.contains(sensor.tier)) return;
+    std::vector<std::string> names;
+    for (const auto& [name, tier] : plan_.settings.tiers) names.push_back(name);
+    plan_.problems.add(child_or_self(sensor.item, "tier")
+                           .problem("unknown-tier", "there is no tier \"" + sensor.tier + "\" in `tiers`", nearest_name(sensor.tier, names)));
+  }
 
   void check_name(const char* what, const std::string& name, const ConfigItem& item, Names& names) {
     const auto [known, is_new] = names.try_emplace(name, &item);
@@ -241,7 +258,10 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   }
   AcrossItems across(plan);
   across.check(sensors, sinks);
-  if (all_sensors_known && !sensors.empty()) across.warn_of_patterns(sinks);
+  if (all_sensors_known && !sensors.empty()) {
+    across.warn_of_patterns(sinks);
+    across.warn_of_tiers(sensors, root);
+  }
   if (plan.settings.sensors.empty() && (has_lists || plan.problems.empty())) {
     plan.warnings.add(child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
   }
@@ -250,6 +270,35 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   plan.sensors = std::move(sensors);
   plan.sinks = std::move(sinks);
   return plan;
+}
+
+void check_config(const TierSettings& settings, const ConfigItem& item, Problems& problems) {
+  const auto complain = [&](const char* key, std::string message) {
+    problems.add(child_or_self(item, key).problem("bad-value", std::move(message)));
+  };
+  if (settings.cpu && !settings.cpus.empty()) complain("cpu", "give `cpu` or `cpus`, not both");
+  const bool is_real_time = settings.policy != SchedulingPolicy::other;
+  if (is_real_time && settings.priority == 0) {
+    complain("policy", "policy \"" + std::string(name_of(settings.policy)) + "\" needs a `priority` from 1 to 99");
+  } else if (!is_real_time && settings.priority != 0) {
+    complain("priority", "a priority goes with the policies \"fifo\" and \"rr\" only");
+  }
+}
+
+Tier::Config TierSettings::tier_config(const std::string& name) const {
+  Tier::Config config;
+  config.name = name;
+  config.policy = policy;
+  config.priority = priority;
+  config.cpus = cpus;
+  if (cpu) config.cpus.push_back(*cpu);
+  config.lock_memory = lock_memory;
+  config.keep_cpu_awake = keep_cpu_awake;
+  config.spin = spin;
+  config.hold_limit = hold_limit;
+  config.delivery_budget = delivery_budget;
+  config.phase_grid = phase_grid;
+  return config;
 }
 
 std::string SystemPlan::report() const {

@@ -55,6 +55,7 @@ auto made_at(const ConfigItem& item, const std::string& what, const Make& make) 
 
 System::System(Loop& loop, const Registry& registry, const SystemPlan& plan) : loop_(loop), registry_(registry) {
   if (!plan.good()) throw ConfigError(plan.problems);
+  make_tiers(plan);
   for (const SinkPlan& sink : plan.sinks) make(sink);
   for (const SensorPlan& sensor : plan.sensors) make(sensor);
 }
@@ -64,8 +65,22 @@ System::System(Loop& loop, const Registry& registry, const ConfigDocument& docum
 
 System::~System() = default;
 
+void System::make_tiers(const SystemPlan& plan) {
+  for (const auto& [name, settings] : plan.settings.tiers) {
+    tiers_.push_back({name, made_at(*plan.document.root.find("tiers")->find(name), "tier " + name, [&] {
+                        return std::make_unique<Tier>(loop_, settings.tier_config(name));
+                      })});
+  }
+}
+
+Tier& System::tier(std::string_view name) { return *part_named(tiers_, "tier", name).object; }
+
 AnySensor& System::make(const SensorPlan& plan) {
-  sensors_.push_back({plan.name, made_at(plan.item, "sensor " + plan.name, [&] { return plan.make(loop_); })});
+  const auto make_there = [&] {
+    if (plan.tier.empty()) return plan.make(loop_);
+    return tier(plan.tier).call([&](Loop& on) { return plan.make(on); });
+  };
+  sensors_.push_back({plan.name, made_at(plan.item, "sensor " + plan.name, make_there)});
   return *sensors_.back().object;
 }
 

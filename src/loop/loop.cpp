@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cerrno>
+#include <exception>
 #include <limits>
 #include <semaphore>
 
@@ -398,11 +399,17 @@ Wake& LoopCore::wake() noexcept { return side_->wake; }
 
 void LoopCore::call_there(Callback<void()> function) {
   std::binary_semaphore is_done{0};
+  std::exception_ptr thrown;
   post([&] {
-    function();
+    try {
+      function();
+    } catch (...) {
+      thrown = std::current_exception();
+    }
     is_done.release();
   });
   is_done.acquire();
+  if (thrown) std::rethrow_exception(thrown);
 }
 
 void LoopCore::remove(Lane& lane) noexcept {

@@ -80,7 +80,7 @@ class LoopCore {
     const std::thread::id thread = bound_to_.load(std::memory_order_relaxed);
     return thread != std::thread::id{} && thread != std::this_thread::get_id();
   }
-  /// Runs the function on the thread that the loop is bound to, and waits for it.
+  /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here.
   void call_there(Callback<void()> function);
 
   /// Keeps `run` from returning while held.

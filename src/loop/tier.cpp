@@ -131,7 +131,9 @@ void TierCore::set_up_thread() {
   }
   const bool is_real_time = config.policy != SchedulingPolicy::other;
   if (is_real_time) {
-    if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
+    // What is there stays, what is touched later stays from then on. Without MCL_ONFAULT each new thread would get its
+    // whole stack at once, which holds up every other thread.
+    if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
       warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
             "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it runs unlocked"});
     }
@@ -195,18 +197,7 @@ void TierCore::stop() noexcept {
 
 void TierCore::call(Callback<void()> function) {
   if (!loop.core().runs_elsewhere()) return function();
-  std::binary_semaphore is_done{0};
-  std::exception_ptr thrown;
-  loop.post([&] {
-    try {
-      function();
-    } catch (...) {
-      thrown = std::current_exception();
-    }
-    is_done.release();
-  });
-  is_done.acquire();
-  if (thrown) std::rethrow_exception(thrown);
+  loop.core().call_there(std::move(function));
 }
 
 void TierCore::drain(Duration deadline, Callback<void()> done) {

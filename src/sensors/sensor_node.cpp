@@ -331,47 +331,57 @@ Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique
 
 namespace {
 
-detail::SourceNode* source(detail::Node* node) noexcept {
-  return node != nullptr && node->is_open() ? static_cast<detail::SourceNode*>(node) : nullptr;
+/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
+template <class Returned, class Function>
+Returned with(detail::Node* node, Returned otherwise, const Function& function) {
+  if (node == nullptr || !node->is_open()) return otherwise;
+  auto& source = static_cast<detail::SourceNode&>(*node);
+  if (!source.loop()->runs_elsewhere()) return function(source);
+  source.loop()->call_there([&] {
+    if (source.is_open()) otherwise = function(source);
+  });
+  return otherwise;
+}
+
+template <class Function>
+void with(detail::Node* node, const Function& function) {
+  with(node, 0, [&](detail::SourceNode& source) {
+    function(source);
+    return 0;
+  });
 }
 
 }  // namespace
 
 void AnySensor::start() {
-  if (auto* s = source(node())) s->start();
+  with(node(), [](auto& source) { source.start(); });
 }
 void AnySensor::stop() {
-  if (auto* s = source(node())) s->stop();
+  with(node(), [](auto& source) { source.stop(); });
 }
 bool AnySensor::is_running() const noexcept {
-  auto* s = source(node());
-  return s != nullptr && s->is_running();
+  return with(node(), false, [](const auto& source) { return source.is_running(); });
 }
 void AnySensor::set_rate(Rate rate) {
-  if (auto* s = source(node())) s->set_rate(rate);
+  with(node(), [&](auto& source) { source.set_rate(rate); });
 }
 Rate AnySensor::rate() const noexcept {
-  auto* s = source(node());
-  return s != nullptr ? s->rate() : Rate{};
+  return with(node(), Rate{}, [](const auto& source) { return source.rate(); });
 }
 SensorCounts AnySensor::counts() const noexcept {
-  auto* s = source(node());
-  return s != nullptr ? s->counts() : SensorCounts{};
+  return with(node(), SensorCounts{}, [](const auto& source) { return source.counts(); });
 }
 Health AnySensor::health() const noexcept {
-  auto* s = source(node());
-  return s != nullptr ? s->health() : Health::ok;
+  return with(node(), Health::ok, [](const auto& source) { return source.health(); });
 }
 SensorStatus AnySensor::status() const {
-  auto* s = source(node());
-  return s != nullptr ? detail::status_of(*s) : SensorStatus{};
+  return with(node(), SensorStatus{}, [](const auto& source) { return detail::status_of(source); });
 }
 CallbackTimes AnySensor::times() const noexcept {
-  auto* s = source(node());
-  return s != nullptr ? s->callback_times() : CallbackTimes{};
+  return with(node(), CallbackTimes{}, [](const auto& source) { return source.callback_times(); });
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = source(node())) s->set_on_error(std::move(handler));
+  with(node(), [&](auto& source) { source.set_on_error(std::move(handler)); });
 }
 
 }  // namespace rtdata

@@ -232,10 +232,52 @@ f.json:16:38: sinks[2].when_full
 
   TEST_CASE("US-17 keys of later versions are refused as such") {
     const std::string text = problems_of(R"({"tiers": {}, "buses": {},
- "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "fast"}]})");
-    CHECK(text == "f.json:1:2: tiers: \"tiers\" is not available in this version\n"
-                  "f.json:1:15: buses: \"buses\" is not available in this version\n"
-                  "f.json:2:63: sensors[0].tier: \"tier\" is not available in this version\n");
+ "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "bus": "i2c1"}]})");
+    CHECK(text == "f.json:1:15: buses: \"buses\" is not available in this version\n"
+                  "f.json:2:63: sensors[0].bus: \"bus\" is not available in this version\n");
+  }
+
+  TEST_CASE("US-33 tiers are made from a file, with sensors on them") {
+    Loop loop;
+    const SystemPlan plan = planned(R"({"tiers": {"fast": {"policy": "fifo", "priority": 10, "cpu": 0, "spin": "50 us"}, "slow": {}},
+      "sensors": [{"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast"},
+                  {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow"},
+                  {"name": "c", "type": "counter", "rate": "100 Hz"}]})");
+    CHECK(plan.problems.text() == "");
+    CHECK(plan.warnings.text() == "");
+    System system(loop, registry(), plan);
+    CHECK(system.tier("fast").config().policy == SchedulingPolicy::fifo);
+    CHECK(system.tier("fast").config().cpus == std::vector<int>{0});
+    CHECK(system.tier("fast").config().spin == 50us);
+    CHECK_THROWS_AS(system.tier("fats"), SetupError);
+    std::map<std::string, std::uint64_t> seen;
+    auto subscription = loop.subscribe("#", [&](const EventView& event) { ++seen[std::string(event.origin())]; });
+    loop.run_for(100ms);
+    CHECK(system.sensor("a").is_running());
+    system.sensor("a").set_rate(100_Hz);
+    CHECK(system.sensor("a").rate() == 100_Hz);
+    CHECK_THROWS_AS(system.sensor("a").set_rate({}), SetupError);
+    system.sensor("b").stop();
+    const std::uint64_t taken = system.sensor("b").counts().taken;
+    loop.run_for(50ms);
+    CHECK(system.sensor("b").counts().taken == taken);
+    CHECK(seen.size() == 3);
+    system.remove_sensor("a");
+    loop.close();
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-33 mistakes of tiers are told with their places") {
+    CHECK(problems_of(R"({"tiers": {"fast": {"policy": "fifo"}, "slow": {"priority": 3}, "odd": {"cpu": 1, "cpus": [0]},
+ "wrong": {"policy": "realtime"}},
+ "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "fsat"}]})") ==
+          "f.json:1:31: tiers.fast.policy: policy \"fifo\" needs a `priority` from 1 to 99\n"
+          "f.json:1:61: tiers.slow.priority: a priority goes with the policies \"fifo\" and \"rr\" only\n"
+          "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
+          "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
+          "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
+    CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})").warnings.text() ==
+          "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
   }
 
   TEST_CASE("US-17 what is probably not meant is a warning") {

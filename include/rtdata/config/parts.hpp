@@ -73,6 +73,7 @@ struct SensorPlan {
   std::string type;
   std::string name;
   std::string topic;                               ///< never empty
+  std::string tier;                                ///< empty: the main loop
   std::shared_ptr<const Description> description;  ///< of its events; null: known only once it is made
   ConfigItem item;                                 ///< it was made from
   std::function<Owned<AnySensor>(Loop&)> make;
@@ -91,13 +92,22 @@ struct SinkPlan {
 
 namespace config_detail {
 
+/// Which loop an object is made on.
+struct Placement {
+  std::string tier;
+  friend constexpr auto parameters(type_tag<Placement>) {
+    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop"));
+  }
+};
+
 /// A sensor type's own parameters behind those of all sensors, on one level.
 template <class Common, class Own>
 struct Joined {
   Common common{};
+  Placement placement{};
   Own own{};
   friend constexpr auto parameters(type_tag<Joined>) {
-    return parameter_list(include_member(&Joined::common), include_member(&Joined::own));
+    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement), include_member(&Joined::own));
   }
   friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
@@ -132,6 +142,7 @@ class Registry {
     sensors_.add<All>(type, std::move(doc), [type, describe, make](const All& all) {
       SensorPlan plan = config_detail::sensor_plan(all.common.name, all.common.topic, describe(all.own));
       plan.type = type;
+      plan.tier = all.placement.tier;
       plan.make = [make, all](Loop& loop) { return Owned<AnySensor>(make(loop, all.common, all.own)); };
       return plan;
     });

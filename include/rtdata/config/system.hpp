@@ -15,14 +15,17 @@
 /// names used twice, payloads that meet on one topic, and files written twice. It can be checked on another machine than
 /// the one that runs it. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: name, notes, log, loop, sensors, sinks. Ids of problems, beside those of problem.hpp: bad-name,
-/// description-differs, duplicate-name, duplicate-path, not-available; of warnings: matches-nothing, no-sensors.
+/// Keys of the file: name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp: bad-name,
+/// description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings: matches-nothing,
+/// no-sensors, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.
 #pragma once
 
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -31,6 +34,7 @@
 #include "rtdata/config/parts.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
 
 namespace rtdata {
 
@@ -67,12 +71,50 @@ struct LoopSettings {
   }
 };
 
+/// See Tier::Config.
+struct TierSettings {
+  SchedulingPolicy policy = SchedulingPolicy::other;
+  int priority = 0;
+  std::optional<int> cpu = {};
+  std::vector<int> cpus = {};
+  bool lock_memory = Tier::Config{}.lock_memory;
+  bool keep_cpu_awake = Tier::Config{}.keep_cpu_awake;
+  Duration spin{0};
+  Duration hold_limit = Loop::Config{}.hold_limit;
+  Duration delivery_budget = Loop::Config{}.delivery_budget;
+  Duration phase_grid = Loop::Config{}.phase_grid;
+
+  friend constexpr auto parameters(type_tag<TierSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("policy", &TierSettings::policy, "how the kernel schedules its thread",
+                  choices(value("other", SchedulingPolicy::other), value("fifo", SchedulingPolicy::fifo),
+                          value("rr", SchedulingPolicy::round_robin))),
+        parameter("priority", &TierSettings::priority, "1 to 99 for the policies fifo and rr, else 0", range(0, 99)),
+        parameter("cpu", &TierSettings::cpu, "the processor that it runs on; default: any", range(0, 1023)),
+        parameter("cpus", &TierSettings::cpus, "the processors that it may run on, if more than one", range(0, 1023)),
+        parameter("lock_memory", &TierSettings::lock_memory, "with a real-time policy: keep all memory of the program resident"),
+        parameter("keep_cpu_awake", &TierSettings::keep_cpu_awake,
+                  "no deep idle of any processor while it runs: less lateness, more power"),
+        parameter("spin", &TierSettings::spin,
+                  "wait the last stretch before a deadline spinning: exact, and costs that share of a processor", range(0s, 10ms)),
+        parameter("hold_limit", &TierSettings::hold_limit, "a callback that takes longer is reported by its name", range(10us, 1h)),
+        parameter("delivery_budget", &TierSettings::delivery_budget,
+                  "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+        parameter("phase_grid", &TierSettings::phase_grid,
+                  "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
+  }
+  friend void check_config(const TierSettings& settings, const ConfigItem& item, Problems& problems);
+  Tier::Config tier_config(const std::string& name) const;
+};
+
 /// The file's keys that belong to no sensor or sink.
 struct SystemSettings {
   std::string name = {};
   std::string notes = {};
   LogSettings log = {};
   LoopSettings loop = {};
+  std::map<std::string, TierSettings> tiers = {};
   std::vector<ConfigItem> sensors = {};
   std::vector<ConfigItem> sinks = {};
 
@@ -82,6 +124,7 @@ struct SystemSettings {
         parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings"),
         parameter("log", &SystemSettings::log, "the log file"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),
+        parameter("tiers", &SystemSettings::tiers, "loops on threads of their own, by name; sensors name theirs as `tier`"),
         parameter("sensors", &SystemSettings::sensors, "what is read; each has a `type`"),
         parameter("sinks", &SystemSettings::sinks, "where it goes; each has a `type`"));
   }
@@ -109,7 +152,7 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document);
 
 class System {
  public:
-  /// Makes all sinks, then all sensors, which start unless they are configured not to. Throws ConfigError with every
+  /// Makes all tiers, then all sinks, on `loop`, then all sensors, which start unless they are configured not to. Throws ConfigError with every
   /// problem of the plan before anything is made; SetupError, with the place in the file, what a sensor or sink threw:
   /// then nothing of the system is left on the loop.
   System(Loop& loop, const Registry& registry, const SystemPlan& plan);
@@ -125,6 +168,8 @@ class System {
   /// In the order they were made.
   std::vector<std::string> sensor_names() const;
   std::vector<std::string> sink_names() const;
+  /// SetupError (not-found) with the nearest name.
+  Tier& tier(std::string_view name);
 
   /// Makes one more, from an item as in the lists of the file. Throws ConfigError with every mistake, or SetupError
   /// (busy, description-differs: with the name or topic of another), and leaves the system as it was.
@@ -140,11 +185,17 @@ class System {
     std::string name;
     Owned<Base> object;
   };
+  void make_tiers(const SystemPlan& plan);
   AnySensor& make(const SensorPlan& plan);
   Sink& make(const SinkPlan& plan);
 
   Loop& loop_;
   const Registry& registry_;
+  struct NamedTier {
+    std::string name;
+    std::unique_ptr<Tier> object;
+  };
+  std::vector<NamedTier> tiers_;
   std::vector<Part<Sink>> sinks_;
   std::vector<Part<AnySensor>> sensors_;  // gone before the sinks
 };

@@ -15,8 +15,8 @@
 /// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what to
 /// set, and so does the log.
 ///
-/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle from another thread while the tier
-/// runs waits for the tier to do it. Reading counts there is for `call` too.
+/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may be
+/// called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
 ///
 /// Owner: the user; must be destroyed before its main loop, after the handles made on it or not. Thread: the main loop's.
 #pragma once
@@ -42,7 +42,7 @@ class Tier {
     SchedulingPolicy policy = SchedulingPolicy::other;
     int priority = 0;             ///< 1 to 99 for real-time policies
     std::vector<int> cpus = {};   ///< processors that it may run on; empty: any
-    bool lock_memory = true;      ///< with a real-time policy: mlockall, so that no page of the process is ever fetched late
+    bool lock_memory = true;      ///< with a real-time policy: mlockall, so that no page of the process is ever taken away again
     std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
     bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, for all processors
     Duration spin{0};             ///< wait the last stretch before a deadline spinning: costs this long of a processor a tick
