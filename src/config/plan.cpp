@@ -118,10 +118,12 @@ class AcrossItems {
   }
 
   void warn_of_tiers(const std::vector<SensorPlan>& sensors, const ConfigItem& root) {
-    for (const ConfigChild& tier : child_or_self(root, "tiers").children()) {
-      const auto is_here = [&](const SensorPlan& sensor) { return sensor.tier == tier.key; };
+    for (const auto& entry : plan_.settings.tiers) {
+      const std::string& name = entry.first;
+      const auto is_here = [&](const SensorPlan& sensor) { return sensor.tier == name; };
       if (std::any_of(sensors.begin(), sensors.end(), is_here)) continue;
-      plan_.warnings.add(tier.item.problem("unused-tier", "no sensor runs on tier \"" + tier.key + "\""));
+      plan_.warnings.add(child_or_self(child_or_self(root, "tiers"), name)
+                             .problem("unused-tier", "no sensor runs on tier \"" + name + "\""));
     }
   }
 
