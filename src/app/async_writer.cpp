@@ -12,6 +12,8 @@
 #include <cerrno>
 #include <string>
 
+#include "loop/signals_blocked.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -58,6 +60,8 @@ AsyncWriter::~AsyncWriter() {
 void AsyncWriter::open(int fd) {
   counts_->fd.store(fd);
   if (pool_ != nullptr) return;
+  // A fatal signal that its thread took would wait for that very thread to write what it has.
+  const detail::SignalsBlocked for_the_writer;
   pool_ = std::make_shared<spdlog::details::thread_pool>(queue_, 1);
   logger_ = std::make_shared<spdlog::async_logger>("rtdata", std::make_shared<FdSink>(counts_), pool_,
                                                    spdlog::async_overflow_policy::overrun_oldest);

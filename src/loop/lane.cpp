@@ -1,11 +1,9 @@
 #include "rtdata/loop/lane.hpp"
 
-#include <pthread.h>
 #include <semaphore.h>
 
 #include <algorithm>
 #include <array>
-#include <csignal>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -14,6 +12,7 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/signals_blocked.hpp"
 
 namespace rtdata::detail {
 
@@ -139,10 +138,7 @@ std::size_t Lane::left_behind() const noexcept {
 
 bool Lane::start_worker() noexcept {
   if (left_behind() >= most_left_behind) return false;
-  sigset_t all;
-  sigset_t before;
-  ::sigfillset(&all);
-  ::pthread_sigmask(SIG_SETMASK, &all, &before);  // signals are the program's; a worker takes none
+  const SignalsBlocked for_the_worker;
   try {
     worker_ = std::make_shared<Worker>();
     worker_->loop_wake = &loop_.wake();
@@ -154,7 +150,6 @@ bool Lane::start_worker() noexcept {
   } catch (...) {
     worker_ = nullptr;
   }
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
   return worker_ != nullptr;
 }
 

@@ -9,7 +9,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <csignal>
 #include <cstring>
 #include <exception>
 #include <semaphore>
@@ -17,6 +16,7 @@
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/signals_blocked.hpp"
 #include "loop/tier_core.hpp"
 
 namespace rtdata {
@@ -158,10 +158,7 @@ void TierCore::start() {
   warnings.clear();
   loop.core().hold();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
-  sigset_t all;
-  sigset_t before;
-  ::sigfillset(&all);
-  ::pthread_sigmask(SIG_SETMASK, &all, &before);  // signals are the main thread's
+  const SignalsBlocked for_the_tier;
   std::binary_semaphore is_set_up{0};
   try {
     thread_ = std::thread([this, &is_set_up] {
@@ -173,10 +170,8 @@ void TierCore::start() {
     is_set_up.acquire();
   } catch (const std::system_error& e) {
     loop.core().unhold();
-    ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
     throw SetupError({Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
   }
-  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }
 
 void TierCore::run() {
