@@ -239,8 +239,7 @@ void Bridge::hear_announcements() {
 void Bridge::receive() {
   if (is_receiving_) return;  // a handler of errors subscribes while this takes events
   is_receiving_ = true;
-  is_woken_.store(false, std::memory_order_release);
-  std::atomic_thread_fence(std::memory_order_seq_cst);  // what is sent from here on wakes again
+  is_woken_.exchange(false, std::memory_order_acq_rel);  // what was sent before is seen, what comes later wakes again
   if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
   hear_announcements();
   std::size_t taken = 0;
