@@ -21,6 +21,7 @@ constexpr const char* examples = R"(examples:
   rtdata init bench.json                  write a starter file for this machine
   rtdata check bench.json                 find every mistake in it
   rtdata run bench.json --for 10s         run it for ten seconds
+  rtdata top                              look at it while it runs, from another terminal
   rtdata verify bench.db                  prove that its recording is complete
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
@@ -80,6 +81,17 @@ Action prepare_types(CLI::App& command) {
   return [given](const Registry& registry) { return app::types(registry, given->type, given->format); };
 }
 
+Action prepare_top(CLI::App& command) {
+  const auto options = std::make_shared<app::TopOptions>();
+  command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
+  command.add_flag_callback("--once", [options] { options->how_often = app::HowOften::once; }, "Print once and end");
+  command.add_flag_callback("--json", [options] { options->show_as = app::ShowAs::json; }, "Print the status as JSON, a line each time");
+  command.footer("examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
+                 "  rtdata top bench --once           one look at the instance called bench\n"
+                 "  rtdata top 4711 --once --json     for programs");
+  return [options](const Registry&) { return app::top(*options); };
+}
+
 #ifdef RTDATA_WITH_SQLITE
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
@@ -125,6 +137,7 @@ struct Command {
 constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", prepare_init},
     {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", prepare_run},
+    {"top", "Look at a running instance: rates, lateness, losses, sinks", prepare_top},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", prepare_check},
     {"types", "List the types of sensors, sinks and formats with their parameters", prepare_types},
 #ifdef RTDATA_WITH_SQLITE
