@@ -25,6 +25,7 @@ constexpr Duration patience = std::chrono::seconds{5};
 /// Where sockets may be, best first.
 std::vector<std::string> folders() {
   std::vector<std::string> all;
+  if (const char* only = std::getenv("RTDATA_RUNTIME_DIR"); only != nullptr && only[0] == '/') return {only};
   if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && runtime[0] == '/')
     all.push_back(std::string(runtime) + "/rtdata");
   all.push_back("/run/rtdata");

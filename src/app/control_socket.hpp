@@ -2,7 +2,7 @@
 // its folder: the user that runs the instance, and root.
 //
 // The socket is PID.sock in the first of these folders that can be used, made with mode 0700 and owned by the user:
-// $XDG_RUNTIME_DIR/rtdata, /run/rtdata, /tmp/rtdata-UID.
+// $XDG_RUNTIME_DIR/rtdata, /run/rtdata, /tmp/rtdata-UID; or in $RTDATA_RUNTIME_DIR and no other, when that is set.
 #pragma once
 
 #include <sys/types.h>
