@@ -5,6 +5,7 @@
 #include <functional>
 #include <iostream>
 #include <memory>
+#include <optional>
 #include <string_view>
 #include <utility>
 #include <vector>
@@ -21,6 +22,8 @@ constexpr const char* examples = R"(examples:
   rtdata init bench.json                  write a starter file for this machine
   rtdata check bench.json                 find every mistake in it
   rtdata run bench.json --for 10s         run it for ten seconds
+  rtdata top                              look at it while it runs, from another terminal
+  rtdata bench                            what this machine can do, in a minute
   rtdata verify bench.db                  prove that its recording is complete
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
@@ -33,6 +36,14 @@ Action prepare_init(CLI::App& command) {
   const auto file = std::make_shared<std::string>("rtdata.json");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
   return [file](const Registry& registry) { return app::init(registry, *file); };
+}
+
+/// A span above nothing. None: it is no such span, and that was said.
+std::optional<Duration> span_of(const std::string& option, const std::string& text) {
+  const Result<Duration> parsed = parse_duration(text);
+  if (parsed && *parsed > Duration{0}) return *parsed;
+  std::cerr << "rtdata: " << option << " " << text << ": " << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
+  return std::nullopt;
 }
 
 Action prepare_run(CLI::App& command) {
@@ -49,14 +60,9 @@ Action prepare_run(CLI::App& command) {
       ->type_name("FILE");
   command.footer("example:\n  rtdata run bench.json --for 10s --fail-on-loss");
   return [given](const Registry& registry) {
-    const std::string& duration = given->duration;
-    if (!duration.empty()) {
-      const Result<Duration> parsed = parse_duration(duration);
-      if (!parsed || *parsed <= Duration{0}) {
-        std::cerr << "rtdata: --for " << duration << ": " << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
-        return app::exit_other;
-      }
-      given->options.duration = *parsed;
+    if (!given->duration.empty()) {
+      given->options.duration = span_of("--for", given->duration);
+      if (!given->options.duration) return app::exit_other;
     }
     return app::run(registry, given->options);
   };
@@ -78,6 +84,38 @@ Action prepare_types(CLI::App& command) {
   command.add_flag_callback("--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
   command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
   return [given](const Registry& registry) { return app::types(registry, given->type, given->format); };
+}
+
+Action prepare_top(CLI::App& command) {
+  const auto options = std::make_shared<app::TopOptions>();
+  command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
+  command.add_flag_callback("--once", [options] { options->how_often = app::HowOften::once; }, "Print once and end");
+  command.add_flag_callback("--json", [options] { options->show_as = app::ShowAs::json; }, "Print the status as JSON, a line each time");
+  command.footer("examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
+                 "  rtdata top bench --once           one look at the instance called bench\n"
+                 "  rtdata top 4711 --once --json     for programs");
+  return [options](const Registry&) { return app::top(*options); };
+}
+
+Action prepare_bench(CLI::App& command) {
+  struct Given {
+    app::BenchOptions options;
+    std::string duration = "60s";
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("--for", given->duration, "How long all of it takes, about")->type_name("DURATION")->capture_default_str();
+  command.add_option("--json", given->options.json_file, "Write the figures to this file as JSON; - is standard output, instead of the text")
+      ->type_name("FILE");
+  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
+  command.footer("examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
+                 "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
+                 "  rtdata bench --for 10s --json board.json");
+  return [given](const Registry&) {
+    const std::optional<Duration> duration = span_of("--for", given->duration);
+    if (!duration) return app::exit_other;
+    given->options.duration = *duration;
+    return app::bench(given->options);
+  };
 }
 
 #ifdef RTDATA_WITH_SQLITE
@@ -125,6 +163,8 @@ struct Command {
 constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", prepare_init},
     {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", prepare_run},
+    {"top", "Look at a running instance: rates, lateness, losses, sinks", prepare_top},
+    {"bench", "Measure what this machine can do: jitter, events, recording", prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", prepare_check},
     {"types", "List the types of sensors, sinks and formats with their parameters", prepare_types},
 #ifdef RTDATA_WITH_SQLITE

@@ -8,8 +8,10 @@
 
 #include "app/account.hpp"
 #include "app/async_writer.hpp"
+#include "app/control_socket.hpp"
 #include "app/live_view.hpp"
 #include "app/log.hpp"
+#include "app/status.hpp"
 #include "app/stop_signals.hpp"
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
@@ -95,6 +97,9 @@ class Run {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
     } const detach{signals_};
+    StatusSource status(loop, {plan.settings.name, options_.file, paths});
+    std::optional<ControlSocket> control;
+    open_control(control, loop, status);
     tell_start(plan);
 
     if (options_.talk == Talk::normal && !uses_stdout && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
@@ -109,6 +114,17 @@ class Run {
     }
     close_view();
     return report(runtime, paths, uses_stdout);
+  }
+
+  void open_control(std::optional<ControlSocket>& control, Loop& loop, StatusSource& status) {
+    try {
+      control.emplace(
+          loop, [&status](std::uint64_t client, std::string_view line) { return status.answer(client, line); },
+          [&status](std::uint64_t client) { status.forget(client); });
+      log_.write(LogLevel::debug, "program", "control socket " + control->path());
+    } catch (const SetupError& error) {
+      say(LogLevel::warning, "program", error.what(), error.error().id());
+    }
   }
 
   void tell_start(const SystemPlan& plan) {

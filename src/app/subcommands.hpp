@@ -31,4 +31,20 @@ enum class TypesAs { text, schema };
 /// `name`: only this type; empty: all.
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
+enum class HowOften { live, once };
+enum class ShowAs { text, json };
+struct TopOptions {
+  std::string instance;  ///< name or pid; empty: the only one
+  HowOften how_often = HowOften::live;
+  ShowAs show_as = ShowAs::text;
+};
+int top(const TopOptions& options);
+
+struct BenchOptions {
+  Duration duration = std::chrono::seconds{60};  ///< of all parts together, about
+  std::string json_file;                         ///< empty: none
+  std::optional<int> cpu;                        ///< the processor to sample on
+};
+int bench(const BenchOptions& options);
+
 }  // namespace rtdata::app

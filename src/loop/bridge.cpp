@@ -301,7 +301,7 @@ void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
   for (const Passage* passage : received_) {
     if (!passage->has_sensor) continue;
     all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active, passage->health,
-                   passage->reason, passage->mirror->counts});
+                   passage->reason, passage->mirror->counts, from_.config.name, passage->mirror->first_due()});
   }
 }
 

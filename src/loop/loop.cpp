@@ -221,6 +221,18 @@ void LoopCore::unhold() noexcept {
   if (--holds_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
 
+std::vector<CallbackStatus> LoopCore::callbacks() const {
+  std::vector<CallbackStatus> all;
+  for (const Node* node = nodes_; node != nullptr; node = node->next_) {
+    CallbackStatus status;
+    const CallbackTimes* times = node->callback_account(status.name);
+    if (times == nullptr) continue;
+    status.times = *times;
+    all.push_back(std::move(status));
+  }
+  return all;
+}
+
 void LoopCore::link(Node& node) noexcept {
   node.next_ = nodes_;
   if (nodes_ != nullptr) nodes_->previous_ = &node;
@@ -661,6 +673,7 @@ MonotonicTime Loop::now() noexcept { return core_->now(); }
 Time Loop::time() noexcept { return core_->runtime.event_time(core_->now()); }
 Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
+std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error = std::move(handler); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }

@@ -125,6 +125,7 @@ class LoopCore {
   Callback<void(const ErrorReport&)> on_error;
 
   // Nodes list themselves.
+  std::vector<CallbackStatus> callbacks() const;
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;
 

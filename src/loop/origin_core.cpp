@@ -20,6 +20,8 @@ Segment OriginCore::segment(MonotonicTime end) const noexcept {
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
 }
 
+Time OriginCore::first_due() const noexcept { return topic.runtime().event_time(first_due_); }
+
 void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept {
   counts = told;
   sequence = last_sequence;

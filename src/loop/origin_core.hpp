@@ -25,6 +25,7 @@ class OriginCore {
   /// Ends at `end`, up to which every due tick has been counted.
   void end_segment(MonotonicTime end);
   bool has_segment() const noexcept { return period_.count() > 0; }
+  Time first_due() const noexcept;
   /// The segment under way as it would be if it ended at `end`.
   Segment segment(MonotonicTime end) const noexcept;
 

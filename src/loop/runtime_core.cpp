@@ -1,11 +1,15 @@
 #include "loop/runtime_core.hpp"
 
+#include <pthread.h>
+#include <time.h>
+
 #include <algorithm>
 #include <cctype>
 #include <cstdio>
 
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/tier_core.hpp"
 
 namespace rtdata {
 
@@ -320,7 +324,8 @@ OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
 SensorStatus status_of(const SensorEntry& sensor) {
   const OriginCore& origin = sensor.origin();
   return {origin.name,     origin.topic.name,            sensor.schedule_period(), sensor.is_active(),
-          sensor.health(), std::string(sensor.reason()), origin.counts};
+          sensor.health(), std::string(sensor.reason()), origin.counts,
+          sensor.is_open() ? sensor.loop()->config.name : std::string(), origin.first_due()};
 }
 
 void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) {
@@ -423,6 +428,24 @@ std::vector<TopicStatus> Runtime::topics() const {
     std::uint64_t published = 0;
     for (const auto* origin : topic->origins()) published += origin->sequence;
     all.push_back({topic->name, topic->type.description, published, topic->subscription_counts()});
+  }
+  return all;
+}
+
+std::vector<LoopStatus> Runtime::loops() const {
+  const auto processor_time = [](pthread_t thread) {
+    clockid_t clock{};
+    timespec spent{};
+    if (::pthread_getcpuclockid(thread, &clock) != 0 || ::clock_gettime(clock, &spent) != 0) return Duration{0};
+    return Duration{std::chrono::seconds{spent.tv_sec} + std::chrono::nanoseconds{spent.tv_nsec}};
+  };
+  std::vector<LoopStatus> all;
+  for (const detail::LoopCore* loop : core_->loops) {
+    all.push_back({loop->config.name, core_->hub != nullptr, loop->is_running(), current_scheduling(), processor_time(::pthread_self())});
+  }
+  for (detail::TierCore* tier : core_->tiers) {
+    all.push_back({tier->config.name, true, tier->is_running(), tier->scheduling,
+                   tier->is_running() ? processor_time(tier->native_thread()) : Duration{0}, tier->warnings});
   }
   return all;
 }

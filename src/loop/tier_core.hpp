@@ -29,6 +29,8 @@ class TierCore {
   /// Asks the thread to end, and waits for it.
   void stop() noexcept;
   bool is_running() const noexcept { return thread_.joinable(); }
+  /// While it runs.
+  pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
   void drain(Duration deadline, Callback<void()> done);

@@ -34,6 +34,10 @@ class TimerNode final : public Node, public Deadline {
   }
 
  private:
+  const CallbackTimes* callback_account(std::string& name) const override {
+    name = "timer";
+    return &times_;
+  }
   void on_close() noexcept override { stop(); }
   void drop_callbacks() noexcept override { callback_.reset(); }
   Callback<void()> callback_;
@@ -82,6 +86,10 @@ class TickerNode final : public Node, public RateMember {
     on.call_user(config_.name, [&] { callback_(told); });
   }
   std::string blame_name() const override { return config_.name; }
+  const CallbackTimes* callback_account(std::string& name) const override {
+    name = config_.name;
+    return &times;
+  }
 
   std::uint64_t fired = 0;
   std::uint64_t missed = 0;

@@ -58,6 +58,10 @@ class FdWatchNode final : public Node {
     on.call_user(name_, [&] { callback_(event); });
     on.account(times_, from, on.now(), [&] { return name_; });
   }
+  const CallbackTimes* callback_account(std::string& name) const override {
+    name = name_;
+    return &times_;
+  }
   void on_close() noexcept override {
     if (box_ == nullptr) return;
     uv_poll_stop(&box_->handle);
@@ -95,6 +99,10 @@ class SignalWatchNode final : public Node {
     Call call(*this);
     on.call_user(name_, [&] { callback_(); });
     on.account(times_, from, on.now(), [&] { return name_; });
+  }
+  const CallbackTimes* callback_account(std::string& name) const override {
+    name = name_;
+    return &times_;
   }
   void on_close() noexcept override { Box::close(std::exchange(box_, nullptr)); }
   void drop_callbacks() noexcept override { callback_.reset(); }

@@ -20,6 +20,10 @@ class SensorNode final : public SourceNode, public RateMember {
   Rate rate() const noexcept override { return Rate::from_period(period()); }
   bool is_running() const noexcept override { return is_scheduled(); }
   CallbackTimes callback_times() const noexcept override { return times; }
+  const CallbackTimes* callback_account(std::string& name) const override {
+    name = object_name();
+    return &times;
+  }
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
 

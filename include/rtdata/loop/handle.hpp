@@ -13,11 +13,13 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <utility>
 
 namespace rtdata {
 
 class Loop;
+struct CallbackTimes;
 
 namespace detail {
 
@@ -40,6 +42,9 @@ class Node {
   void dispose() noexcept;
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
+
+  /// How long its callback took, with the name that reports give it; null: it has none of its own.
+  virtual const CallbackTimes* callback_account(std::string&) const { return nullptr; }
 
  protected:
   virtual ~Node();

@@ -21,6 +21,7 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <vector>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/data/event.hpp"
@@ -54,6 +55,12 @@ struct CallbackTimes {
   std::uint64_t count = 0;
   Duration total{0};
   Duration max{0};
+};
+
+/// The callbacks of one object.
+struct CallbackStatus {
+  std::string name;  ///< "sensor chamber", "handler of chamber"
+  CallbackTimes times;
 };
 
 class Loop {
@@ -109,6 +116,8 @@ class Loop {
   Time time() noexcept;
   Runtime& runtime() noexcept;
   const Config& config() const noexcept;
+  /// The callbacks of the sensors, handlers, tickers, timers and watches that are on this loop now.
+  std::vector<CallbackStatus> callbacks() const;
   /// Handles put on a loop that we own must be closed before it is destroyed.
   uv_loop_t* uv() noexcept;
 

@@ -14,6 +14,7 @@
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/scheduling.hpp"
 
 namespace rtdata {
 
@@ -44,6 +45,18 @@ struct SensorStatus {
   Health health = Health::ok;
   std::string reason;  ///< why it is not ok
   SensorCounts counts;
+  std::string loop = {};  ///< the name of the loop or tier that it is on
+  Time first_due{};       ///< the ticks of its schedule are due at first_due + n * period; means nothing while not running
+};
+
+/// A loop or tier, and the thread that it runs on.
+struct LoopStatus {
+  std::string name;
+  bool is_tier = false;
+  bool running = false;
+  Scheduling scheduling;       ///< as the kernel granted it
+  Duration processor_time{0};  ///< spent by its thread so far
+  std::vector<std::string> warnings = {};  ///< what was asked for and not granted
 };
 
 struct TopicDrops {
@@ -99,6 +112,8 @@ class Runtime {
   /// Those that were closed in this run first.
   std::vector<SinkStatus> sinks() const;
   std::vector<TopicStatus> topics() const;
+  /// The loops of this thread first, then their tiers.
+  std::vector<LoopStatus> loops() const;
   /// Every equation of the ledger holds at this instant.
   bool balances() const;
   /// Something was missed, failed, lost or dropped by a sink.

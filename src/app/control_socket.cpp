@@ -1,0 +1,314 @@
+#include "app/control_socket.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <cstdlib>
+#include <cstring>
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration pause = std::chrono::milliseconds{20};
+constexpr int most_after_end = 8;  // lines of who has ended its side: there is no pause between them
+constexpr Duration patience = std::chrono::seconds{5};
+
+/// Where sockets may be, best first.
+std::vector<std::string> folders() {
+  std::vector<std::string> all;
+  if (const char* only = std::getenv("RTDATA_RUNTIME_DIR"); only != nullptr && only[0] == '/') return {only};
+  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && runtime[0] == '/')
+    all.push_back(std::string(runtime) + "/rtdata");
+  all.push_back("/run/rtdata");
+  all.push_back("/tmp/rtdata-" + std::to_string(::geteuid()));
+  return all;
+}
+
+/// Ours, and nobody else can put anything into it.
+bool is_private(const std::string& folder) {
+  struct stat found {};
+  return ::lstat(folder.c_str(), &found) == 0 && S_ISDIR(found.st_mode) && found.st_uid == ::geteuid() &&
+         (found.st_mode & 077) == 0;
+}
+
+bool address_of(const std::string& path, sockaddr_un& address) {
+  address = {};
+  address.sun_family = AF_UNIX;
+  if (path.size() >= sizeof address.sun_path) return false;
+  std::memcpy(address.sun_path, path.data(), path.size());
+  return true;
+}
+
+const sockaddr* generic(const sockaddr_un& address) { return reinterpret_cast<const sockaddr*>(&address); }
+
+/// "4711.sock" to 4711; 0: no name of a socket.
+pid_t pid_of(std::string_view name) {
+  constexpr std::string_view suffix = ".sock";
+  pid_t pid = 0;
+  if (!name.ends_with(suffix)) return 0;
+  const char* const end = name.data() + name.size() - suffix.size();
+  const auto [stopped, error] = std::from_chars(name.data(), end, pid);
+  return error == std::errc{} && stopped == end && pid > 0 ? pid : 0;
+}
+
+bool is_alive(pid_t pid) { return ::kill(pid, 0) == 0 || errno != ESRCH; }
+
+/// The sockets in a folder, of the living and the dead.
+std::vector<Instance> sockets_in(const std::string& folder) {
+  std::vector<Instance> all;
+  DIR* const directory = ::opendir(folder.c_str());
+  if (directory == nullptr) return all;
+  while (const dirent* entry = ::readdir(directory)) {
+    if (const pid_t pid = pid_of(entry->d_name); pid != 0) all.push_back({pid, folder + "/" + entry->d_name});
+  }
+  ::closedir(directory);
+  return all;
+}
+
+/// Of this user, or root.
+bool is_trusted(int fd) {
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  return ::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 && (peer.uid == ::geteuid() || peer.uid == 0);
+}
+
+}  // namespace
+
+ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
+    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)) {
+  listen();
+  try {
+    watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
+  } catch (...) {
+    ::unlink(path_.c_str());
+    ::close(fd_);
+    throw;
+  }
+}
+
+ControlSocket::~ControlSocket() {
+  ::unlink(path_.c_str());
+  watch_.close();
+  ::close(fd_);
+  while (!clients_.empty()) drop(clients_.back()->number);
+}
+
+void ControlSocket::listen() {
+  std::string why;
+  for (const std::string& folder : folders()) {
+    const auto failed = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + folder + ": " + what; };
+    if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
+      failed(std::strerror(errno));
+      continue;
+    }
+    if (!is_private(folder)) {
+      failed("not a folder of mode 0700 of this user");
+      continue;
+    }
+    for (const Instance& one : sockets_in(folder)) {
+      if (one.pid == ::getpid() || !is_alive(one.pid)) ::unlink(one.path.c_str());
+    }
+    const std::string path = folder + "/" + std::to_string(::getpid()) + ".sock";
+    sockaddr_un address;
+    if (!address_of(path, address)) {
+      failed("the path is too long for a socket");
+      continue;
+    }
+    const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    if (fd >= 0 && ::bind(fd, generic(address), sizeof address) == 0 &&
+        ::listen(fd, static_cast<int>(most_clients)) == 0) {
+      fd_ = fd;
+      path_ = path;
+      return;
+    }
+    failed(std::strerror(errno));
+    if (fd >= 0) ::close(fd);
+  }
+  throw SetupError({Errc::io_failed, "cannot open the control socket", "local socket", why,
+                    "`rtdata top` does not see this instance; all else works"});
+}
+
+void ControlSocket::accept() {
+  const int fd = ::accept4(fd_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+  if (fd < 0) return;  // it went away again; or no descriptor is free: others may be closed soon
+  if (clients_.size() >= most_clients || !is_trusted(fd)) {
+    constexpr std::string_view refusal = "{\"error\":\"too many clients\"}\n";
+    if (is_trusted(fd)) [[maybe_unused]]
+      const ssize_t told = ::send(fd, refusal.data(), refusal.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    ::close(fd);
+    return;
+  }
+  auto client = std::make_unique<Client>();
+  const std::uint64_t number = ++last_number_;
+  client->number = number;
+  client->fd = fd;
+  try {
+    client->timer = Timer(loop_, [this, number] { timed_out(number); });
+    client->watch = FdWatch(loop_, fd, FdWatch::readable, "control client",
+                            [this, number](const FdEvent& event) { ready(number, event); });
+  } catch (...) {
+    client->watch.close();
+    ::close(fd);
+    throw;
+  }
+  clients_.push_back(std::move(client));
+}
+
+ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
+  for (const auto& client : clients_) {
+    if (client->number == number) return client.get();
+  }
+  return nullptr;
+}
+
+void ControlSocket::drop(std::uint64_t number) {
+  const auto found =
+      std::find_if(clients_.begin(), clients_.end(), [&](const auto& client) { return client->number == number; });
+  if (found == clients_.end()) return;
+  const std::unique_ptr<Client> client = std::move(*found);
+  clients_.erase(found);
+  client->watch.close();
+  ::close(client->fd);
+  gone_(number);
+}
+
+void ControlSocket::ready(std::uint64_t number, const FdEvent& event) {
+  Client* const client = find(number);
+  if (client == nullptr) return;
+  bool stays = true;
+  if (!client->out.empty()) {
+    stays = event.hung_up && !event.writable ? false : send(*client);
+  } else if (event.readable || event.hung_up) {
+    stays = receive(*client) && answer_next(*client);
+  }
+  if (!stays) drop(number);
+}
+
+bool ControlSocket::receive(Client& client) {
+  char buffer[16 * 1024];
+  const ssize_t size = ::recv(client.fd, buffer, sizeof buffer, MSG_DONTWAIT);
+  if (size < 0) return errno == EAGAIN || errno == EINTR;
+  if (size == 0) {
+    client.has_ended = true;
+    return true;
+  }
+  client.in.append(buffer, static_cast<std::size_t>(size));
+  return true;
+}
+
+bool ControlSocket::answer_next(Client& client) {
+  const std::size_t end = client.in.find('\n', client.searched);
+  if (end == std::string::npos) {
+    if (client.has_ended) return false;
+    client.searched = client.in.size();
+    if (client.in.size() > longest_line) return false;
+    wait_for_more(client);
+    return true;
+  }
+  if (end > longest_line || (client.has_ended && ++client.answered_after_end > most_after_end)) return false;
+  std::string line = client.in.substr(0, end);
+  client.in.erase(0, end + 1);
+  client.searched = 0;
+  client.out = answer_(client.number, line) + "\n";
+  return send(client);
+}
+
+bool ControlSocket::send(Client& client) {
+  const ssize_t size =
+      ::send(client.fd, client.out.data() + client.sent, client.out.size() - client.sent, MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (size < 0 && errno != EAGAIN && errno != EINTR) return false;
+  if (size > 0) client.sent += static_cast<std::size_t>(size);
+  if (client.sent == client.out.size()) {
+    std::string().swap(client.out);
+    client.sent = 0;
+    client.watch.set_events(FdWatch::Events{});  // no more of it for a while
+    client.timer.start(pause);
+  } else {
+    client.watch.set_events(FdWatch::writable);
+    if (size > 0 || !client.timer.is_running()) client.timer.start(patience);
+  }
+  return true;
+}
+
+void ControlSocket::wait_for_more(Client& client) {
+  client.timer.stop();
+  client.watch.set_events(FdWatch::readable);
+}
+
+void ControlSocket::timed_out(std::uint64_t number) {
+  Client* const client = find(number);
+  if (client == nullptr) return;
+  const bool stays = client->out.empty() && answer_next(*client);  // else it has not read for too long
+  if (!stays) drop(number);
+}
+
+std::vector<Instance> running_instances() {
+  std::vector<Instance> all;
+  for (const std::string& folder : folders()) {
+    if (::geteuid() != 0 && !is_private(folder)) continue;
+    for (Instance& one : sockets_in(folder)) {
+      if (is_alive(one.pid) && ControlClient::connect(one.path)) all.push_back(std::move(one));
+    }
+  }
+  std::sort(all.begin(), all.end(), [](const Instance& a, const Instance& b) { return a.pid < b.pid; });
+  return all;
+}
+
+Result<ControlClient> ControlClient::connect(const std::string& path) {
+  sockaddr_un address;
+  if (!address_of(path, address))
+    return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
+  ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  if (client.fd_ < 0 || ::connect(client.fd_, generic(address), sizeof address) != 0)
+    return system_error(errno, "cannot connect", path);
+  if (!is_trusted(client.fd_) && ::geteuid() != 0)
+    return Error{Errc::not_permitted, "cannot connect", path, "it is of another user", "ask them"};
+  return client;
+}
+
+ControlClient::~ControlClient() {
+  if (fd_ >= 0) ::close(fd_);
+}
+
+Result<std::string> ControlClient::ask(std::string line, Duration at_most) {
+  const auto until = std::chrono::steady_clock::now() + at_most;
+  line += '\n';
+  std::size_t sent = 0;
+  for (;;) {
+    if (const std::size_t end = rest_.find('\n'); end != std::string::npos) {
+      std::string answer = rest_.substr(0, end);
+      rest_.erase(0, end + 1);
+      return answer;
+    }
+    const auto left =
+        std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
+    pollfd waits{fd_, static_cast<short>(sent < line.size() ? POLLIN | POLLOUT : POLLIN), 0};
+    if (left <= 0 || ::poll(&waits, 1, static_cast<int>(left)) == 0) {
+      return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
+                   "see whether its loop is held, or the machine is busy"};
+    }
+    if ((waits.revents & POLLOUT) != 0) {
+      const ssize_t size = ::send(fd_, line.data() + sent, line.size() - sent, MSG_NOSIGNAL | MSG_DONTWAIT);
+      if (size > 0) sent += static_cast<std::size_t>(size);
+    }
+    if ((waits.revents & (POLLIN | POLLHUP | POLLERR)) != 0) {
+      char buffer[16 * 1024];
+      const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
+      if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
+        return Error{Errc::closed, "no answer", "instance", "it has ended, or has 8 clients already", "look again"};
+      }
+      if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
+    }
+  }
+}
+
+}  // namespace rtdata::app

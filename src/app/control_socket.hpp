@@ -1,0 +1,109 @@
+// The local socket of a running instance: one line of JSON in, one line of JSON out. Who may connect is who may enter
+// its folder: the user that runs the instance, and root.
+//
+// The socket is PID.sock in the first of these folders that can be used, made with mode 0700 and owned by the user:
+// $XDG_RUNTIME_DIR/rtdata, /run/rtdata, /tmp/rtdata-UID; or in $RTDATA_RUNTIME_DIR and no other, when that is set.
+#pragma once
+
+#include <sys/types.h>
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+
+namespace rtdata::app {
+
+/// Takes connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8 clients,
+/// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; who does not read an answer
+/// for 5 s, sends a longer line or is one too many is disconnected.
+///
+/// Thread: the loop's, for everything.
+class ControlSocket {
+ public:
+  static constexpr std::size_t most_clients = 8;
+  static constexpr std::size_t longest_line = 64 * 1024;
+
+  /// `answer` returns what goes back, without the end of line; `client` numbers the connections from 1.
+  using Answer = std::function<std::string(std::uint64_t client, std::string_view line)>;
+  using Gone = std::function<void(std::uint64_t client)>;
+  /// Opens the socket, and removes those that dead processes left behind. SetupError when no folder can be used: the
+  /// program can do without.
+  ControlSocket(Loop& loop, Answer answer, Gone gone);
+  ControlSocket(const ControlSocket&) = delete;
+  ControlSocket& operator=(const ControlSocket&) = delete;
+  ~ControlSocket();
+
+  const std::string& path() const noexcept { return path_; }
+
+ private:
+  struct Client {
+    std::uint64_t number = 0;
+    int fd = -1;
+    std::string in;            // at most a line and what was read with it
+    std::size_t searched = 0;  // of `in`: no end of line in it
+    std::string out;           // an answer that is being sent
+    std::size_t sent = 0;      // of `out`
+    bool has_ended = false;    // it sends no more
+    int answered_after_end = 0;
+    Timer timer;    // of the pause after an answer, and of the patience while one is not read
+    FdWatch watch;  // before the descriptor
+  };
+  void listen();
+  void accept();
+  Client* find(std::uint64_t number) noexcept;
+  void drop(std::uint64_t number);
+  void ready(std::uint64_t number, const FdEvent& event);
+  /// False: the client is to go.
+  bool receive(Client& client);
+  bool send(Client& client);
+  /// Answers the next line, if it is there.
+  bool answer_next(Client& client);
+  void wait_for_more(Client& client);
+  void timed_out(std::uint64_t number);
+
+  Loop& loop_;
+  Answer answer_;
+  Gone gone_;
+  std::string path_;
+  int fd_ = -1;
+  std::uint64_t last_number_ = 0;
+  std::vector<std::unique_ptr<Client>> clients_;
+  FdWatch watch_;
+};
+
+/// A running instance, as its socket shows it.
+struct Instance {
+  pid_t pid = 0;
+  std::string path;
+};
+/// Those whose sockets this user may use, by pid. Sockets of dead processes are left out.
+std::vector<Instance> running_instances();
+
+/// The other side of a ControlSocket. Blocks. Move-only.
+class ControlClient {
+ public:
+  static Result<ControlClient> connect(const std::string& path);
+  ControlClient(ControlClient&& other) noexcept : fd_(std::exchange(other.fd_, -1)), rest_(std::move(other.rest_)) {}
+  ControlClient& operator=(ControlClient&& other) noexcept {
+    std::swap(fd_, other.fd_);
+    std::swap(rest_, other.rest_);
+    return *this;
+  }
+  ~ControlClient();
+  /// The answer to one line, waited for at most so long.
+  Result<std::string> ask(std::string line, Duration at_most);
+
+ private:
+  explicit ControlClient(int fd) : fd_(fd) {}
+  int fd_ = -1;
+  std::string rest_;
+};
+
+}  // namespace rtdata::app

@@ -1,0 +1,290 @@
+// The local socket of an instance, in virtual time, with clients that behave and clients that do not.
+#include "app/control_socket.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+
+#include <cstring>
+#include <nlohmann/json.hpp>
+
+#include "app/runtime_folder.hpp"
+#include "app/status.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+using namespace rtdata;
+using namespace rtdata::app;
+using namespace rtdata::literals;
+using namespace std::chrono_literals;
+using rtdata::test::RuntimeFolder;
+
+namespace {
+
+struct Level {
+  double value = 0;
+  RTDATA_FIELDS(Level, (value, "V"))
+};
+
+/// A client that writes what it likes. Never waits.
+class RawClient {
+ public:
+  explicit RawClient(const std::string& path) : fd_(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
+    sockaddr_un address{};
+    address.sun_family = AF_UNIX;
+    std::strncpy(address.sun_path, path.c_str(), sizeof address.sun_path - 1);
+    REQUIRE(::connect(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0);
+  }
+  RawClient(const RawClient&) = delete;
+  RawClient& operator=(const RawClient&) = delete;
+  ~RawClient() { close(); }
+  void close() {
+    if (fd_ >= 0) ::close(std::exchange(fd_, -1));
+  }
+  void end_sending() const { ::shutdown(fd_, SHUT_WR); }
+  void send(const std::string& text) const {
+    [[maybe_unused]] const ssize_t size = ::send(fd_, text.data(), text.size(), MSG_NOSIGNAL);
+  }
+  /// What there is to read now.
+  std::string read() {
+    std::string text(1 << 20, '\0');
+    const ssize_t size = ::recv(fd_, text.data(), text.size(), MSG_DONTWAIT);
+    has_ended = size == 0 || (size < 0 && errno == ECONNRESET);
+    text.resize(size > 0 ? static_cast<std::size_t>(size) : 0);
+    return text;
+  }
+  bool is_disconnected() {
+    while (!read().empty()) {
+    }
+    return has_ended;
+  }
+  bool has_ended = false;
+
+ private:
+  int fd_ = -1;
+};
+
+/// A socket whose answers are the lines themselves, or long.
+struct Echo {
+  RuntimeFolder folder;
+  Loop loop{Loop::Manual{}};
+  std::size_t answered = 0;
+  std::size_t answer_size = 0;
+  std::vector<std::uint64_t> gone;
+  ControlSocket socket{loop,
+                       [this](std::uint64_t client, std::string_view line) {
+                         ++answered;
+                         if (answer_size > 0) return std::string(answer_size, 'x');
+                         return std::to_string(client) + ":" + std::string(line);
+                       },
+                       [this](std::uint64_t client) { gone.push_back(client); }};
+  /// Enough turns for one line of each of a few clients.
+  void turn(Duration duration = 100ms) {
+    for (int i = 0; i < 20; ++i) {
+      loop.advance(duration / 20);
+      loop.poll();
+    }
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("a control socket answers line by line, whole, half and joined ones, of several clients") {
+    Echo echo;
+    RawClient a(echo.socket.path());
+    RawClient b(echo.socket.path());
+    a.send("one\n");
+    echo.turn();
+    CHECK(a.read() == "1:one\n");
+    b.send("ha");
+    echo.turn();
+    CHECK(b.read().empty());
+    b.send("lf\nnext\nlast\n");
+    echo.turn(200ms);
+    CHECK(b.read() == "2:half\n2:next\n2:last\n");
+    a.send("\n");
+    echo.turn();
+    CHECK(a.read() == "1:\n");
+    CHECK(echo.answered == 5);
+    a.close();
+    echo.turn();
+    CHECK(echo.gone == std::vector<std::uint64_t>{1});
+  }
+
+  TEST_CASE("a control socket answers those who have ended their side, and no half line") {
+    Echo echo;
+    RawClient client(echo.socket.path());
+    client.send("one\ntwo\nhalf");
+    client.end_sending();
+    echo.turn(300ms);
+    CHECK(client.read() == "1:one\n1:two\n");
+    CHECK(client.is_disconnected());
+    CHECK(echo.gone.size() == 1);
+  }
+
+  TEST_CASE("a control socket disconnects who sends more than a line may have") {
+    Echo echo;
+    RawClient client(echo.socket.path());
+    client.send(std::string(ControlSocket::longest_line, 'a') + "\n");
+    echo.turn();
+    CHECK(client.read().size() == ControlSocket::longest_line + 3);
+    client.send(std::string(ControlSocket::longest_line + 1, 'a'));
+    echo.turn();
+    CHECK(client.is_disconnected());
+    CHECK(echo.answered == 1);
+  }
+
+  TEST_CASE("a control socket keeps eight clients, and tells a ninth") {
+    Echo echo;
+    std::vector<std::unique_ptr<RawClient>> clients;
+    for (std::size_t i = 0; i < ControlSocket::most_clients; ++i) {
+      clients.push_back(std::make_unique<RawClient>(echo.socket.path()));
+      echo.turn();
+    }
+    RawClient ninth(echo.socket.path());
+    echo.turn();
+    CHECK(ninth.read() == "{\"error\":\"too many clients\"}\n");
+    CHECK(ninth.is_disconnected());
+    clients.front()->send("still here\n");
+    echo.turn();
+    CHECK(clients.front()->read() == "1:still here\n");
+    clients.pop_back();
+    echo.turn();
+    RawClient tenth(echo.socket.path());
+    tenth.send("x\n");
+    echo.turn();
+    CHECK(tenth.read() == "9:x\n");
+  }
+
+  TEST_CASE("a control socket gives up on who does not read, and serves the others meanwhile") {
+    Echo echo;
+    echo.answer_size = std::size_t{8} << 20;
+    RawClient lazy(echo.socket.path());
+    lazy.send("one\n");
+    echo.turn();
+    for (int i = 0; i < 1000; ++i) lazy.send("more\n");
+    echo.turn(1s);
+    CHECK(echo.answered == 1);
+    echo.answer_size = 0;
+    RawClient other(echo.socket.path());
+    other.send("x\n");
+    echo.turn(1s);
+    CHECK(other.read() == "2:x\n");
+    CHECK(echo.gone.empty());
+    echo.turn(5s);
+    CHECK(echo.gone == std::vector<std::uint64_t>{1});
+    CHECK(echo.answered == 2);
+  }
+
+  TEST_CASE("a control socket answers a client at most every 20 ms, however many lines it sends") {
+    Echo echo;
+    RawClient client(echo.socket.path());
+    for (int i = 0; i < 1000; ++i) client.send("x\n");
+    echo.turn(200ms);
+    CHECK(echo.answered >= 8);
+    CHECK(echo.answered <= 12);
+  }
+
+  TEST_CASE("the folder of control sockets is the user's alone, or it is not used") {
+    RuntimeFolder folder;
+    Loop loop{Loop::Manual{}};
+    const auto open = [&] {
+      ControlSocket(
+          loop, [](std::uint64_t, std::string_view) { return std::string(); }, [](std::uint64_t) {});
+    };
+    open();
+    struct stat made {};
+    REQUIRE(::stat(folder.path().c_str(), &made) == 0);
+    CHECK((made.st_mode & 0777) == 0700);
+    CHECK(folder.sockets() == 0);  // removed at the end
+    ::chmod(folder.path().c_str(), 0777);
+    CHECK_THROWS_AS(open(), SetupError);
+    CHECK(running_instances().empty());
+  }
+
+  TEST_CASE("times are counted within an eighth, and the largest as it was") {
+    TimeCounts counts;
+    CHECK(counts.percentile(0.5) == Duration{0});
+    for (std::int64_t ns = 1; ns <= 100000; ++ns) counts.add(Duration{ns});
+    CHECK(counts.total() == 100000);
+    CHECK(counts.largest() == Duration{100000});
+    for (const double fraction : {0.001, 0.1, 0.5, 0.99}) {
+      const auto got = static_cast<double>(counts.percentile(fraction).count());
+      CHECK(got >= fraction * 100000);
+      CHECK(got <= fraction * 100000 * 1.13);
+    }
+    CHECK(counts.percentile(1) == Duration{100000});
+    TimeCounts more;
+    more.add(1h);
+    more.add(counts);
+    CHECK(more.total() == 100001);
+    CHECK(more.largest() == 1h);
+  }
+
+  TEST_CASE("requests that are none are answered with what is wrong, and nothing else happens") {
+    Loop loop{Loop::Manual{}};
+    StatusSource status(loop, {.name = "x", .configuration = "x.json"});
+    for (const char* line : {"", "{", "[]", "null", "\xff\xfe", "{}", R"({"request":1})", R"({"request":"stop"})"}) {
+      const auto answer = nlohmann::json::parse(status.answer(1, line));
+      CHECK_MESSAGE(answer.contains("error"), line);
+      CHECK(answer.size() == 1);
+    }
+    CHECK(loop.callbacks().empty());
+  }
+
+  TEST_CASE("a status has counts, rates since the last one, lateness and last values, and looks only while asked") {
+    Loop loop{Loop::Manual{}};
+    StatusSource status(loop, {.name = "rig", .configuration = "rig.json"});
+    double value = 0;
+    const Sensor<Level> slow(loop, {.name = "slow", .rate = 10_Hz}, [&] {
+      loop.manual_clock().pass(2ms);
+      return Level{++value};
+    });
+    const Sensor<Level> held(loop, {.name = "held", .topic = "some/held", .rate = 10_Hz, .late_after = 1ms},
+                             [&] { return Level{-value}; });
+    const auto take = [&](std::uint64_t client) {
+      return nlohmann::json::parse(status.answer(client, R"({"request":"status"})"));
+    };
+    loop.advance(1s);
+    CHECK(loop.callbacks().size() == 2);
+    const auto first = take(7);
+    CHECK(loop.callbacks().size() == 3);  // from now on it looks
+    CHECK(first["instance"]["name"] == "rig");
+    CHECK(first["interval_s"].is_null());
+    CHECK(first["loops"][0]["load_percent"].is_null());
+    REQUIRE(first["sensors"].size() == 2);
+    CHECK(first["sensors"][0]["reached_hz"].is_null());
+    CHECK(first["sensors"][0]["value"].is_null());
+    const auto before = first["sensors"][0]["published"].get<int>();
+
+    loop.advance(1s);
+    const auto second = take(7);
+    const auto& of_slow = second["sensors"][0];
+    const auto& of_held = second["sensors"][1];
+    CHECK(second["interval_s"] == 1.0);
+    CHECK(of_slow["published"] == before + 10);
+    CHECK(of_slow["reached_hz"] == 10.0);
+    CHECK(of_slow["wanted_hz"] == 10.0);
+    CHECK(of_slow["value"] == std::to_string(before + 10) + " V");
+    CHECK(of_slow["lateness_ns"]["max"] == 0);
+    CHECK(of_held["topic"] == "some/held");
+    CHECK(of_held["late"] == of_held["published"]);
+    CHECK(of_held["lateness_ns"]["max"] == 2000000);
+    CHECK(of_held["lateness_ns"]["p50"] == 2000000);
+    CHECK(second["loops"][0]["lateness_ns"]["max"] == 2000000);
+    CHECK(second["callbacks"][0]["name"] == "sensor slow");
+    CHECK(second["callbacks"][0]["count"] == before + 10);
+    CHECK(second["callbacks"][0]["max_ns"] == 2000000);
+
+    // Another client has rates of its own.
+    loop.advance(500ms);
+    CHECK(take(8)["sensors"][0]["reached_hz"].is_null());
+    CHECK(take(7)["interval_s"] == 0.5);
+    status.forget(7);
+    CHECK(loop.callbacks().size() == 3);
+    status.forget(8);
+    CHECK(loop.callbacks().size() == 2);
+  }
+}

@@ -1,0 +1,189 @@
+// `rtdata top` and what it looks at: the real programs.
+#include <doctest/doctest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "app/control_socket.hpp"
+#include "app/runtime_folder.hpp"
+
+using rtdata::app::ControlClient;
+using rtdata::app::Instance;
+using rtdata::app::running_instances;
+using rtdata::test::Folder;
+using rtdata::test::Process;
+using rtdata::test::RuntimeFolder;
+using namespace std::chrono_literals;
+
+namespace {
+
+const std::string program = RTDATA_BINARY_DIR "/rtdata_test_program";
+
+constexpr const char* rig = R"({
+  "name": "rig",
+  "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
+               {"name": "gone", "type": "absent", "rate": "10 Hz", "device": "/dev/missing_thing"} ],
+  "sinks": [ {"type": "discard"} ]
+})";
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+nlohmann::json ask(ControlClient& client) {
+  auto answer = client.ask(R"({"request":"status"})", 30s);
+  REQUIRE(answer);
+  return nlohmann::json::parse(*answer);
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("NFR-5 a run answers on its socket how its sensors and sinks do") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const std::vector<Instance> instances = running_instances();
+    REQUIRE(instances.size() == 1);
+    auto client = ControlClient::connect(instances[0].path);
+    REQUIRE(client);
+    nlohmann::json first = ask(*client);
+    CHECK(first["instance"]["name"] == "rig");
+    CHECK(first["instance"]["pid"] == instances[0].pid);
+    CHECK(first["instance"]["configuration"] == "rig.json");
+    CHECK(first["sensors"][0]["reached_hz"].is_null());
+    nlohmann::json status;
+    do {
+      status = ask(*client);
+    } while (status["sensors"][0]["value"].is_null() || status["sensors"][1]["health"]["state"] != "faulted");
+    const nlohmann::json& sensor = status["sensors"][0];
+    CHECK(sensor["name"] == "a");
+    CHECK(sensor["topic"] == "count/a");
+    CHECK(sensor["loop"] == "main");
+    CHECK(sensor["wanted_hz"] == 100);
+    CHECK(sensor["reached_hz"].is_number());
+    CHECK(sensor["failed"] == 0);
+    CHECK(sensor["health"]["state"] == "ok");
+    CHECK(std::stoull(sensor["value"].get<std::string>()) <= sensor["published"].get<std::uint64_t>());
+    CHECK(sensor["lateness_ns"]["p50"] <= sensor["lateness_ns"]["max"]);
+    const nlohmann::json& gone = status["sensors"][1];
+    CHECK(gone["failed"] > 0);
+    CHECK(has(gone["health"]["reason"], "/dev/missing_thing"));
+    CHECK(gone["value"].is_null());
+    const nlohmann::json& sink = status["sinks"][0];
+    CHECK(sink["offered"].get<std::uint64_t>() ==
+          sink["stored"].get<std::uint64_t>() + sink["queued"].get<std::uint64_t>());
+    CHECK(sink["dropped"] == 0);
+    CHECK(status["loops"][0]["name"] == "main");
+    CHECK(status["loops"][0]["load_percent"].is_number());
+    CHECK(status["topics"][0]["name"] == "count/a");
+    bool has_sensor = false;
+    for (const auto& callback : status["callbacks"]) {
+      if (callback["name"] != "sensor a") continue;
+      has_sensor = true;
+      CHECK(callback["count"] > 0);
+      CHECK(callback["max_ns"] <= callback["total_ns"]);
+    }
+    CHECK(has_sensor);
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+    CHECK(runtime.sockets() == 0);
+  }
+
+  TEST_CASE("NFR-5 top shows an instance once in 80 columns, as JSON, and on a terminal until q or Ctrl-C") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("faulted"));
+    Process once(folder, program, {"top", "--once"});
+    CHECK(once.end() == 0);
+    CHECK(once.out.starts_with("rig  pid "));
+    CHECK(has(once.out, "\na              main       100 Hz"));
+    CHECK(has(once.out, "\n  ! faulted: cannot open the device: /dev/missing_thing"));
+    CHECK(has(once.out, "\ndiscard "));
+    CHECK(has(once.out, "\nsensor a "));
+    CHECK_FALSE(has(once.out, "\x1b"));
+    std::istringstream lines(once.out);
+    for (std::string line; std::getline(lines, line);) CHECK(line.size() <= 80);
+
+    Process json(folder, program, {"top", "rig", "--once", "--json"});
+    CHECK(json.end() == 0);
+    CHECK(std::count(json.out.begin(), json.out.end(), '\n') == 1);
+    CHECK(nlohmann::json::parse(json.out)["sensors"].size() == 2);
+
+    Process live(folder, program, {"top"}, Process::Output::terminal);
+    REQUIRE(live.wait_for("q ends"));
+    live.signal(SIGINT);
+    CHECK(live.end() == 0);
+    CHECK(live.out.find("\x1b[?25l") < live.out.find("rig  pid"));
+    CHECK(live.out.find("\x1b[?25h") > live.out.find("q ends"));
+
+    Process quits(folder, "/bin/sh", {"-c", "printf q | " + program + " top"});
+    CHECK(quits.end() == 0);
+    CHECK(quits.out.empty());
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+  }
+
+  TEST_CASE("NFR-5 top without an instance says so; with several it lists them, and takes a name or pid") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    Process none(folder, program, {"top", "--once"});
+    CHECK(none.end() == 1);
+    CHECK(has(none.err, "no instance is running"));
+
+    folder.write("rig.json", rig);
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    Process first(folder, program, {"run", "rig.json"});
+    Process second(folder, program, {"run", "other.json"});
+    REQUIRE(first.wait_for("running rig"));
+    REQUIRE(second.wait_for("running other"));
+    const std::vector<Instance> instances = running_instances();
+    REQUIRE(instances.size() == 2);
+    Process several(folder, program, {"top", "--once"});
+    CHECK(several.end() == 2);
+    for (const Instance& one : instances) CHECK(has(several.err, std::to_string(one.pid)));
+    CHECK(has(several.err, "rig.json"));
+    CHECK(has(several.err, "other.json"));
+    Process named(folder, program, {"top", "other", "--once"});
+    CHECK(named.end() == 0);
+    CHECK(named.out.starts_with("other  pid "));
+    Process by_pid(folder, program, {"top", std::to_string(instances[0].pid), "--once"});
+    CHECK(by_pid.end() == 0);
+    CHECK(has(by_pid.out, "pid " + std::to_string(instances[0].pid)));
+    Process wrong(folder, program, {"top", "nobody", "--once"});
+    CHECK(wrong.end() == 1);
+    CHECK(has(wrong.err, "no running instance is called \"nobody\""));
+  }
+
+  TEST_CASE("NFR-5 the socket of a killed run is skipped by top and removed by the next run") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    {
+      Process run(folder, program, {"run", "rig.json"});
+      REQUIRE(run.wait_for("running rig"));
+      run.signal(SIGKILL);
+      CHECK(run.end() == 128 + SIGKILL);
+    }
+    CHECK(runtime.sockets() == 1);
+    Process top(folder, program, {"top", "--once"});
+    CHECK(top.end() == 1);
+    Process next(folder, program, {"run", "rig.json"});
+    REQUIRE(next.wait_for("running rig"));
+    CHECK(runtime.sockets() == 1);
+    CHECK(running_instances().size() == 1);
+  }
+
+  TEST_CASE("a run without a folder for its socket warns, and runs") {
+    const Folder folder;
+    ::setenv("RTDATA_RUNTIME_DIR", "/proc/nowhere", 1);
+    folder.write("rig.json", rig);
+    Process run(folder, program, {"run", "rig.json", "--for", "100ms"});
+    CHECK(run.end() == 0);
+    ::unsetenv("RTDATA_RUNTIME_DIR");
+    CHECK(has(run.err, "cannot open the control socket"));
+    CHECK(has(run.out, "ledger balances"));
+  }
+}
