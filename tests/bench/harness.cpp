@@ -155,6 +155,7 @@ std::int64_t process_cpu_ns() { return clock_ns(CLOCK_PROCESS_CPUTIME_ID); }
 
 void settle_thread() { settle_on(0); }
 void settle_other_thread() { settle_on(1); }
+void unsettle_thread() { ::sched_setaffinity(0, sizeof(cpu_set_t), &allowed_cpus()); }
 
 namespace {
 
@@ -188,6 +189,7 @@ int run(int count, char** arguments) {
   bench_loop(report);
   bench_sinks(report);
   bench_program(report);
+  bench_real_time(report);
   if (report.write_json()) return 0;
   std::fprintf(stderr, "cannot write %s\n", report.options().json.c_str());
   return 1;
