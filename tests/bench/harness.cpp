@@ -48,7 +48,9 @@ void settle_on(int wanted_from_last) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
 }
 
-bool is_conclusive(const Figure& figure) { return std::abs(std::log(figure.control)) <= std::log(figure.reach) + 1e-9; }
+bool is_conclusive(const Figure& figure) {
+  return std::abs(std::log(figure.control)) <= std::abs(std::log(figure.reach)) + 1e-9;
+}
 
 std::string number(double value) {
   char text[40];
