@@ -207,9 +207,7 @@ void Bridge::turn_done() {
       from_.insert(reminder_);
     }
   }
-  if (!has_news_) return;
-  has_news_ = false;
-  if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake().send();
+  wake();
 }
 
 // ---- the receiving side

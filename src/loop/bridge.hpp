@@ -18,6 +18,7 @@
 
 #include "loop/byte_ring.hpp"
 #include "loop/deadline.hpp"
+#include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/topic_core.hpp"
 
@@ -80,7 +81,13 @@ class Bridge final : public Listener {
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
   void send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes);
-  /// The end of a turn of the sending loop: wakes the other side if there is something for it.
+  /// Wakes the other side if there is something for it.
+  void wake() noexcept {
+    if (!has_news_) return;
+    has_news_ = false;
+    if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake().send();
+  }
+  /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
   void turn_done();
   /// Sends how the sensors do, all of them, now.
   void send_accounts();

@@ -330,6 +330,7 @@ void LoopCore::run_due() {
     handled_until_ = std::max(handled_until_, until);
   }
   firing_ = false;
+  for (Bridge* bridge : runtime.outbound) bridge->wake();  // before the system call: others wait for it
   arm();
 }
 

@@ -157,6 +157,7 @@ void TierCore::start() {
   quit_.store(false, std::memory_order_relaxed);
   warnings.clear();
   loop.core().hold();
+  main.core().hold();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
   const SignalsBlocked for_the_tier;
   std::binary_semaphore is_set_up{0};
@@ -170,6 +171,7 @@ void TierCore::start() {
     is_set_up.acquire();
   } catch (const std::system_error& e) {
     loop.core().unhold();
+    main.core().unhold();
     throw SetupError({Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
   }
 }
@@ -186,6 +188,7 @@ void TierCore::stop() noexcept {
   if (latency_fd_ >= 0) ::close(std::exchange(latency_fd_, -1));
   loop.core().unbind();
   loop.core().unhold();
+  main.core().unhold();
   loop.core().forget_stop();
   scheduling = {};
 }

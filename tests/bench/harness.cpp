@@ -48,7 +48,9 @@ void settle_on(int wanted_from_last) {
   ::prctl(PR_SET_TIMERSLACK, 1UL);
 }
 
-bool is_conclusive(const Figure& figure) { return std::abs(std::log(figure.control)) <= std::log(figure.reach) + 1e-9; }
+bool is_conclusive(const Figure& figure) {
+  return std::abs(std::log(figure.control)) <= std::abs(std::log(figure.reach)) + 1e-9;
+}
 
 std::string number(double value) {
   char text[40];
@@ -155,6 +157,7 @@ std::int64_t process_cpu_ns() { return clock_ns(CLOCK_PROCESS_CPUTIME_ID); }
 
 void settle_thread() { settle_on(0); }
 void settle_other_thread() { settle_on(1); }
+void unsettle_thread() { ::sched_setaffinity(0, sizeof(cpu_set_t), &allowed_cpus()); }
 
 namespace {
 
@@ -188,6 +191,7 @@ int run(int count, char** arguments) {
   bench_loop(report);
   bench_sinks(report);
   bench_program(report);
+  bench_real_time(report);
   if (report.write_json()) return 0;
   std::fprintf(stderr, "cannot write %s\n", report.options().json.c_str());
   return 1;

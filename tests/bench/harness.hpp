@@ -69,6 +69,8 @@ std::int64_t process_cpu_ns();
 void settle_thread();
 /// Another allowed CPU where there is one, for a thread that is the outside world.
 void settle_other_thread();
+/// All CPUs that the program was given.
+void unsettle_thread();
 
 /// The result is used: nothing that leads to it is left out by the compiler.
 template <class T>
@@ -82,5 +84,6 @@ void bench_publish(Report& report);
 void bench_sinks(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
+void bench_real_time(Report& report);
 
 }  // namespace bench

@@ -2,7 +2,6 @@
 #include <fcntl.h>
 #include <malloc.h>
 #include <sys/epoll.h>
-#include <sys/timerfd.h>
 #include <unistd.h>
 
 #include <array>
@@ -14,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "bare.hpp"
 #include "harness.hpp"
 #include "payloads.hpp"
 #include "rtdata/loop/loop.hpp"
@@ -23,42 +23,6 @@
 
 namespace bench {
 namespace {
-
-constexpr std::int64_t millisecond = 1'000'000;
-
-/// An absolute timerfd with epoll, as bare as can be.
-class BareTimer {
- public:
-  BareTimer() : timer_(::timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK)), epoll_(::epoll_create1(0)) {
-    epoll_event event{};
-    event.events = EPOLLIN;
-    ::epoll_ctl(epoll_, EPOLL_CTL_ADD, timer_, &event);
-  }
-  BareTimer(const BareTimer&) = delete;
-  BareTimer& operator=(const BareTimer&) = delete;
-  ~BareTimer() {
-    ::close(epoll_);
-    ::close(timer_);
-  }
-  /// Setting it also clears it: it is never read.
-  void arm(std::int64_t due) const {
-    itimerspec spec{};
-    spec.it_value.tv_sec = due / 1'000'000'000;
-    spec.it_value.tv_nsec = due % 1'000'000'000;
-    ::timerfd_settime(timer_, TFD_TIMER_ABSTIME, &spec, nullptr);
-  }
-  void wait() const {
-    epoll_event event{};
-    while (::epoll_wait(epoll_, &event, 1, -1) < 1) {
-    }
-  }
-
- private:
-  int timer_;
-  int epoll_;
-};
-
-std::int64_t on_grid(std::int64_t time) { return (time + millisecond) / millisecond * millisecond; }
 
 // ---- ticks
 

@@ -16,6 +16,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #endif
 
+#include "bare.hpp"
 #include "by_hand.hpp"
 #include "harness.hpp"
 #include "payloads.hpp"
@@ -31,26 +32,6 @@ constexpr unsigned batch_rows = 500;
 constexpr unsigned batches = 80;
 constexpr unsigned rows = batch_rows * batches;
 constexpr rtdata::Duration batch_period = std::chrono::milliseconds{1};
-
-/// A name in a folder; the file is removed with all that SQLite puts beside it.
-class Scratch {
- public:
-  Scratch(const std::string& folder, const char* name)
-      : path_(folder + "/rtdata_bench." + std::to_string(::getpid()) + "." + name) {
-    remove();
-  }
-  Scratch(const Scratch&) = delete;
-  Scratch& operator=(const Scratch&) = delete;
-  ~Scratch() { remove(); }
-  const std::string& path() const { return path_; }
-
- private:
-  void remove() const {
-    for (const char* tail : {"", "-wal", "-shm", "-journal", "-lock", "-live", ".lock", ".live"})
-      ::unlink((path_ + tail).c_str());
-  }
-  std::string path_;
-};
 
 /// Publishes a batch every millisecond: about as fast as one is stored, so that neither side sleeps for long.
 class Producer {
@@ -141,7 +122,8 @@ double sqlite_sink_row(const std::string& folder) {
   return stored_cpu(producer, sink);
 }
 
-/// The same table, settings, batches and rhythm, sixteen rows a statement, the log's checkpoints outside of the commits.
+/// The same table, settings, batches and rhythm, sixteen rows a statement, the log's checkpoints outside of the
+/// commits.
 double bare_sqlite_row(const std::string& folder) {
   const Scratch file(folder, "bare.db");
   sqlite3* database = nullptr;

@@ -17,6 +17,7 @@
 #include "loop/observed.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -24,9 +25,11 @@
 namespace {
 
 std::atomic<std::uint64_t> allocations{0};
+thread_local std::uint64_t own_allocations = 0;  // of this thread
 
 void* allocate(std::size_t size, std::size_t alignment) {
   allocations.fetch_add(1, std::memory_order_relaxed);
+  ++own_allocations;
   void* memory = nullptr;
   if (::posix_memalign(&memory, std::max(alignment, sizeof(void*)), std::max<std::size_t>(size, 1)) != 0) throw std::bad_alloc();
   return memory;
@@ -162,5 +165,55 @@ TEST_SUITE("allocation") {
     Loop loop;
     // run_for makes one timer for its end: a node.
     CHECK(allocations_of(loop, stages(), 1) <= 1);
+  }
+
+  /// Sensors, a feed and accounts cross from a tier; returns what its thread allocates between two of its ticks.
+  struct Sending {
+    std::uint64_t allocated = 0;
+    std::uint64_t received = 0;
+    std::uint64_t dropped = 0;
+    bool balances = false;
+  };
+  Sending sending(std::size_t ring_bytes, unsigned events_a_tick) {
+    constexpr unsigned first = 300;
+    constexpr unsigned last = 800;
+    Loop loop;
+    Tier fast(loop, {.lock_memory = false, .ring_bytes = ring_bytes});
+    Sending result;
+    Sink sink(loop, {.name = "sink", .batch_time = 20ms}, std::make_unique<Nowhere>());
+    auto subscription = loop.subscribe("#", [&](const EventView&) { ++result.received; });
+    Sensor<Number> sensor(fast.loop(), {.name = "sensor", .rate = 1_kHz}, [] { return Number{1, 2}; });
+    Feed<Number> feed(fast.loop(), {.name = "feed"});
+    unsigned tick = 0;
+    std::uint64_t before = 0;
+    Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+      for (unsigned i = 0; i < events_a_tick; ++i) feed.publish({});
+      ++tick;
+      if (tick == first) before = own_allocations;
+      if (tick != last) return;
+      result.allocated = own_allocations - before;
+      loop.stop();
+    });
+    loop.run();
+    fast.stop();
+    loop.poll();
+    const auto counts = subscription.counts();
+    result.dropped = counts.dropped;
+    result.balances = counts.balances();
+    return result;
+  }
+
+  TEST_CASE("NFR-4 nothing is allocated where events are sent from a tier to another loop") {
+    const Sending sent = sending(std::size_t{1} << 20, 3);
+    CHECK(sent.allocated == 0);
+    CHECK(sent.received > 2000);
+    CHECK(sent.balances);
+  }
+
+  TEST_CASE("NFR-4 nor where the ring between them is full, and events are dropped and counted") {
+    const Sending sent = sending(4096, 200);
+    CHECK(sent.allocated == 0);
+    CHECK(sent.dropped > 0);
+    CHECK(sent.balances);
   }
 }

@@ -64,7 +64,7 @@ class Tier {
   Loop& loop() noexcept;
   const Config& config() const noexcept;
 
-  /// Begins to turn. The main loop's `run` does it too.
+  /// Begins to turn. The main loop's `run` does it too, and does not return by itself while a tier runs.
   void start();
   /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again.
   void stop() noexcept;
