@@ -580,9 +580,24 @@ Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
 }
 
 void LoopCore::report_hold(const std::string& name, Duration took) {
-  runtime.report(this, name, {Errc::held_too_long, "held the loop for " + to_string(took / 1000 * 1000), "loop " + config.name,
-                              "its limit is " + to_string(config.hold_limit),
-                              "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+  const std::string lasted = "held the loop for " + to_string(took / 1000 * 1000);
+  const std::string place = runtime.place_of(name);
+  runtime.report(this, name,
+                 {Errc::held_too_long, lasted, (place.empty() ? "" : place + ": ") + "loop " + config.name,
+                  "its limit is " + to_string(config.hold_limit),
+                  "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+}
+
+std::vector<CallbackStatus> LoopCore::callbacks() const {
+  std::vector<CallbackStatus> all;
+  for (const Node* node = nodes_; node != nullptr; node = node->next_) {
+    CallbackStatus status;
+    if (!node->tell_times(status)) continue;
+    status.place = runtime.place_of(status.name);
+    all.push_back(std::move(status));
+  }
+  std::reverse(all.begin(), all.end());
+  return all;
 }
 
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
@@ -663,6 +678,7 @@ Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error = std::move(handler); }
+std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
 
 ManualClock& Loop::manual_clock() {

@@ -87,15 +87,18 @@ class LoopCore {
   void hold() noexcept;
   void unhold() noexcept;
 
-  /// Accounts the time of a callback and reports one that held the loop too long.
+  /// Accounts the time of a callback and reports one that held the loop too long: then returns true.
   template <class Named>
-  void account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
+  bool account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
     const Duration took = to - from;
-    ++times.count;
-    times.total += took;
-    if (took > times.max) times.max = took;
-    if (took > config.hold_limit) [[unlikely]] report_hold(name(), took);
+    times.add(took);
+    if (took <= config.hold_limit) [[likely]]
+      return false;
+    ++times.held;
+    report_hold(name(), took);
+    return true;
   }
+  std::vector<CallbackStatus> callbacks() const;
   /// Reports that were held back are written at `due`.
   void flush_repeats_at(MonotonicTime due);
   void report_hold(const std::string& name, Duration took);

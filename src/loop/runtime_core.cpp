@@ -404,6 +404,8 @@ void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log =
 
 Result<void> Runtime::note_wall_clock(const ClockPair& pair) { return core_->note_wall_clock(pair); }
 
+void Runtime::note_place(std::string object, std::string place) { core_->places[std::move(object)] = std::move(place); }
+
 std::vector<SensorStatus> Runtime::sensors() const {
   std::vector<SensorStatus> all;
   for (const auto* sensor : core_->sensors) all.push_back(detail::status_of(*sensor));

@@ -147,6 +147,12 @@ class RuntimeCore {
   void flush_repeats(Repeats which);
   Callback<void(const LogRecord&)> on_log;
 
+  std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports
+  std::string place_of(const std::string& object) const {
+    const auto found = places.find(object);
+    return found != places.end() ? found->second : std::string();
+  }
+
  private:
   OriginCore& make_origin(std::string_view name, TopicCore& topic);
   struct Repeat {

@@ -20,6 +20,11 @@ class TimerNode final : public Node, public Deadline {
       loop()->insert(*this);
     }
   }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = "timer";
+    status.times = times_;
+    return true;
+  }
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->remove(*this);
@@ -82,6 +87,11 @@ class TickerNode final : public Node, public RateMember {
     on.call_user(config_.name, [&] { callback_(told); });
   }
   std::string blame_name() const override { return config_.name; }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = config_.name;
+    status.times = times;
+    return true;
+  }
 
   std::uint64_t fired = 0;
   std::uint64_t missed = 0;

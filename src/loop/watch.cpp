@@ -38,6 +38,11 @@ class FdWatchNode final : public Node {
     box_->handle.data = box_;
   }
   int failed() const noexcept { return failed_; }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = name_;
+    status.times = times_;
+    return true;
+  }
   void set_events(unsigned events) {
     if (box_ == nullptr) return;
     int wanted = UV_DISCONNECT;
@@ -86,6 +91,11 @@ class SignalWatchNode final : public Node {
     uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal is no work to be done
   }
   int failed() const noexcept { return failed_; }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = name_;
+    status.times = times_;
+    return true;
+  }
 
  private:
   using Box = UvBox<uv_signal_t, SignalWatchNode>;

@@ -198,6 +198,11 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (is_open()) flush();
   }
   std::string blame_name() const override { return object_name(); }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = object_name();
+    status.times = times;
+    return true;
+  }
 
   void stored(StoreJob& job) {
     if (!is_attached_) return;  // too late: counted as lost

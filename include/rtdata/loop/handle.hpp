@@ -18,6 +18,7 @@
 namespace rtdata {
 
 class Loop;
+struct CallbackStatus;
 
 namespace detail {
 
@@ -40,6 +41,8 @@ class Node {
   void dispose() noexcept;
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
+  /// Fills in the name and times of its callbacks. False when it has none.
+  virtual bool tell_times(CallbackStatus&) const { return false; }
 
  protected:
   virtual ~Node();
