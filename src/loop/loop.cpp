@@ -52,6 +52,8 @@ struct LoopCore::UvSide {
 
 namespace {
 
+constexpr Duration calm_after = std::chrono::seconds{10};
+
 [[noreturn]] void throw_uv(int status, const char* what) {
   throw SetupError({make_error_code(Errc::io_failed), what, "libuv", uv_strerror(status), ""});
 }
@@ -180,6 +182,7 @@ LoopCore::~LoopCore() {
   }
   unrun.clear();  // outside the lock: captures may post
   remove(flusher_);
+  remove(calm_);
   side_->core = nullptr;
   uv_poll_stop(&side_->timer);
   side_->close(side_->timer);
@@ -582,10 +585,26 @@ Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
 void LoopCore::report_hold(const std::string& name, Duration took) {
   const std::string lasted = "held the loop for " + to_string(took / 1000 * 1000);
   const std::string place = runtime.place_of(name);
+  held_last_ = now();
+  if (!calm_.is_listed()) {
+    runtime.health_changed("loop", config.name, Health::degraded, name + " " + lasted);
+    calm_.due = held_last_ + calm_after;
+    insert(calm_);
+  }
   runtime.report(this, name,
                  {Errc::held_too_long, lasted, (place.empty() ? "" : place + ": ") + "loop " + config.name,
                   "its limit is " + to_string(config.hold_limit),
                   "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+}
+
+void LoopCore::Calm::fire(MonotonicTime now) {
+  if (const MonotonicTime calm_at = core.held_last_ + calm_after; calm_at > now) {
+    due = calm_at;
+    core.moved(*this);
+    return;
+  }
+  core.remove(*this);
+  core.runtime.health_changed("loop", core.config.name, Health::ok, "");
 }
 
 std::vector<CallbackStatus> LoopCore::callbacks() const {

@@ -150,6 +150,12 @@ class LoopCore {
     void fire(MonotonicTime now) override;
     LoopCore& core;
   };
+  /// The loop is ok again some time after it was held last.
+  struct Calm final : Deadline {
+    explicit Calm(LoopCore& core_) : core(core_) {}
+    void fire(MonotonicTime now) override;
+    LoopCore& core;
+  };
   void make_side();
   void watch_clock();
   void arm_clock() noexcept;
@@ -182,6 +188,8 @@ class LoopCore {
   MonotonicTime firing_until_{};
   std::vector<Deadline*> next_round_;  // inserted while firing and due already
   Flusher flusher_{*this};
+  Calm calm_{*this};
+  MonotonicTime held_last_{};
   bool is_running_ = false;
   std::size_t holds_ = 0;
 

@@ -49,6 +49,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
     loop()->runtime.log(LogLevel::warning, object_name(), "faulted: " + rare().reason);
   }
   health_ = health;
+  loop()->runtime.health_changed("sensor", origin_.name, health, this->reason());
 }
 
 }  // namespace rtdata::detail
