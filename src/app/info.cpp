@@ -116,6 +116,7 @@ struct Content {
   std::optional<RunInfo> shown;
   std::vector<TopicSummary> summaries;
   std::vector<RecordedError> errors;
+  std::vector<RecordedHealth> health;
 };
 
 Result<Content> read(const Recording& recording, std::optional<std::int64_t> wanted) {
@@ -140,6 +141,9 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto errors = recording.errors(content.shown->run);
   if (!errors) return std::move(errors).error();
   content.errors = std::move(*errors);
+  auto health = recording.health(content.shown->run);
+  if (!health) return std::move(health).error();
+  content.health = std::move(*health);
   return content;
 }
 
@@ -172,6 +176,19 @@ void print(const Recording& recording, const Content& content, std::ostream& out
     }
     if (content.errors.size() > most) out << "  and " << content.errors.size() - most << " more\n";
   }
+  if (!content.health.empty()) {
+    constexpr std::size_t most = 20;
+    out << "\nhealth in run " << content.shown->run << "\n";
+    for (std::size_t i = 0; i < content.health.size() && i < most; ++i) {
+      const RecordedHealth& change = content.health[i];
+      std::string line;
+      detail::wrap(line, "  ",
+                   short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
+                       (change.reason.empty() ? "" : ": " + change.reason));
+      out << line;
+    }
+    if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
+  }
   out << "\nfields\n";
   print_fields(content.topics, out);
 }
@@ -188,6 +205,14 @@ void print_json(const Recording& recording, const Content& content, std::ostream
   for (const RecordedError& error : content.errors) {
     json["errors"].push_back(
         Json{{"time", to_nanoseconds(error.time)}, {"object", error.object}, {"id", error.id}, {"text", error.text}, {"count", error.count}});
+  }
+  json["health"] = Json::array();
+  for (const RecordedHealth& change : content.health) {
+    json["health"].push_back(Json{{"time", to_nanoseconds(change.time)},
+                                  {"kind", change.kind},
+                                  {"name", change.name},
+                                  {"state", change.state},
+                                  {"reason", change.reason}});
   }
   json["descriptions"] = Json::array();
   for (const RecordedTopic& topic : content.topics) {

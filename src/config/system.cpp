@@ -51,6 +51,10 @@ auto made_at(const ConfigItem& item, const std::string& what, const Make& make) 
   }
 }
 
+void note_place(Loop& loop, std::string object, const ConfigItem& item) {
+  if (std::string place = item.place().text(); !place.empty()) loop.runtime().note_place(std::move(object), std::move(place));
+}
+
 }  // namespace
 
 System::System(Loop& loop, const Registry& registry, const SystemPlan& plan) : loop_(loop), registry_(registry) {
@@ -77,14 +81,18 @@ Tier& System::tier(std::string_view name) { return *part_named(tiers_, "tier", n
 
 AnySensor& System::make(const SensorPlan& plan) {
   const auto make_there = [&] {
-    if (plan.tier.empty()) return plan.make(loop_);
-    return tier(plan.tier).call([&](Loop& on) { return plan.make(on); });
+    const auto make_on = [&](Loop& on) {
+      note_place(on, "sensor " + plan.name, plan.item);
+      return plan.make(on);
+    };
+    return plan.tier.empty() ? make_on(loop_) : tier(plan.tier).call(make_on);
   };
   sensors_.push_back({plan.name, made_at(plan.item, "sensor " + plan.name, make_there)});
   return *sensors_.back().object;
 }
 
 Sink& System::make(const SinkPlan& plan) {
+  note_place(loop_, "sink " + plan.name, plan.item);
   sinks_.push_back({plan.name, made_at(plan.item, "sink " + plan.name, [&] { return plan.make(loop_); })});
   return *sinks_.back().object;
 }

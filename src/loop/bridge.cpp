@@ -143,6 +143,12 @@ void Bridge::on_error(Time time, std::string_view object, const Error& error, st
   });
 }
 
+void Bridge::on_health(Time time, const HealthChange& change) {
+  to_.post([&to = to_, time, change] {
+    for (Listener* listener : to.runtime.recorders) listener->on_health(time, change);
+  });
+}
+
 bool Bridge::send_account(Passage& passage, std::size_t spare) noexcept {
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;

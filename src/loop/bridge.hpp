@@ -80,6 +80,7 @@ class Bridge final : public Listener {
   void on_gap(OriginCore& origin, const Gap& gap) override;
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
+  void on_health(Time time, const HealthChange& change) override;
   void send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes);
   /// Wakes the other side if there is something for it.
   void wake() noexcept {

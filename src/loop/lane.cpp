@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <condition_variable>
+#include <csignal>
 #include <deque>
 #include <mutex>
 #include <thread>
@@ -189,7 +190,20 @@ void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
   outstanding_.erase(outstanding_.begin() + static_cast<std::ptrdiff_t>(index));
   if (outcome == LaneJob::Outcome::finished) job->state_.store(LaneJob::idle, std::memory_order_relaxed);
   loop_.unhold();
+  if (outcome != LaneJob::Outcome::finished || health_ != Health::ok) [[unlikely]]
+    look_at_health(outcome);
   job->done(outcome);
+}
+
+void Lane::look_at_health(LaneJob::Outcome outcome) {
+  Health now = health_;
+  if (outcome == LaneJob::Outcome::given_up) now = is_stuck() ? Health::faulted : Health::degraded;
+  if (outcome == LaneJob::Outcome::finished) now = left_behind() > 0 ? Health::degraded : Health::ok;
+  if (now == health_) return;
+  health_ = now;
+  std::string reason;
+  if (now != Health::ok) reason = "a job outlived its limit of " + to_string(give_up_after_) + " and was given up";
+  loop_.runtime.health_changed("lane", name_, now, reason);
 }
 
 void Lane::collect() {

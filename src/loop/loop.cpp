@@ -52,6 +52,8 @@ struct LoopCore::UvSide {
 
 namespace {
 
+constexpr Duration calm_after = std::chrono::seconds{10};
+
 [[noreturn]] void throw_uv(int status, const char* what) {
   throw SetupError({make_error_code(Errc::io_failed), what, "libuv", uv_strerror(status), ""});
 }
@@ -180,6 +182,7 @@ LoopCore::~LoopCore() {
   }
   unrun.clear();  // outside the lock: captures may post
   remove(flusher_);
+  remove(calm_);
   side_->core = nullptr;
   uv_poll_stop(&side_->timer);
   side_->close(side_->timer);
@@ -219,18 +222,6 @@ void LoopCore::hold() noexcept {
 
 void LoopCore::unhold() noexcept {
   if (--holds_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
-}
-
-std::vector<CallbackStatus> LoopCore::callbacks() const {
-  std::vector<CallbackStatus> all;
-  for (const Node* node = nodes_; node != nullptr; node = node->next_) {
-    CallbackStatus status;
-    const CallbackTimes* times = node->callback_account(status.name);
-    if (times == nullptr) continue;
-    status.times = *times;
-    all.push_back(std::move(status));
-  }
-  return all;
 }
 
 void LoopCore::link(Node& node) noexcept {
@@ -593,9 +584,40 @@ Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
 }
 
 void LoopCore::report_hold(const std::string& name, Duration took) {
-  runtime.report(this, name, {Errc::held_too_long, "held the loop for " + to_string(took / 1000 * 1000), "loop " + config.name,
-                              "its limit is " + to_string(config.hold_limit),
-                              "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+  const std::string lasted = "held the loop for " + to_string(took / 1000 * 1000);
+  const std::string place = runtime.place_of(name);
+  held_last_ = now();
+  if (!calm_.is_listed()) {
+    runtime.health_changed("loop", config.name, Health::degraded, name + " " + lasted);
+    calm_.due = held_last_ + calm_after;
+    insert(calm_);
+  }
+  runtime.report(this, name,
+                 {Errc::held_too_long, lasted, (place.empty() ? "" : place + ": ") + "loop " + config.name,
+                  "its limit is " + to_string(config.hold_limit),
+                  "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+}
+
+void LoopCore::Calm::fire(MonotonicTime now) {
+  if (const MonotonicTime calm_at = core.held_last_ + calm_after; calm_at > now) {
+    due = calm_at;
+    core.moved(*this);
+    return;
+  }
+  core.remove(*this);
+  core.runtime.health_changed("loop", core.config.name, Health::ok, "");
+}
+
+std::vector<CallbackStatus> LoopCore::callbacks() const {
+  std::vector<CallbackStatus> all;
+  for (const Node* node = nodes_; node != nullptr; node = node->next_) {
+    CallbackStatus status;
+    if (!node->tell_times(status)) continue;
+    status.place = runtime.place_of(status.name);
+    all.push_back(std::move(status));
+  }
+  std::reverse(all.begin(), all.end());
+  return all;
 }
 
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
@@ -674,9 +696,9 @@ MonotonicTime Loop::now() noexcept { return core_->now(); }
 Time Loop::time() noexcept { return core_->runtime.event_time(core_->now()); }
 Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
-std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error = std::move(handler); }
+std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
 
 ManualClock& Loop::manual_clock() {

@@ -87,15 +87,18 @@ class LoopCore {
   void hold() noexcept;
   void unhold() noexcept;
 
-  /// Accounts the time of a callback and reports one that held the loop too long.
+  /// Accounts the time of a callback and reports one that held the loop too long: then returns true.
   template <class Named>
-  void account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
+  bool account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
     const Duration took = to - from;
-    ++times.count;
-    times.total += took;
-    if (took > times.max) times.max = took;
-    if (took > config.hold_limit) [[unlikely]] report_hold(name(), took);
+    times.add(took);
+    if (took <= config.hold_limit) [[likely]]
+      return false;
+    ++times.held;
+    report_hold(name(), took);
+    return true;
   }
+  std::vector<CallbackStatus> callbacks() const;
   /// Reports that were held back are written at `due`.
   void flush_repeats_at(MonotonicTime due);
   void report_hold(const std::string& name, Duration took);
@@ -125,7 +128,6 @@ class LoopCore {
   Callback<void(const ErrorReport&)> on_error;
 
   // Nodes list themselves.
-  std::vector<CallbackStatus> callbacks() const;
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;
 
@@ -145,6 +147,12 @@ class LoopCore {
   };
   struct Flusher final : Deadline {
     explicit Flusher(LoopCore& core_) : core(core_) {}
+    void fire(MonotonicTime now) override;
+    LoopCore& core;
+  };
+  /// The loop is ok again some time after it was held last.
+  struct Calm final : Deadline {
+    explicit Calm(LoopCore& core_) : core(core_) {}
     void fire(MonotonicTime now) override;
     LoopCore& core;
   };
@@ -180,6 +188,8 @@ class LoopCore {
   MonotonicTime firing_until_{};
   std::vector<Deadline*> next_round_;  // inserted while firing and due already
   Flusher flusher_{*this};
+  Calm calm_{*this};
+  MonotonicTime held_last_{};
   bool is_running_ = false;
   std::size_t holds_ = 0;
 

@@ -364,6 +364,27 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
   write(loop, object, error, 1);
 }
 
+namespace {
+
+/// What of it fits, whole characters only.
+template <std::size_t N>
+text<N> fitting(std::string_view content) {
+  std::size_t size = std::min(content.size(), N);
+  while (size < content.size() && size > 0 && (static_cast<unsigned char>(content[size]) & 0xc0U) == 0x80U) --size;
+  return text<N>(content.substr(0, size));
+}
+
+}  // namespace
+
+void RuntimeCore::health_changed(std::string_view kind, std::string_view name, Health health,
+                                 std::string_view reason) noexcept try {
+  const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(reason)};
+  const Time time = event_time(clock_->monotonic());
+  for (Listener* listener : listeners) listener->on_health(time, change);
+  publish_from_program(topic(health_topic, payload_type<HealthChange>()), &change);
+} catch (...) {  // out of memory, or the program has taken the name for another topic: health() of the object tells it
+}
+
 void RuntimeCore::flush_repeats(Repeats which) {
   const MonotonicTime now = clock_->monotonic();
   for (std::size_t i = 0; i < repeats_.size(); ++i) {
@@ -408,6 +429,8 @@ const Runtime::Config& Runtime::config() const noexcept { return core_->config; 
 void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log = std::move(handler); }
 
 Result<void> Runtime::note_wall_clock(const ClockPair& pair) { return core_->note_wall_clock(pair); }
+
+void Runtime::note_place(std::string object, std::string place) { core_->places[std::move(object)] = std::move(place); }
 
 std::vector<SensorStatus> Runtime::sensors() const {
   std::vector<SensorStatus> all;

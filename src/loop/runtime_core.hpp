@@ -9,6 +9,7 @@
 
 #include "loop/origin_core.hpp"
 #include "loop/topic_core.hpp"
+#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
@@ -25,6 +26,7 @@ class Listener {
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
   virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
   virtual void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) = 0;
+  virtual void on_health(Time, const HealthChange&) {}
 
  protected:
   ~Listener() = default;
@@ -146,6 +148,14 @@ class RuntimeCore {
   /// Writes out the repeats that were held back for a second, or all.
   void flush_repeats(Repeats which);
   Callback<void(const LogRecord&)> on_log;
+
+  std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports
+  std::string place_of(const std::string& object) const {
+    const auto found = places.find(object);
+    return found != places.end() ? found->second : std::string();
+  }
+  /// Something does better or worse: to the recordings, and to the topic `$rtdata/health`.
+  void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:
   OriginCore& make_origin(std::string_view name, TopicCore& topic);

@@ -54,11 +54,16 @@ void RateGroup::fire(MonotonicTime now) {
     }
     loop_.schedule().ticking_ = member;
     member->tick(tick);
-    loop_.schedule().ticking_ = nullptr;
     const MonotonicTime to = loop_.now();
     // A member that removed itself may be gone.
-    if (members_[position_ - 1] == member) loop_.account(member->times, from, to, [&] { return member->blame_name(); });
-    from = to;
+    if (members_[position_ - 1] == member &&
+        loop_.account(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
+      if (members_[position_ - 1] == member) member->held(to - from);
+      from = loop_.now();
+    } else {
+      from = to;
+    }
+    loop_.schedule().ticking_ = nullptr;
   }
   firing_ = false;
   if (live_ != members_.size()) compact();

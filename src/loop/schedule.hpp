@@ -23,6 +23,9 @@ class RateMember {
   /// For blame: "sensor chamber".
   virtual std::string blame_name() const = 0;
 
+  /// Its tick held the loop longer than the loop's limit, which has been reported. May remove or add any member.
+  virtual void held(Duration) {}
+
   /// Its schedule has begun: `first_due()` is known.
   virtual void schedule_began() {}
 

@@ -61,6 +61,12 @@ void SubscriptionNode::on_close() noexcept {
   for (const auto& topic : runtime.topics()) topic->unlink(*this);
 }
 
+bool SubscriptionNode::tell_times(CallbackStatus& status) const {
+  status.name = name;
+  status.times = times;
+  return true;
+}
+
 void SubscriptionNode::report_exception(const char* what) noexcept {
   try {
     runtime_->report(loop(), name, {Errc::handler_threw, "a handler threw", "", what, "it goes on being called"});

@@ -20,6 +20,11 @@ class TimerNode final : public Node, public Deadline {
       loop()->insert(*this);
     }
   }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = "timer";
+    status.times = times_;
+    return true;
+  }
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->remove(*this);
@@ -34,10 +39,6 @@ class TimerNode final : public Node, public Deadline {
   }
 
  private:
-  const CallbackTimes* callback_account(std::string& name) const override {
-    name = "timer";
-    return &times_;
-  }
   void on_close() noexcept override { stop(); }
   void drop_callbacks() noexcept override { callback_.reset(); }
   Callback<void()> callback_;
@@ -86,9 +87,10 @@ class TickerNode final : public Node, public RateMember {
     on.call_user(config_.name, [&] { callback_(told); });
   }
   std::string blame_name() const override { return config_.name; }
-  const CallbackTimes* callback_account(std::string& name) const override {
-    name = config_.name;
-    return &times;
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = config_.name;
+    status.times = times;
+    return true;
   }
 
   std::uint64_t fired = 0;

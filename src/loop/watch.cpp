@@ -38,6 +38,11 @@ class FdWatchNode final : public Node {
     box_->handle.data = box_;
   }
   int failed() const noexcept { return failed_; }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = name_;
+    status.times = times_;
+    return true;
+  }
   void set_events(unsigned events) {
     if (box_ == nullptr) return;
     int wanted = UV_DISCONNECT;
@@ -57,10 +62,6 @@ class FdWatchNode final : public Node {
     const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0, status < 0 || (got & UV_DISCONNECT) != 0};
     on.call_user(name_, [&] { callback_(event); });
     on.account(times_, from, on.now(), [&] { return name_; });
-  }
-  const CallbackTimes* callback_account(std::string& name) const override {
-    name = name_;
-    return &times_;
   }
   void on_close() noexcept override {
     if (box_ == nullptr) return;
@@ -90,6 +91,11 @@ class SignalWatchNode final : public Node {
     uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal is no work to be done
   }
   int failed() const noexcept { return failed_; }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = name_;
+    status.times = times_;
+    return true;
+  }
 
  private:
   using Box = UvBox<uv_signal_t, SignalWatchNode>;
@@ -99,10 +105,6 @@ class SignalWatchNode final : public Node {
     Call call(*this);
     on.call_user(name_, [&] { callback_(); });
     on.account(times_, from, on.now(), [&] { return name_; });
-  }
-  const CallbackTimes* callback_account(std::string& name) const override {
-    name = name_;
-    return &times_;
   }
   void on_close() noexcept override { Box::close(std::exchange(box_, nullptr)); }
   void drop_callbacks() noexcept override { callback_.reset(); }

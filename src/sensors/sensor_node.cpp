@@ -27,14 +27,16 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
       device_(std::move(device)) {
   if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get())) lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
   const SensorConfig usual;
-  if (config.late_after != usual.late_after || config.retry_first != usual.retry_first || config.retry_longest != usual.retry_longest ||
-      config.faulted_after != usual.faulted_after || config.required != usual.required) {
+  if (config.late_after != usual.late_after || config.retry_first != usual.retry_first ||
+      config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
+      config.required != usual.required || config.on_overrun != usual.on_overrun) {
     Rare& own = rare();
     own.late_after = config.late_after.value_or(Duration{-1});
     own.retry_first = config.retry_first;
     own.retry_longest = std::max(config.retry_longest, config.retry_first);
     own.faulted_after = std::max(config.faulted_after, 1u);
     own.is_required = config.required;
+    own.on_overrun = config.on_overrun;
   }
 }
 
@@ -61,6 +63,7 @@ void SensorNode::start() {
     const Result<void> opened = open_device();
     if (opened) {
       device_is_open_ = true;
+      set_health(Health::ok, nullptr);  // what it was before it stopped is over
     } else if (settings().is_required) {
       throw SetupError(opened.error());
     } else {
@@ -122,14 +125,45 @@ void SensorNode::stop() {
 
 void SensorNode::set_rate(Rate rate) {
   check_rate(rate, origin_.name);
-  if (!is_open() || rate.period() == period()) return;
-  if (!is_running()) {
-    set_period(rate.period());
+  if (!is_open()) return;
+  if (rare_ != nullptr) rare_->wanted_period = Duration{0};
+  if (rate.period() != period()) change_period(rate.period());
+}
+
+void SensorNode::change_period(Duration period) {
+  if (!is_running()) return set_period(period);
+  end_schedule(EndOf::rate);
+  set_period(period);
+  begin_schedule();
+}
+
+bool SensorNode::tell_times(CallbackStatus& status) const {
+  status.name = object_name();
+  status.times = times;
+  return true;
+}
+
+void SensorNode::held(Duration took) {
+  constexpr int slowest = 16;  // times the wanted period
+  if (rare_ == nullptr || rare_->on_overrun == OnOverrun::warn) return;
+  Call call(*this);
+  const std::string lasted = "a read held the loop for " + to_string(took / 1000 * 1000);
+  if (rare_->on_overrun == OnOverrun::stop) {
+    stop();
+    const Error error{Errc::held_too_long, "stopped", object_name(), lasted,
+                      "make its read shorter, or read it on a lane; then start it again"};
+    report(error);
+    if (is_open() && !is_running()) set_health(Health::faulted, &error);
     return;
   }
-  end_schedule(EndOf::rate);
-  set_period(rate.period());
-  begin_schedule();
+  if (rare_->wanted_period.count() == 0) rare_->wanted_period = period();
+  const Duration wanted = rare_->wanted_period;
+  const Duration next = std::min(2 * period(), slowest * wanted);
+  if (next == period()) return;
+  change_period(next);
+  loop()->runtime.log(LogLevel::warning, object_name(),
+                      lasted + ": slowed down to one in " + to_string(next) + " (wanted: " + to_string(wanted) + ")",
+                      id(Errc::held_too_long));
 }
 
 void SensorNode::cancel_transaction() {

@@ -20,10 +20,6 @@ class SensorNode final : public SourceNode, public RateMember {
   Rate rate() const noexcept override { return Rate::from_period(period()); }
   bool is_running() const noexcept override { return is_scheduled(); }
   CallbackTimes callback_times() const noexcept override { return times; }
-  const CallbackTimes* callback_account(std::string& name) const override {
-    name = object_name();
-    return &times;
-  }
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
 
@@ -31,6 +27,8 @@ class SensorNode final : public SourceNode, public RateMember {
   void prefetch() const noexcept override;
   void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
+  bool tell_times(CallbackStatus& status) const override;
+  void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
   void publish(void* payload, Time time) { origin_.topic.publish(origin_, time, payload); }
 
@@ -41,6 +39,7 @@ class SensorNode final : public SourceNode, public RateMember {
   bool is_ready(MonotonicTime now);
   Result<void> open_device() noexcept;
   void begin_schedule();
+  void change_period(Duration period);
   enum class EndOf { activity, rate };
   /// Counts what the schedule still owes, the read under way too, and takes it off the loop.
   void end_schedule(EndOf what);
@@ -64,6 +63,8 @@ class SensorNode final : public SourceNode, public RateMember {
     Duration retry_longest = SensorConfig{}.retry_longest;
     unsigned faulted_after = SensorConfig{}.faulted_after;
     bool is_required = false;
+    OnOverrun on_overrun = OnOverrun::warn;
+    Duration wanted_period{0};  // slowed down from it; 0: it was not
     Duration retry_delay{0};
     MonotonicTime retry_at{};
     std::string_view fault;  // id of the error that opened the gap under way

@@ -46,9 +46,10 @@ void SourceNode::set_health(Health health, const Error* reason) {
     loop()->runtime.log(LogLevel::info, object_name(), "ok again");
     if (rare_ != nullptr) rare_->reason.clear();
   } else if (health == Health::faulted) {
-    loop()->runtime.log(LogLevel::warning, object_name(), "faulted, will be tried again: " + rare().reason);
+    loop()->runtime.log(LogLevel::warning, object_name(), "faulted: " + rare().reason);
   }
   health_ = health;
+  loop()->runtime.health_changed("sensor", origin_.name, health, this->reason());
 }
 
 }  // namespace rtdata::detail

@@ -173,6 +173,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     notes_.add(time, object, error, count);
   }
 
+  void on_health(Time time, const HealthChange& change) override { notes_.add(time, change); }
+
   SinkStatus status() const override {
     if (last_) return *last_;
     return {config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
@@ -198,6 +200,11 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (is_open()) flush();
   }
   std::string blame_name() const override { return object_name(); }
+  bool tell_times(CallbackStatus& status) const override {
+    status.name = object_name();
+    status.times = times;
+    return true;
+  }
 
   void stored(StoreJob& job) {
     if (!is_attached_) return;  // too late: counted as lost
@@ -239,6 +246,11 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     Call call(*this);
     is_storing_ = false;
     if (outcome == LaneJob::Outcome::finished) stored(*job_);
+    if (is_open() &&
+        health_ != told_health_) {  // when nothing here is under way, since this sink may take the event itself
+      told_health_ = health_;
+      loop()->runtime.health_changed("sink", config_.name, health_, reason_);
+    }
   }
 
   void flush() {
@@ -440,6 +452,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::vector<Callback<void(std::uint64_t)>> drained_;  // who waits for the end
   std::optional<SinkStatus> last_;                      // once it has left the runtime
   Health health_ = Health::ok;
+  Health told_health_ = Health::ok;  // as published
   std::string reason_;
   bool is_attached_ = false;
   bool is_storing_ = false;

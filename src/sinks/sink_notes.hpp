@@ -17,6 +17,7 @@ class SinkNotes {
  public:
   static constexpr std::size_t most_segments = 16384;
   static constexpr std::size_t most_clock_pairs = 1024;
+  static constexpr std::size_t most_health_changes = 1024;
   static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
@@ -62,6 +63,13 @@ class SinkNotes {
     }
     clock_.push_back(pair);
   }
+  void add(Time time, const HealthChange& change) {
+    if (health_.size() == most_health_changes) {
+      ++lost_health_changes_;
+    } else {
+      health_.push_back({time, change});
+    }
+  }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
   void move_into(Account& account) {
@@ -69,9 +77,11 @@ class SinkNotes {
     move(segments_, account.segments);
     move(errors_, account.errors);
     move(clock_, account.clock);
+    move(health_, account.health);
     tell_lost(account, lost_segments_, "stretches of schedule");
     tell_lost(account, lost_errors_, "errors");
     tell_lost(account, lost_clock_pairs_, "pairs of clocks");
+    tell_lost(account, lost_health_changes_, "changes of health");
   }
 
  private:
@@ -93,7 +103,9 @@ class SinkNotes {
   std::vector<ClockPair> clock_;
   std::uint64_t lost_segments_ = 0;
   std::uint64_t lost_errors_ = 0;
+  std::vector<Account::HealthEntry> health_;
   std::uint64_t lost_clock_pairs_ = 0;
+  std::uint64_t lost_health_changes_ = 0;
 };
 
 }  // namespace rtdata::detail

@@ -358,7 +358,7 @@ TEST_CASE("US-34 a recording of the first version is read, and gets columns and 
   const auto second = seconds_from(noon + 24h, 3);
   expected.insert(expected.end(), second.begin(), second.end());
   CHECK(utc_of(path) == expected);
-  CHECK(number(path, "PRAGMA user_version") == 2);
+  CHECK(number(path, "PRAGMA user_version") == sqlite::schema_version);
   CHECK(number(path, "SELECT count(*) FROM rtdata_clock WHERE source = 'system' AND occasion = 'step'") == 1);
 }
 

@@ -19,7 +19,7 @@
 namespace rtdata {
 
 class Loop;
-struct CallbackTimes;
+struct CallbackStatus;
 
 namespace detail {
 
@@ -42,9 +42,8 @@ class Node {
   void dispose() noexcept;
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
-
-  /// How long its callback took, with the name that reports give it; null: it has none of its own.
-  virtual const CallbackTimes* callback_account(std::string&) const { return nullptr; }
+  /// Fills in the name and times of its callbacks. False when it has none.
+  virtual bool tell_times(CallbackStatus&) const { return false; }
 
  protected:
   virtual ~Node();

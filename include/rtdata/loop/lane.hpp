@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "rtdata/data/time.hpp"
+#include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
 
@@ -73,11 +74,13 @@ class Lane {
   /// False when there can be none: too many were left behind, or the system gives no more threads.
   bool start_worker() noexcept;
   void check_limit();
+  void look_at_health(LaneJob::Outcome outcome);
   void finish(std::size_t index, LaneJob::Outcome outcome);
 
   LoopCore& loop_;
   std::string name_;
   Duration give_up_after_;
+  Health health_ = Health::ok;
   std::shared_ptr<Worker> worker_;
   mutable std::vector<std::shared_ptr<Worker>> behind_;
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission

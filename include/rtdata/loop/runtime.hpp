@@ -108,6 +108,10 @@ class Runtime {
   /// that is not positive; a 17th source).
   Result<void> note_wall_clock(const ClockPair& pair);
 
+  /// Where the object of that name in reports ("sensor chamber") is described: told when it is blamed for something.
+  /// A system made from a configuration file says it of its sensors and sinks.
+  void note_place(std::string object, std::string place);
+
   std::vector<SensorStatus> sensors() const;
   /// Those that were closed in this run first.
   std::vector<SinkStatus> sinks() const;

@@ -97,10 +97,7 @@ class SubscriptionNode : public Node {
   const std::string& pattern() const noexcept { return pattern_; }
   SubscriptionCounts counts() const noexcept;
   void report_exception(const char* what) noexcept;
-  const CallbackTimes* callback_account(std::string& called) const override {
-    called = name;
-    return &times;
-  }
+  bool tell_times(CallbackStatus& status) const override;
 
   std::string name;
   CallbackTimes times;

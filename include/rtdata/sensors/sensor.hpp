@@ -64,6 +64,13 @@ class Reading {
   std::variant<T, NothingNew, Error> content_;
 };
 
+/// What becomes of a sensor whose read holds its loop longer than the loop's limit, which is reported in any case.
+enum class OnOverrun : std::uint8_t {
+  warn,       ///< nothing more
+  slow_down,  ///< its rate is halved each time, down to a sixteenth of the wanted one
+  stop,       ///< it is stopped, and is faulted until it is started again
+};
+
 struct SensorConfig {
   std::string name;                       ///< unique in the runtime; the origin of its events
   std::string topic = {};                 ///< empty: as the name
@@ -73,6 +80,7 @@ struct SensorConfig {
   unsigned faulted_after = 3;             ///< failures in a row that make it faulted
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
+  OnOverrun on_overrun = OnOverrun::warn;                 ///< when its read holds the loop longer than its limit
   bool required = false;                  ///< a device that cannot be opened at the start throws instead of being retried
   bool start = true;                      ///< start when made
 };
@@ -179,7 +187,8 @@ class AnySensor : public Handle {
   /// Ends its activity: see "The life of a sensor".
   void stop();
   bool is_running() const noexcept;
-  /// While running too: a new stretch of schedule begins now. SetupError (bad-argument) when it is not possible.
+  /// While running too: a new stretch of schedule begins now. Undoes what `on_overrun` did to the rate. SetupError
+  /// (bad-argument) when it is not possible.
   void set_rate(Rate rate);
   Rate rate() const noexcept;
 

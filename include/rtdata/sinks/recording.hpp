@@ -124,6 +124,12 @@ struct RecordedError {
   std::uint64_t count = 0;
 };
 
+/// See health.hpp.
+struct RecordedHealth {
+  Time time{};
+  std::string kind, name, state, reason;
+};
+
 /// Which rows. Everything is taken that is not left out.
 struct RowFilter {
   std::string topic = "#";               ///< a pattern; topics of "$rtdata/" only when it begins with "$"
@@ -193,6 +199,8 @@ class Recording {
   /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
+  /// Every change of health, in order of time. Formats before 3 have none.
+  Result<std::vector<RecordedHealth>> health(std::int64_t run) const;
   /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
   Result<Rows> rows(const RowFilter& filter) const;
 

@@ -33,6 +33,7 @@
 #include "rtdata/config/parameter.hpp"
 #include "rtdata/data/event.hpp"
 #include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -123,6 +124,10 @@ struct Account {
     std::string text;
     std::uint64_t count;
   };
+  struct HealthEntry {
+    Time time;
+    HealthChange change;
+  };
   Time at{};
   bool is_last = false;                ///< the sink closes: nothing follows
   std::vector<OriginAccount> origins;  ///< those that changed
@@ -130,9 +135,11 @@ struct Account {
   std::vector<SegmentEntry> segments;  ///< ended since the last account
   std::vector<ErrorEntry> errors;
   std::vector<ClockPair> clock;
+  std::vector<HealthEntry> health;  ///< changes since the last account
 
   bool is_empty() const noexcept {
-    return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && !is_last;
+    return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && health.empty() &&
+           !is_last;
   }
 };
 

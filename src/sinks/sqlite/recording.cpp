@@ -246,6 +246,18 @@ Result<UtcLine> Recording::utc_line(std::int64_t run) const {
   return Error{Errc::not_found, doing, path(), "it has no run " + std::to_string(run), "see `rtdata info`"};
 }
 
+Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
+  auto version = file_->database.integer("PRAGMA user_version");
+  if (!version) return std::move(version).error();
+  if (*version < 3) return std::vector<RecordedHealth>{};
+  return all<RecordedHealth>(
+      *file_, "SELECT time, kind, name, state, reason FROM rtdata_health WHERE run = ? ORDER BY time, rowid", run,
+      [](const Statement& row) {
+        return RecordedHealth{time_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3),
+                              string_of(row, 4)};
+      });
+}
+
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
   return all<RecordedError>(*file_, "SELECT time, object, id, text, count FROM rtdata_error WHERE run = ? ORDER BY time, rowid", run,
                             [](const Statement& row) {

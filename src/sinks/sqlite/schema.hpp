@@ -14,7 +14,7 @@
 namespace rtdata::sqlite {
 
 inline constexpr int application_id = 0x52544441;  // "RTDA"
-inline constexpr int schema_version = 2;           // PRAGMA user_version
+inline constexpr int schema_version = 3;           // PRAGMA user_version
 
 inline constexpr const char* schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_run(
@@ -75,6 +75,12 @@ CREATE TABLE IF NOT EXISTS rtdata_utc(  -- computed from rtdata_clock: UTC = mon
 CREATE TABLE IF NOT EXISTS rtdata_error(
   run INTEGER NOT NULL, time INTEGER NOT NULL, object TEXT NOT NULL, id TEXT NOT NULL, text TEXT NOT NULL,
   count INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change
+  run INTEGER NOT NULL, time INTEGER NOT NULL,
+  kind TEXT NOT NULL,               -- sensor, sink, lane, loop, tier
+  name TEXT NOT NULL,
+  state TEXT NOT NULL,              -- ok, degraded, faulted
+  reason TEXT NOT NULL);            -- empty when ok
 )sql";
 
 /// What `schema` does not do to the tables of a file of version 1.

@@ -170,6 +170,7 @@ Result<void> SqliteWriter::prepare_account() {
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
+      {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason) VALUES(?,?,?,?,?,?)"},
       {run_end_, "UPDATE rtdata_run SET ended = ?, state = ? WHERE run = ?"},
   };
   for (const Prepared& one : all) {
@@ -288,6 +289,14 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     error_.bind(1, run_).bind(2, to_nanoseconds(entry.time)).bind(3, entry.object).bind(4, entry.id).bind(5, entry.text).bind(6, as_integer(entry.count));
     if (auto done = error_.run(); !done) return done;
   }
+  for (const Account::HealthEntry& entry : account.health) {
+    health_.bind(1, run_)
+        .bind(2, to_nanoseconds(entry.time))
+        .bind(3, entry.change.kind.view())
+        .bind(4, entry.change.name.view());
+    health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
+    if (auto done = health_.run(); !done) return done;
+  }
   run_end_.bind(1, to_nanoseconds(account.at)).bind(2, std::string_view(account.is_last ? "closed" : "recording")).bind(3, run_);
   return run_end_.run();
 }
@@ -325,7 +334,9 @@ void SqliteWriter::look_at_space() {
 Result<void> SqliteWriter::close() {
   if (is_closed_) return {};
   tables_.clear();
-  for (Statement* statement : {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &clock_, &error_, &run_end_}) *statement = Statement();
+  for (Statement* statement :
+       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &clock_, &error_, &health_, &run_end_})
+    *statement = Statement();
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();

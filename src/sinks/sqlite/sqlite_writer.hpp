@@ -61,6 +61,7 @@ class SqliteWriter final : public Writer {
   Statement gap_;
   Statement clock_;
   Statement error_;
+  Statement health_;
   Statement run_end_;
   std::optional<Error> warning_;
   Time space_looked_at_{};
