@@ -11,6 +11,7 @@
 #include "app/control_socket.hpp"
 #include "app/live_view.hpp"
 #include "app/log.hpp"
+#include "app/service.hpp"
 #include "app/status.hpp"
 #include "app/stop_signals.hpp"
 #include "app/subcommands.hpp"
@@ -22,7 +23,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr unsigned redraws_per_line = 20;  // in a pipe: a line every 10 s
+constexpr unsigned redraws_per_line = 20;  // in a pipe, and for the service manager: a line every 10 s
 
 std::string default_log_file(const std::string& configuration) {
   const std::string stem = std::filesystem::path(configuration).stem().string();
@@ -104,14 +105,24 @@ class Run {
 
     if (options_.talk == Talk::normal && !uses_stdout && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
     {
-      Ticker ticker(loop, Ticker::Config{.period = redraw_period, .name = "display"}, [&](const Tick&) { show(runtime); });
+      Service service(loop);
+      loop.post([&] { be_ready(service); });
+      Ticker ticker(loop, Ticker::Config{.period = redraw_period, .name = "display"},
+                    [&](const Tick&) { show(runtime, service); });
       if (options_.duration) {
         loop.run_for(*options_.duration);
       } else {
         loop.run();
       }
+      if (service.all_turn()) {  // one that does not would not answer
+        for (const auto& [name, settings] : plan.settings.tiers) {
+          tell_holds(system.tier(name).call([](Loop& on) { return on.callbacks(); }));
+        }
+      }
+      (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       loop.close(deadline);
     }
+    tell_holds(loop.callbacks());
     close_view();
     return report(runtime, paths, uses_stdout);
   }
@@ -134,6 +145,25 @@ class Run {
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";
     say(LogLevel::info, "", text);
+  }
+
+  /// The loop turns, and so do its tiers.
+  void be_ready(Service& service) {
+    const auto told = service.tell("READY=1\nSTATUS=running");
+    if (!told) say(LogLevel::warning, "program", told.error().text(), told.error().id());
+  }
+
+  /// Who held the loop, and how much it took otherwise.
+  void tell_holds(const std::vector<CallbackStatus>& callbacks) {
+    for (const CallbackStatus& callback : callbacks) {
+      const CallbackTimes& times = callback.times;
+      if (times.held == 0) continue;
+      log_.write(LogLevel::info, callback.name,
+                 "held the loop " + std::to_string(times.held) + " times in " + std::to_string(times.count) +
+                     " calls of " + to_string(times.total) + " together; 99 of 100 took at most " +
+                     to_string(times.p99()) + ", the longest " + to_string(times.max) +
+                     (callback.place.empty() ? "" : "; made at " + callback.place));
+    }
   }
 
   void stop(Loop& loop, const char* signal) {
@@ -171,8 +201,9 @@ class Run {
     }
   }
 
-  void show(const Runtime& runtime) {
+  void show(const Runtime& runtime, Service& service) {
     signals_.look();
+    if (shows_ % redraws_per_line == 0 && shows_ > 0) (void)service.tell("STATUS=" + progress(account_of(runtime)));
     if (const int failed = log_.counts().last_errno.load(); failed != 0 && !log_failure_told_) {
       log_failure_told_ = true;
       say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
@@ -182,9 +213,10 @@ class Run {
       if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
       terminal().write(view_->frame(account_of(runtime), size.ws_col, size.ws_row, note_));
       view_is_shown_ = true;
-    } else if (++shows_ % redraws_per_line == 1 && shows_ > 1) {
+    } else if (shows_ % redraws_per_line == 0 && shows_ > 0) {
       say(LogLevel::info, "", progress(account_of(runtime)));
     }
+    ++shows_;
   }
 
   void close_view() {

@@ -67,6 +67,8 @@ std::string_view id(Errc code) noexcept {
     case Errc::damaged: return "damaged";
     case Errc::handler_threw: return "handler-threw";
     case Errc::held_too_long: return "held-too-long";
+    case Errc::not_turning:
+      return "not-turning";
     case Errc::closed: return "closed";
   }
   return "unknown";

@@ -215,7 +215,58 @@ void TierCore::drain(Duration deadline, Callback<void()> done) {
   });
 }
 
+bool TierCore::look_at_turning(Duration limit) {
+  RuntimeCore& hub = main.core().runtime;
+  const std::string name = "tier " + config.name;
+  const MonotonicTime now = main.core().now();
+  const bool has_answered = answered_.load(std::memory_order_acquire) == asked_;
+  if (has_answered || !is_running()) {
+    asked_at_ = now;
+    if (has_answered && is_running())
+      loop.post([this, question = ++asked_] { answered_.store(question, std::memory_order_release); });
+    if (std::exchange(is_stuck_, false)) {
+      hub.health_changed("tier", config.name, Health::ok, "");
+      hub.log(LogLevel::info, name, is_running() ? "turns again" : "was stopped");  // last: it may run user code
+    }
+    return true;
+  }
+  if (is_stuck_) return false;
+  if (now - asked_at_ > limit) {
+    is_stuck_ = true;
+    const Error error{Errc::not_turning, "does not turn", "",
+                      "it has not come out of a callback for more than " + to_string(limit),
+                      "look for what blocks in its sensors and handlers, and for what else takes its processor"};
+    hub.health_changed("tier", config.name, Health::faulted, error.what + ": " + error.why);
+    hub.report(&main.core(), name, error);  // as above
+    return false;
+  }
+  return true;
+}
+
 }  // namespace detail
+
+namespace {
+
+Duration checked_limit(Duration limit) {
+  if (limit >= std::chrono::milliseconds{1}) return limit;
+  throw SetupError(
+      {Errc::bad_argument, "cannot watch tiers", "", "the limit is " + to_string(limit), "use at least 1 ms"});
+}
+
+}  // namespace
+
+TierWatch::TierWatch(Loop& main, Duration limit)
+    : main_(main),
+      limit_(checked_limit(limit)),
+      ticker_(main, Ticker::Config{.period = limit / 4, .name = "watch of tiers"}, [this](const Tick&) { look(); }) {}
+
+void TierWatch::look() {
+  all_turn_ = true;
+  const auto& tiers = main_.core().runtime.tiers;
+  for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one
+    if (!tiers[i]->look_at_turning(limit_)) all_turn_ = false;
+  }
+}
 
 Tier::Tier(Loop& main, Config config) : core_(std::make_unique<detail::TierCore>(main, std::move(config))) {}
 Tier::~Tier() = default;

@@ -35,6 +35,9 @@ class TierCore {
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
   void drain(Duration deadline, Callback<void()> done);
 
+  /// Whether it has answered within the limit; asks again when it has. On the main loop.
+  bool look_at_turning(Duration limit);
+
   const Tier::Config config;
   Loop& main;
   Runtime runtime;
@@ -52,6 +55,10 @@ class TierCore {
   std::thread thread_;
   bool was_started_ = false;
   std::atomic<bool> quit_{false};
+  std::uint64_t asked_ = 0;  // questions whether it turns
+  std::atomic<std::uint64_t> answered_{0};
+  MonotonicTime asked_at_{};
+  bool is_stuck_ = false;
   int latency_fd_ = -1;
 };
 

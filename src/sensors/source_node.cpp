@@ -42,14 +42,15 @@ void SourceNode::report(const Error& error) noexcept {
 void SourceNode::set_health(Health health, const Error* reason) {
   if (reason != nullptr) rare().reason = reason->text();
   if (health == health_) return;
-  if (health == Health::ok) {
-    loop()->runtime.log(LogLevel::info, object_name(), "ok again");
-    if (rare_ != nullptr) rare_->reason.clear();
-  } else if (health == Health::faulted) {
-    loop()->runtime.log(LogLevel::warning, object_name(), "faulted: " + rare().reason);
-  }
   health_ = health;
-  loop()->runtime.health_changed("sensor", origin_.name, health, this->reason());
+  if (health == Health::ok && rare_ != nullptr) rare_->reason.clear();
+  RuntimeCore& runtime = loop()->runtime;
+  runtime.health_changed("sensor", origin_.name, health, this->reason());
+  if (health == Health::ok) {
+    runtime.log(LogLevel::info, object_name(), "ok again");
+  } else if (health == Health::faulted) {
+    runtime.log(LogLevel::warning, object_name(), "faulted: " + rare_->reason);
+  }
 }
 
 }  // namespace rtdata::detail

@@ -195,4 +195,31 @@ TEST_CASE("US-16 changes of health on a tier are heard on the main loop") {
   CHECK(run_until(loop, [&] { return has("sensor s ok"); }));
 }
 
+TEST_CASE("NFR-1 a tier that hangs is reported by name, is faulted, and ok again when it turns") {
+  Loop loop;
+  std::vector<std::string> reports;
+  loop.on_error([&](const ErrorReport& report) {
+    reports.push_back(std::string(report.object) + " " + std::string(report.error.id()));
+  });
+  loop.runtime().on_log([](const LogRecord&) {});
+  Tier fast(loop, {.name = "fast", .hold_limit = 1h});
+  Tier other(loop, {.name = "other"});
+  Heard heard(loop);
+  const auto count = [&](const std::string& begin) {
+    return std::count_if(heard.texts.begin(), heard.texts.end(),
+                         [&](const std::string& text) { return text.starts_with(begin); });
+  };
+  TierWatch watch(loop, 400ms);
+  CHECK(watch.all_turn());
+  std::binary_semaphore release{0};
+  fast.loop().post([&] { release.acquire(); });
+  CHECK(run_until(loop, [&] { return count("tier fast faulted: does not turn: ") == 1; }));
+  CHECK_FALSE(watch.all_turn());
+  CHECK(std::find(reports.begin(), reports.end(), "tier fast not-turning") != reports.end());
+  release.release();
+  CHECK(run_until(loop, [&] { return count("tier fast ok") == 1 && watch.all_turn(); }));
+  CHECK(count("tier fast faulted") == 1);
+  CHECK_THROWS_AS(TierWatch(loop, Duration{0}), SetupError);
+}
+
 TEST_SUITE_END();

@@ -41,6 +41,7 @@ enum class Errc {
   damaged,              ///< a recording whose content is broken
   handler_threw,        ///< an exception left a user's callback
   held_too_long,        ///< a callback held its loop longer than its limit
+  not_turning,          ///< a tier has stopped turning
   closed,               ///< the object is closed
 };
 

@@ -28,6 +28,7 @@
 
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/scheduling.hpp"
+#include "rtdata/loop/timer.hpp"
 
 namespace rtdata {
 
@@ -92,6 +93,35 @@ class Tier {
  private:
   void call_erased(Callback<void()> function);
   std::unique_ptr<detail::TierCore> core_;
+};
+
+/// Looks, as long as it lives, whether every running tier of a main loop turns.
+///
+///     rtdata::TierWatch watch(loop);
+///     rtdata::Ticker feed(loop, 1s, [&](const rtdata::Tick&) { if (watch.all_turn()) feed_the_watchdog(); });
+///
+/// It asks each tier four times in a limit. One that has not answered for longer than the limit, since a callback does
+/// not return or its processor is taken, is reported by name (not-turning) and becomes faulted in `$rtdata/health`,
+/// until it answers.
+///
+/// Owner: the user; must be destroyed before its loop, and not from a report of its own. It keeps the loop's `run` from
+/// returning. Thread: the loop's.
+class TierWatch {
+ public:
+  /// SetupError (bad-argument): less than 1 ms.
+  explicit TierWatch(Loop& main, Duration limit = std::chrono::seconds{1});
+  TierWatch(const TierWatch&) = delete;
+  TierWatch& operator=(const TierWatch&) = delete;
+
+  /// As of the last look.
+  bool all_turn() const noexcept { return all_turn_; }
+
+ private:
+  void look();
+  Loop& main_;
+  Duration limit_;
+  bool all_turn_ = true;
+  Ticker ticker_;
 };
 
 }  // namespace rtdata

@@ -1,0 +1,53 @@
+// What a service manager (systemd) is told of a run: that it is ready, how it does, that it ends, and that all its
+// loops turn.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::app {
+
+/// The service manager's end: $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID of the environment, see sd_notify(3).
+class ServiceManager {
+ public:
+  ServiceManager();
+  ServiceManager(const ServiceManager&) = delete;
+  ServiceManager& operator=(const ServiceManager&) = delete;
+  ~ServiceManager();
+
+  /// One or several lines of "KEY=value". Never waits; nothing where no manager listens. Errors: the operating
+  /// system's.
+  Result<void> tell(std::string_view state);
+  /// How often it must be fed; 0: it has no watchdog on this process.
+  Duration watchdog() const noexcept { return watchdog_; }
+
+ private:
+  std::string address_;  // empty: none; its first byte is 0 for an abstract one
+  int fd_ = -1;
+  Duration watchdog_{0};
+};
+
+/// A run as a service. Watches the loop's tiers, and feeds the watchdog at half its time while all of them turn; the
+/// main loop feeds it itself, so it must turn too. It must be destroyed before the loop. Thread: the loop's.
+class Service {
+ public:
+  explicit Service(Loop& loop);
+
+  Result<void> tell(std::string_view state) { return manager_.tell(state); }
+  bool all_turn() const noexcept { return tiers_.all_turn(); }
+  /// How often the watchdog was not fed since a tier did not turn.
+  std::uint64_t withheld() const noexcept { return withheld_; }
+
+ private:
+  void feed();
+  ServiceManager manager_;
+  TierWatch tiers_;
+  std::uint64_t withheld_ = 0;
+  Ticker ticker_;  // closed: there is no watchdog
+};
+
+}  // namespace rtdata::app
