@@ -89,6 +89,11 @@ TEST_SUITE("loop") {
     Ticker off_grid(free, 10ms, [&](const Tick& tick) { a.push_back(at(tick)); });
     free.advance(1ms);
     CHECK(a.back() == 300us);
+    Loop spinning(Loop::Manual{}, {.phase_grid = 3ms, .spin = 100us});
+    spinning.advance(1500us);
+    Ticker beside(spinning, 10ms, [&](const Tick& tick) { a.push_back(at(tick)); });
+    spinning.advance(5ms);
+    CHECK(a.back() == 4ms);
   }
 
   TEST_CASE("NFR-4 what is made long after in the same turn starts later") {

@@ -294,6 +294,20 @@ TEST_SUITE("tiers") {
     CHECK(subscription.counts().offered == status[0].counts.published);
   }
 
+  TEST_CASE("the main loop's run does not return while a tier runs, though nothing else keeps it") {
+    Loop loop;
+    Tier fast(loop, {});
+    std::atomic<bool> is_fired{false};
+    Timer timer(fast.loop(), 5ms, [&] {
+      is_fired = true;
+      loop.stop();
+    });
+    loop.run();
+    CHECK(is_fired);
+    fast.stop();
+    loop.run();  // nothing is left to wait for
+  }
+
   TEST_CASE("errors and log lines of a tier come out on the main loop") {
     Loop loop;
     std::vector<std::string> told;
