@@ -83,8 +83,31 @@ bool is_trusted(int fd) {
 
 }  // namespace
 
+/// Makes one answer.
+struct ControlSocket::Job final : detail::LaneJob {
+  Job(ControlSocket& to, std::uint64_t client, Work work)
+      : to_(to), is_alive_(to.is_alive_), client_(client), work_(std::move(work)) {}
+  void run() noexcept override {
+    try {
+      text_ = work_();
+    } catch (...) {  // out of memory
+      text_.clear();
+    }
+  }
+  void done(Outcome) override {
+    if (*is_alive_) to_.answered(client_, std::move(text_));
+  }
+
+ private:
+  ControlSocket& to_;
+  std::shared_ptr<bool> is_alive_;
+  std::uint64_t client_;
+  Work work_;
+  std::string text_;
+};
+
 ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
-    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)) {
+    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", patience) {
   listen();
   try {
     watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
@@ -96,6 +119,7 @@ ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
 }
 
 ControlSocket::~ControlSocket() {
+  *is_alive_ = false;
   ::unlink(path_.c_str());
   watch_.close();
   ::close(fd_);
@@ -183,7 +207,7 @@ void ControlSocket::drop(std::uint64_t number) {
 
 void ControlSocket::ready(std::uint64_t number, const FdEvent& event) {
   Client* const client = find(number);
-  if (client == nullptr) return;
+  if (client == nullptr || client->is_answered) return;
   bool stays = true;
   if (!client->out.empty()) {
     stays = event.hung_up && !event.writable ? false : send(*client);
@@ -218,8 +242,17 @@ bool ControlSocket::answer_next(Client& client) {
   std::string line = client.in.substr(0, end);
   client.in.erase(0, end + 1);
   client.searched = 0;
-  client.out = answer_(client.number, line) + "\n";
-  return send(client);
+  client.is_answered = true;
+  client.watch.set_events(FdWatch::Events{});
+  return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
+}
+
+void ControlSocket::answered(std::uint64_t number, std::string text) {
+  Client* const client = find(number);
+  if (client == nullptr) return;
+  client->is_answered = false;
+  client->out = std::move(text) + "\n";
+  if (!send(*client)) drop(number);
 }
 
 bool ControlSocket::send(Client& client) {
@@ -230,7 +263,6 @@ bool ControlSocket::send(Client& client) {
   if (client.sent == client.out.size()) {
     std::string().swap(client.out);
     client.sent = 0;
-    client.watch.set_events(FdWatch::Events{});  // no more of it for a while
     client.timer.start(pause);
   } else {
     client.watch.set_events(FdWatch::writable);

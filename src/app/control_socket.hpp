@@ -14,6 +14,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
@@ -30,8 +31,10 @@ class ControlSocket {
   static constexpr std::size_t most_clients = 8;
   static constexpr std::size_t longest_line = 64 * 1024;
 
-  /// `answer` returns what goes back, without the end of line; `client` numbers the connections from 1.
-  using Answer = std::function<std::string(std::uint64_t client, std::string_view line)>;
+  /// Makes the text that goes back, without the end of line, from what it was given; on a thread of the socket's own.
+  using Work = std::function<std::string()>;
+  /// Takes from the loop what the answer needs, quickly; the rest is work. `client` numbers the connections from 1.
+  using Answer = std::function<Work(std::uint64_t client, std::string_view line)>;
   using Gone = std::function<void(std::uint64_t client)>;
   /// Opens the socket, and removes those that dead processes left behind. SetupError when no folder can be used: the
   /// program can do without.
@@ -50,6 +53,7 @@ class ControlSocket {
     std::size_t searched = 0;  // of `in`: no end of line in it
     std::string out;           // an answer that is being sent
     std::size_t sent = 0;      // of `out`
+    bool is_answered = false;  // an answer is being made
     bool has_ended = false;    // it sends no more
     int answered_after_end = 0;
     Timer timer;    // of the pause after an answer, and of the patience while one is not read
@@ -65,12 +69,17 @@ class ControlSocket {
   bool send(Client& client);
   /// Answers the next line, if it is there.
   bool answer_next(Client& client);
+  void answered(std::uint64_t number, std::string text);
   void wait_for_more(Client& client);
   void timed_out(std::uint64_t number);
+
+  struct Job;
 
   Loop& loop_;
   Answer answer_;
   Gone gone_;
+  std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for jobs that end late
+  detail::Lane lane_;
   std::string path_;
   int fd_ = -1;
   std::uint64_t last_number_ = 0;

@@ -16,6 +16,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr std::size_t most_callbacks = 64;  // those that took most
+constexpr std::size_t longest_request = 4096;
 
 std::string short_value(const Value& value) {
   if (const double* number = std::get_if<double>(&value)) {
@@ -37,7 +38,7 @@ std::string value_text(const Description& description, const std::byte* payload)
   return text;
 }
 
-double hertz(std::uint64_t events, double seconds) { return static_cast<double>(events) / seconds; }
+std::uint64_t events_of(const SensorCounts& counts) { return counts.has_schedule ? counts.taken : counts.received; }
 
 Json lateness_json(const TimeCounts& counts) {
   if (counts.total() == 0) return nullptr;
@@ -89,15 +90,24 @@ Duration TimeCounts::percentile(double fraction) const noexcept {
 }
 
 StatusSource::StatusSource(Loop& loop, Info info)
-    : loop_(loop), info_(std::move(info)), started_(loop.time()), started_at_(loop.now()) {}
+    : loop_(loop),
+      info_(std::make_shared<const Info>(std::move(info))),
+      started_(loop.time()),
+      started_at_(loop.now()) {}
 
-std::string StatusSource::answer(std::uint64_t client, std::string_view line) {
+std::function<std::string()> StatusSource::answer(std::uint64_t client, std::string_view line) {
+  const auto refused = [](std::string why) { return [why = std::move(why)] { return failure(why); }; };
+  if (line.size() > longest_request)
+    return refused("a request has at most " + std::to_string(longest_request) + " bytes");
   const Json request = Json::parse(line, nullptr, false);
-  if (request.is_discarded() || !request.is_object()) return failure("a request is an object of JSON on one line");
+  if (request.is_discarded() || !request.is_object()) return refused("a request is an object of JSON on one line");
   const auto what = request.find("request");
-  if (what == request.end() || !what->is_string()) return failure("it has no \"request\"");
-  if (*what == "status") return status(client);
-  return failure("there is no request \"" + what->get<std::string>().substr(0, 100) + "\"; there is \"status\"");
+  if (what == request.end() || !what->is_string()) return refused("it has no \"request\"");
+  if (*what != "status")
+    return refused("there is no request \"" + what->get<std::string>() + "\"; there is \"status\"");
+  auto& last = clients_[client];
+  const auto before = std::exchange(last, take());
+  return [now = last, before] { return text(*now, before.get()); };
 }
 
 void StatusSource::forget(std::uint64_t client) {
@@ -113,10 +123,10 @@ void StatusSource::begin_watching() {
     const auto found = seen_.find(event.origin());
     if (found == seen_.end()) return;  // made since the last request
     Seen& seen = found->second;
-    seen.description = &event.description();
     seen.payload.assign(event.payload().begin(), event.payload().end());
-    if (seen.period > Duration{0} && event.time() >= seen.first_due)
+    if (seen.period > Duration{0} && event.time() >= seen.first_due) {
       seen.now.add((event.time() - seen.first_due) % seen.period);
+    }
   });
   subscription_.set_name("status");
 }
@@ -128,113 +138,144 @@ void StatusSource::take_schedules(const std::vector<SensorStatus>& sensors) {
   if (turns) turned_ = now;
   for (const SensorStatus& sensor : sensors) {
     Seen& seen = seen_[sensor.name];
-    if (seen.first_due != sensor.first_due || seen.period != sensor.period) seen.now = seen.before = {};
+    const Duration period = sensor.running && sensor.counts.has_schedule ? sensor.period : Duration{0};
+    if (seen.first_due != sensor.first_due || seen.period != period) {
+      seen.now = {};
+      seen.before = nullptr;
+    }
     seen.first_due = sensor.first_due;
-    seen.period = sensor.running && sensor.counts.has_schedule ? sensor.period : Duration{0};
+    seen.period = period;
     if (!turns) continue;
-    seen.before = std::move(seen.now);
+    seen.before = seen.now.total() > 0 ? std::make_shared<const TimeCounts>(std::move(seen.now)) : nullptr;
     seen.now = {};
   }
 }
 
-std::string StatusSource::status(std::uint64_t client) {
+std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   begin_watching();
-  const std::vector<SensorStatus> sensors = loop_.runtime().sensors();
-  take_schedules(sensors);
-  const MonotonicTime now = loop_.now();
-  Baseline& last = clients_[client];
-  const bool knows_before = last.at != MonotonicTime{};
-  const double seconds = std::chrono::duration<double>(now - last.at).count();
-  const auto counted = [&](const Json& value) { return knows_before && seconds > 0 ? value : Json(); };
+  auto shot = std::make_shared<Snapshot>();
+  const Runtime& runtime = loop_.runtime();
+  shot->info = info_;
+  shot->started = started_;
+  shot->at = loop_.now();
+  shot->running_for = shot->at - started_at_;
+  shot->sensors = runtime.sensors();
+  take_schedules(shot->sensors);
+  shot->seen.reserve(shot->sensors.size());
+  for (const SensorStatus& sensor : shot->sensors) {
+    const Seen& seen = seen_[sensor.name];
+    auto lateness = seen.before;
+    if (lateness == nullptr && seen.now.total() > 0) lateness = std::make_shared<const TimeCounts>(seen.now);
+    shot->seen.push_back({seen.payload, std::move(lateness)});
+  }
+  shot->loops = runtime.loops();
+  shot->sinks = runtime.sinks();
+  shot->topics = runtime.topics();
+  shot->callbacks = loop_.callbacks();
+  shot->callbacks_loop = loop_.config().name;
+  return shot;
+}
+
+std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
+  const double seconds = before != nullptr ? std::chrono::duration<double>(now.at - before->at).count() : 0;
+  const auto per_second = [&](double count) { return seconds > 0 ? Json(count / seconds) : Json(); };
+  std::map<std::string_view, std::uint64_t> events_before;
+  std::map<std::string_view, Duration> processor_before;
+  if (before != nullptr) {
+    for (const SensorStatus& sensor : before->sensors) events_before[sensor.name] = events_of(sensor.counts);
+    for (const LoopStatus& loop : before->loops) processor_before[loop.name] = loop.processor_time;
+  }
+  std::map<std::string_view, std::shared_ptr<const Description>> descriptions;
+  for (const TopicStatus& topic : now.topics) descriptions[topic.name] = topic.description;
 
   Json json;
-  json["instance"] = {{"name", info_.name},
+  json["instance"] = {{"name", now.info->name},
                       {"pid", ::getpid()},
-                      {"started", to_iso8601(started_)},
-                      {"running_for_s", std::chrono::duration<double>(now - started_at_).count()},
-                      {"configuration", info_.configuration}};
-  json["interval_s"] = counted(seconds);
+                      {"started", to_iso8601(now.started)},
+                      {"running_for_s", std::chrono::duration<double>(now.running_for).count()},
+                      {"configuration", now.info->configuration}};
+  json["interval_s"] = seconds > 0 ? Json(seconds) : Json();
 
-  std::map<std::string, TimeCounts> lateness;  // of loops
-  Json& sensors_json = json["sensors"] = Json::array();
-  for (const SensorStatus& sensor : sensors) {
+  std::map<std::string_view, TimeCounts> lateness;  // of loops
+  Json& sensors = json["sensors"] = Json::array();
+  for (std::size_t i = 0; i < now.sensors.size(); ++i) {
+    const SensorStatus& sensor = now.sensors[i];
+    const SeenSensor& seen = now.seen[i];
     const SensorCounts& counts = sensor.counts;
-    const std::uint64_t events = counts.has_schedule ? counts.taken : counts.received;
-    std::uint64_t& before = last.events[sensor.name];
-    const Seen& seen = seen_[sensor.name];
-    TimeCounts late = seen.before;
-    if (late.total() == 0) late = seen.now;
-    if (late.total() > 0) lateness[sensor.loop].add(late);
+    const auto known = events_before.find(sensor.name);
+    const std::uint64_t events = events_of(counts);
+    const std::uint64_t events_then = known == events_before.end() ? 0 : std::min(known->second, events);
+    if (seen.lateness != nullptr) lateness[sensor.loop].add(*seen.lateness);
+    const bool has_rate = counts.has_schedule && sensor.period > Duration{0};
+    const auto& description = descriptions[sensor.topic];
+    const bool has_value = description != nullptr && !seen.payload.empty();
     Json one{{"name", sensor.name}, {"topic", sensor.topic}, {"loop", sensor.loop}, {"running", sensor.running}};
-    one["wanted_hz"] = counts.has_schedule && sensor.period > Duration{0}
-                           ? Json(1e9 / static_cast<double>(sensor.period.count()))
-                           : Json();
-    one["reached_hz"] = counted(hertz(events - std::min(before, events), seconds));
-    before = events;
+    one["wanted_hz"] = has_rate ? Json(1e9 / static_cast<double>(sensor.period.count())) : Json();
+    one["reached_hz"] = per_second(static_cast<double>(events - events_then));
     one["published"] = counts.published;
     one["late"] = counts.late;
     one["missed"] = counts.missed;
     one["failed"] = counts.failed;
     one["lost"] = counts.lost_is_known ? Json(counts.lost) : Json();
-    one["lateness_ns"] = lateness_json(late);
+    one["lateness_ns"] = seen.lateness != nullptr ? lateness_json(*seen.lateness) : Json();
     one["health"] = health_json(sensor.health, sensor.reason);
-    one["value"] = seen.description == nullptr ? Json() : Json(value_text(*seen.description, seen.payload.data()));
-    sensors_json.push_back(std::move(one));
+    one["value"] = has_value ? Json(value_text(*description, seen.payload.data())) : Json();
+    sensors.push_back(std::move(one));
   }
 
-  Json& loops_json = json["loops"] = Json::array();
-  for (const LoopStatus& loop : loop_.runtime().loops()) {
-    Duration& before = last.processor[loop.name];
+  Json& loops = json["loops"] = Json::array();
+  for (const LoopStatus& loop : now.loops) {
     Json one{{"name", loop.name},
              {"tier", loop.is_tier},
              {"running", loop.running},
              {"policy", std::string(name_of(loop.scheduling.policy))},
              {"priority", loop.scheduling.priority}};
-    one["load_percent"] = counted(100 * std::chrono::duration<double>(loop.processor_time - before).count() / seconds);
-    before = loop.processor_time;
+    const Duration spent = loop.processor_time - processor_before[loop.name];
+    one["load_percent"] = per_second(100 * std::chrono::duration<double>(spent).count());
     const auto late = lateness.find(loop.name);
     one["lateness_ns"] = late == lateness.end() ? Json() : lateness_json(late->second);
     one["warnings"] = loop.warnings;
-    loops_json.push_back(std::move(one));
+    loops.push_back(std::move(one));
   }
 
-  Json& sinks_json = json["sinks"] = Json::array();
-  for (const SinkStatus& sink : loop_.runtime().sinks()) {
+  Json& sinks = json["sinks"] = Json::array();
+  for (const SinkStatus& sink : now.sinks) {
     Json dropped;
-    for (std::size_t i = 0; i < drop_reasons; ++i)
+    for (std::size_t i = 0; i < drop_reasons; ++i) {
       dropped[std::string(name_of(static_cast<DropReason>(i)))] = sink.counts.dropped[i];
-    const auto path = info_.sink_paths.find(sink.name);
-    sinks_json.push_back({{"name", sink.name},
-                          {"path", path == info_.sink_paths.end() ? "" : path->second},
-                          {"offered", sink.counts.offered},
-                          {"queued", sink.counts.queued},
-                          {"stored", sink.counts.stored},
-                          {"dropped", sink.counts.all_dropped()},
-                          {"dropped_by_reason", dropped},
-                          {"health", health_json(sink.health, sink.reason)}});
+    }
+    const auto path = now.info->sink_paths.find(sink.name);
+    sinks.push_back({{"name", sink.name},
+                     {"path", path == now.info->sink_paths.end() ? "" : path->second},
+                     {"offered", sink.counts.offered},
+                     {"queued", sink.counts.queued},
+                     {"stored", sink.counts.stored},
+                     {"dropped", sink.counts.all_dropped()},
+                     {"dropped_by_reason", dropped},
+                     {"health", health_json(sink.health, sink.reason)}});
   }
 
-  Json& topics_json = json["topics"] = Json::array();
-  for (const TopicStatus& topic : loop_.runtime().topics()) {
-    topics_json.push_back(
+  Json& topics = json["topics"] = Json::array();
+  for (const TopicStatus& topic : now.topics) {
+    topics.push_back(
         {{"name", topic.name}, {"published", topic.published}, {"handlers_dropped", topic.subscriptions.dropped}});
   }
 
-  std::vector<CallbackStatus> callbacks = loop_.callbacks();
-  std::erase_if(callbacks, [](const CallbackStatus& one) { return one.times.count == 0; });
-  const std::size_t shown = std::min(callbacks.size(), most_callbacks);
-  std::partial_sort(callbacks.begin(), callbacks.begin() + static_cast<std::ptrdiff_t>(shown), callbacks.end(),
-                    [](const CallbackStatus& a, const CallbackStatus& b) { return a.times.total > b.times.total; });
-  callbacks.resize(shown);
-  Json& callbacks_json = json["callbacks"] = Json::array();
-  for (const CallbackStatus& one : callbacks) {
-    callbacks_json.push_back({{"name", one.name},
-                              {"loop", loop_.config().name},
-                              {"count", one.times.count},
-                              {"total_ns", one.times.total.count()},
-                              {"max_ns", one.times.max.count()}});
+  std::vector<const CallbackStatus*> callbacks;
+  for (const CallbackStatus& one : now.callbacks) {
+    if (one.times.count > 0) callbacks.push_back(&one);
   }
-  last.at = now;
+  std::sort(callbacks.begin(), callbacks.end(),
+            [](const CallbackStatus* a, const CallbackStatus* b) { return a->times.total > b->times.total; });
+  callbacks.resize(std::min(callbacks.size(), most_callbacks));
+  Json& callbacks_json = json["callbacks"] = Json::array();
+  for (const CallbackStatus* one : callbacks) {
+    callbacks_json.push_back({{"name", one->name},
+                              {"loop", now.callbacks_loop},
+                              {"count", one->times.count},
+                              {"total_ns", one->times.total.count()},
+                              {"max_ns", one->times.max.count()}});
+  }
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 

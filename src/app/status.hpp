@@ -2,7 +2,9 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -29,7 +31,8 @@ class TimeCounts {
 };
 
 /// Answers the requests of the control socket. What it must see of events for that (last values, lateness) it looks at
-/// only while somebody asks: an instance that nobody watches pays nothing. Thread: the loop's.
+/// only while somebody asks: an instance that nobody watches pays nothing. On the loop it copies how things stand; the
+/// text is made of that elsewhere. Thread: the loop's.
 class StatusSource {
  public:
   struct Info {
@@ -39,8 +42,9 @@ class StatusSource {
   };
   StatusSource(Loop& loop, Info info);
 
-  /// `{"request":"status"}` gives the status; anything else {"error": why}. One line, without its end.
-  std::string answer(std::uint64_t client, std::string_view line);
+  /// `{"request":"status"}` gives the status; anything else {"error": why}. What is returned makes the text, one line
+  /// without its end, on any thread, also when this object is gone.
+  std::function<std::string()> answer(std::uint64_t client, std::string_view line);
   /// The client has gone.
   void forget(std::uint64_t client);
 
@@ -48,26 +52,40 @@ class StatusSource {
   /// What was seen of a sensor's events while somebody watches.
   struct Seen {
     std::vector<std::byte> payload;
-    const Description* description = nullptr;  // the runtime's topic keeps it alive
     Time first_due{};
     Duration period{0};
-    TimeCounts now, before;  // of this second, and of the one before it
+    TimeCounts now;                            // of this second
+    std::shared_ptr<const TimeCounts> before;  // of the one before it
   };
-  /// How things stood when a client asked last; rates are from then on.
-  struct Baseline {
+  struct SeenSensor {
+    std::vector<std::byte> payload;  // empty: none yet
+    std::shared_ptr<const TimeCounts> lateness;
+  };
+  /// How things stood when a client asked.
+  struct Snapshot {
+    std::shared_ptr<const Info> info;
+    Time started{};
+    Duration running_for{0};
     MonotonicTime at{};
-    std::map<std::string, std::uint64_t> events;  // by sensor
-    std::map<std::string, Duration> processor;    // by loop
+    std::vector<SensorStatus> sensors;
+    std::vector<SeenSensor> seen;  // beside `sensors`
+    std::vector<LoopStatus> loops;
+    std::vector<SinkStatus> sinks;
+    std::vector<TopicStatus> topics;
+    std::vector<CallbackStatus> callbacks;
+    std::string callbacks_loop;
   };
-  std::string status(std::uint64_t client);
+  /// Rates are from `before` on, if there is one.
+  static std::string text(const Snapshot& now, const Snapshot* before);
+  std::shared_ptr<const Snapshot> take();
   void begin_watching();
   void take_schedules(const std::vector<SensorStatus>& sensors);
 
   Loop& loop_;
-  Info info_;
+  std::shared_ptr<const Info> info_;
   Time started_;
   MonotonicTime started_at_;
-  std::map<std::uint64_t, Baseline> clients_;
+  std::map<std::uint64_t, std::shared_ptr<const Snapshot>> clients_;  // the last one of each
   std::map<std::string, Seen, std::less<>> seen_;
   MonotonicTime turned_{};
   Subscription subscription_;

@@ -73,10 +73,10 @@ struct Echo {
   std::size_t answer_size = 0;
   std::vector<std::uint64_t> gone;
   ControlSocket socket{loop,
-                       [this](std::uint64_t client, std::string_view line) {
+                       [this](std::uint64_t client, std::string_view line) -> ControlSocket::Work {
                          ++answered;
-                         if (answer_size > 0) return std::string(answer_size, 'x');
-                         return std::to_string(client) + ":" + std::string(line);
+                         if (answer_size > 0) return [size = answer_size] { return std::string(size, 'x'); };
+                         return [text = std::to_string(client) + ":" + std::string(line)] { return text; };
                        },
                        [this](std::uint64_t client) { gone.push_back(client); }};
   /// Enough turns for one line of each of a few clients.
@@ -192,7 +192,7 @@ TEST_SUITE("app") {
     Loop loop{Loop::Manual{}};
     const auto open = [&] {
       ControlSocket(
-          loop, [](std::uint64_t, std::string_view) { return std::string(); }, [](std::uint64_t) {});
+          loop, [](std::uint64_t, std::string_view) { return [] { return std::string(); }; }, [](std::uint64_t) {});
     };
     open();
     struct stat made {};
@@ -227,7 +227,7 @@ TEST_SUITE("app") {
     Loop loop{Loop::Manual{}};
     StatusSource status(loop, {.name = "x", .configuration = "x.json"});
     for (const char* line : {"", "{", "[]", "null", "\xff\xfe", "{}", R"({"request":1})", R"({"request":"stop"})"}) {
-      const auto answer = nlohmann::json::parse(status.answer(1, line));
+      const auto answer = nlohmann::json::parse(status.answer(1, line)());
       CHECK_MESSAGE(answer.contains("error"), line);
       CHECK(answer.size() == 1);
     }
@@ -245,7 +245,7 @@ TEST_SUITE("app") {
     const Sensor<Level> held(loop, {.name = "held", .topic = "some/held", .rate = 10_Hz, .late_after = 1ms},
                              [&] { return Level{-value}; });
     const auto take = [&](std::uint64_t client) {
-      return nlohmann::json::parse(status.answer(client, R"({"request":"status"})"));
+      return nlohmann::json::parse(status.answer(client, R"({"request":"status"})")());
     };
     loop.advance(1s);
     CHECK(loop.callbacks().size() == 2);

@@ -95,6 +95,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("rig.json", rig);
     Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
     REQUIRE(run.wait_for("faulted"));
     Process once(folder, program, {"top", "--once"});
     CHECK(once.end() == 0);

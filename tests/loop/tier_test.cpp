@@ -384,4 +384,40 @@ TEST_SUITE("tiers") {
     CHECK(run_until(loop, [&] { return ticks > 20; }));
     CHECK(early == 0);
   }
+
+  TEST_CASE("the main loop tells of its tiers, which tier a sensor is on, and how long callbacks took") {
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    const Sensor<Count> there(fast.loop(), {.name = "there", .rate = 1_kHz}, [] { return Count{1}; });
+    const Sensor<Count> here(loop, {.name = "here", .rate = 1_kHz}, [] { return Count{2}; });
+    const auto of = [&](std::string_view name) {
+      for (const SensorStatus& sensor : loop.runtime().sensors()) {
+        if (sensor.name == name) return sensor;
+      }
+      return SensorStatus{};
+    };
+    CHECK_FALSE(loop.runtime().loops().at(1).running);
+    CHECK(run_until(loop, [&] { return of("there").counts.taken > 10 && here.counts().taken > 10; }));
+    CHECK(of("there").loop == "fast");
+    CHECK(of("here").loop == "main");
+    CHECK(of("there").first_due > Time{});
+    const std::vector<LoopStatus> loops = loop.runtime().loops();
+    REQUIRE(loops.size() == 2);
+    CHECK(loops[0].name == "main");
+    CHECK_FALSE(loops[0].is_tier);
+    CHECK(loops[1].name == "fast");
+    CHECK(loops[1].is_tier);
+    CHECK(loops[1].running);
+    CHECK(loops[1].scheduling.policy == SchedulingPolicy::other);
+    CHECK(loops[1].processor_time > Duration{0});
+    bool has_sensor = false;
+    for (const CallbackStatus& one : loop.callbacks()) {
+      CHECK(one.name != "sensor there");  // the tier's own
+      if (one.name != "sensor here") continue;
+      has_sensor = true;
+      CHECK(one.times.count == here.counts().taken);
+      CHECK(one.times.max <= one.times.total);
+    }
+    CHECK(has_sensor);
+  }
 }
