@@ -3,7 +3,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <nlohmann/json.hpp>
+#include <sstream>
+#include <thread>
+#include <vector>
 
 #include "app/process.hpp"
 
@@ -188,6 +192,33 @@ TEST_SUITE("app") {
       CHECK(log.find("cannot open the device") < log.find("error program: fatal signal " + std::to_string(signal)));
       CHECK(has(log, "error program: fatal signal " + std::to_string(signal)));
     }
+  }
+
+  TEST_CASE("NFR-4 stopped by a debugger and continued: the ticks are missed, in one stretch, and none is caught up") {
+    const Folder folder;
+    folder.write("bench.json", bench);
+    Process run(folder, program, {"run", "bench.json", "--for", "3s"});
+    REQUIRE(run.wait_for("running bench"));
+    std::this_thread::sleep_for(std::chrono::milliseconds{300});
+    run.signal(SIGSTOP);
+    std::this_thread::sleep_for(std::chrono::milliseconds{1500});
+    run.signal(SIGCONT);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+    std::vector<std::int64_t> times;
+    std::istringstream lines(folder.read("bench.jsonl"));
+    for (std::string line; std::getline(lines, line);) times.push_back(nlohmann::json::parse(line).at("time").get<std::int64_t>());
+    REQUIRE(times.size() > 2);
+    unsigned long_gaps = 0;
+    std::size_t after = 0;
+    for (std::size_t i = 1; i < times.size(); ++i) {
+      if (times[i] - times[i - 1] < 1'000'000'000) continue;
+      ++long_gaps;
+      after = times.size() - i;
+    }
+    CHECK(long_gaps == 1);
+    CHECK(after > 0);
+    CHECK(times.size() < 300 - 100);  // of 3 s at 100 Hz, at least 1 s is missing and stays so
   }
 
   TEST_CASE("NFR-7 a log file that cannot be written is a warning, not the end") {

@@ -77,7 +77,7 @@ bool in_child(Function function) {
 
 }  // namespace
 
-TEST_SUITE("tiers") {
+TEST_SUITE("loop") {
   TEST_CASE("US-33 current, lowest and highest priorities can be asked, and a policy be set") {
     CHECK(priority_range(SchedulingPolicy::fifo).lowest == 1);
     CHECK(priority_range(SchedulingPolicy::fifo).highest == 99);

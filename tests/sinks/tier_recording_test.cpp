@@ -23,7 +23,7 @@ std::string text_of(const VerifyReport& report) {
 
 }  // namespace
 
-TEST_SUITE("tiers, recorded") {
+TEST_SUITE("sinks") {
   TEST_CASE("US-26 sensors of two tiers and the main loop in one recording, which balances") {
     const Folder folder;
     const std::string path = folder / "run.db";
