@@ -173,7 +173,7 @@ bool Bridge::send_account(Passage& passage, std::size_t spare) noexcept {
   record->health = health;
   const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
   const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
-  std::memcpy(record->reason, reason.data(), length);
+  if (length != 0) std::memcpy(record->reason, reason.data(), length);
   record->reason[length] = '\0';
   commit();
   return true;
