@@ -70,9 +70,10 @@ System::System(Loop& loop, const Registry& registry, const ConfigDocument& docum
 System::~System() = default;
 
 void System::make_tiers(const SystemPlan& plan) {
-  for (const auto& [name, settings] : plan.settings.tiers) {
+  for (const auto& entry : plan.settings.tiers) {
+    const std::string& name = entry.first;
     tiers_.push_back({name, made_at(*plan.document.root.find("tiers")->find(name), "tier " + name, [&] {
-                        return std::make_unique<Tier>(loop_, settings.tier_config(name));
+                        return std::make_unique<Tier>(loop_, entry.second.tier_config(name));
                       })});
   }
 }
