@@ -90,11 +90,11 @@ void check_recording(const std::vector<std::function<void()>>& things, const std
   const std::vector<RecordedClock> clock = recording.clock(1).or_throw();
   for (const RecordedClock& pair : clock) {
     const Duration now = pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
-    if (pair.source == "step") {
+    if (pair.occasion == "step") {
       noticed.push_back(now - offset);
       offset = now;
     }
-    CAPTURE(pair.source);
+    CAPTURE(pair.occasion);
     CHECK(near(now, offset));
   }
   REQUIRE(noticed.size() == steps.size());
