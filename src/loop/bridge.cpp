@@ -201,6 +201,11 @@ void Bridge::Reminder::fire(MonotonicTime) {
 }
 
 void Bridge::turn_done() {
+  if (const std::uint64_t lost = std::exchange(notes_lost_, 0); lost != 0) [[unlikely]] {
+    from_.runtime.report(&from_, "loop " + from_.config.name,
+                         {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
+                          "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
+  }
   if (!passages_.empty()) {
     const MonotonicTime now = from_.now();
     if (!std::exchange(is_reminded_, false)) accounts_left_ = passages_.size();

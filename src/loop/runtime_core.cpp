@@ -168,6 +168,10 @@ Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
     return refused(Errc::bad_argument, "its accuracy is not above 0",
                    "say how far the time may be from UTC, or leave it out");
   }
+  if (hub != nullptr) {  // the main loop's recordings keep the clock
+    hub->loops.front()->post([main = hub, pair] { [[maybe_unused]] const auto noted = main->note_wall_clock(pair); });
+    return {};
+  }
   const auto known = std::find_if(plugged_.begin(), plugged_.end(),
                                   [&](const ClockSource& s) { return s.latest.source == pair.source; });
   if (known == plugged_.end()) {

@@ -8,6 +8,7 @@
 #include <thread>
 #include <vector>
 
+#include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -322,6 +323,23 @@ TEST_SUITE("loop") {
     CHECK(run_until(loop, [&] {
       const auto sensors = loop.runtime().sensors();
       return sensors.size() == 1 && sensors[0].health == Health::faulted && sensors[0].reason.find("it is gone") != std::string::npos;
+    }));
+  }
+
+  TEST_CASE("the time of day noted on a tier is kept by the main loop") {
+    Loop loop;
+    Tier fast(loop, {});
+    fast.start();
+    const auto pairs = [&] { return loop.runtime().core().clock_pairs(); };
+    const auto noted = fast.call([](Loop& on) {
+      return on.runtime().note_wall_clock({.monotonic = on.now(), .realtime = Time{1h}, .source = "gps", .accuracy = 1us}).has_value();
+    });
+    CHECK(noted);
+    CHECK(run_until(loop, [&] {
+      for (const ClockPair& pair : pairs()) {
+        if (pair.source == "gps") return true;
+      }
+      return false;
     }));
   }
 
