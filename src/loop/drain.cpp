@@ -37,10 +37,11 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void drain_tiers() {
     tiers_ = runtime_.tiers.size();
     if (tiers_ == 0) return wait_for_reads();
-    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;  // the sinks need time too
+    // The sinks need time too, and a tier that gives up on a read still has to say so.
+    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      tier->drain(share, [self = shared_from_this()] {
+      tier->drain(share * 3 / 4, [self = shared_from_this()] {
         if (--self->tiers_ == 0) self->tiers_done();
       });
     }

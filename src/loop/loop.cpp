@@ -216,6 +216,13 @@ void LoopCore::assert_thread() const noexcept {
 #endif
 }
 
+void LoopCore::check_thread(const char* what, std::string_view object) const {
+  const std::thread::id running = thread_.load(std::memory_order_relaxed);
+  if (running == std::thread::id{} || running == std::this_thread::get_id()) [[likely]] return;
+  throw SetupError({Errc::busy, what, std::string(object), "loop " + config.name + ", which it belongs to, runs on another thread",
+                    "post a function to that loop that does it there, or make one on the loop of this thread"});
+}
+
 void LoopCore::hold() noexcept {
   if (holds_++ == 0) uv_ref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
@@ -345,14 +352,31 @@ void LoopCore::start_idle() noexcept {
   uv_idle_start(&side_->idle, [](uv_idle_t*) {});
 }
 
-void LoopCore::deliver(Budget budget) {
-  if (delivering_ || ready_first_ == nullptr) return;
+LoopCore::Left LoopCore::deliver(Budget budget) {
+  constexpr int most_rounds = 100;  // each brings what the handlers of the one before have published
+  if (delivering_ || ready_first_ == nullptr) return Left::nothing;
   delivering_ = true;
   MonotonicTime current = now();
-  const MonotonicTime end = current + config.delivery_budget;
-  while (ready_first_ != nullptr) {
+  const MonotonicTime end = budget == Budget::limited ? current + config.delivery_budget : MonotonicTime::max();
+  Left left = Left::nothing;
+  for (int round = 0; ready_first_ != nullptr && left == Left::nothing; ++round) {
+    left = round < most_rounds ? deliver_round(current, end) : Left::circle;
+  }
+  delivering_ = false;
+  return left;
+}
+
+LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end) {
+  std::size_t unfinished = 0;
+  for (TopicCore* topic = ready_first_; topic != nullptr; topic = topic->next_ready) {
+    topic->begin_round();
+    ++unfinished;
+  }
+  while (unfinished > 0) {
     TopicCore* topic = ready_first_;
-    current = topic->deliver_group(*this, current);
+    const bool is_of_round = topic->is_in_round();  // others became ready meanwhile
+    if (is_of_round) current = topic->deliver_group(*this, current);
+    if (is_of_round && !topic->is_in_round()) --unfinished;
     if (!topic->has_pending()) {
       ready_first_ = topic->next_ready;
       if (ready_first_ == nullptr) ready_last_ = nullptr;
@@ -363,10 +387,11 @@ void LoopCore::deliver(Budget budget) {
       ready_last_ = topic;
       topic->next_ready = nullptr;
     }
-    if (budget == Budget::none) continue;
-    if (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current)) break;
+    if (end != MonotonicTime::max() && (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current))) {
+      return Left::later;
+    }
   }
-  delivering_ = false;
+  return Left::nothing;
 }
 
 void LoopCore::deliver_all() { deliver(Budget::none); }
@@ -374,7 +399,7 @@ void LoopCore::deliver_all() { deliver(Budget::none); }
 void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
   schedule_.begin_waiting();
-  start_tiers();
+  start_tiers_in_turn();
   for (Bridge* bridge : runtime.outbound) bridge->turn_done();
   if (runtime.has_injected_clock()) runtime.look_at_clock();
   if (ready_first_ != nullptr) {
@@ -459,6 +484,14 @@ void LoopCore::request_stop() noexcept {
 
 void LoopCore::start_tiers() {
   for (TierCore* tier : runtime.tiers) tier->start_first();
+}
+
+void LoopCore::start_tiers_in_turn() noexcept {
+  try {
+    start_tiers();
+  } catch (const SetupError& e) {  // not tried again in each turn
+    runtime.report(this, "loop " + config.name, e.error());
+  }
 }
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
@@ -555,13 +588,14 @@ void LoopCore::advance_to(MonotonicTime target) {
 
 void LoopCore::settle() {
   // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
+  Left left = Left::nothing;
   do {
     runtime.look_at_clock();
     run_due();
     run_posted();
     uv_run(uv_loop_, UV_RUN_NOWAIT);
-    deliver(Budget::limited);
-  } while (ready_first_ != nullptr && !is_stopping());
+    left = deliver(Budget::limited);
+  } while (left == Left::later && !is_stopping());
 }
 
 void LoopCore::Flusher::fire(MonotonicTime) {
@@ -577,7 +611,9 @@ void LoopCore::flush_repeats_at(MonotonicTime due) {
 
 Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
   for (auto& [name, lane] : lanes_) {
-    if (name == key) return *lane;
+    if (name != key) continue;
+    lane->allow(give_up_after);
+    return *lane;
   }
   lanes_.emplace_back(key, std::make_unique<Lane>(*this, key, give_up_after));
   return *lanes_.back().second;
@@ -697,7 +733,7 @@ Time Loop::time() noexcept { return core_->runtime.event_time(core_->now()); }
 Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
-void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error = std::move(handler); }
+void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error.set(std::move(handler)); }
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
 

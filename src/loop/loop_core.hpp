@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "loop/deadline.hpp"
+#include "loop/handler.hpp"
 #include "loop/schedule.hpp"
 #include "loop/wake.hpp"
 #include "rtdata/loop/handle.hpp"
@@ -115,6 +116,8 @@ class LoopCore {
     }
   }
   void assert_thread() const noexcept;
+  /// SetupError (busy) on another thread than that which runs the loop. Nobody knows who runs an attached one.
+  void check_thread(const char* what, std::string_view object) const;
 
   /// Lanes by key: one per physical device; made when first asked for.
   Lane& lane(const std::string& key, Duration give_up_after);
@@ -125,7 +128,7 @@ class LoopCore {
   Duration lane_duration{0};
   /// Where threads of lanes may run, when the loop's own thread is bound to less.
   std::optional<cpu_set_t> worker_cpus;
-  Callback<void(const ErrorReport&)> on_error;
+  Handler<ErrorReport> on_error;
 
   // Nodes list themselves.
   void link(Node& node) noexcept;
@@ -161,12 +164,21 @@ class LoopCore {
   void arm_clock() noexcept;
   void settle();
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
-  void deliver(Budget budget);
+  /// What a delivery has left in the queues.
+  enum class Left {
+    nothing,
+    later,   // its time was up
+    circle,  // handlers went on publishing for each other
+  };
+  Left deliver(Budget budget);
+  /// Delivers what is queued now.
+  Left deliver_round(MonotonicTime& current, MonotonicTime end);
   void arm();
   void spin_until_due() noexcept;
   void run_posted();
   /// The main loop's.
   void start_tiers();
+  void start_tiers_in_turn() noexcept;
   void collect_lanes();
   bool has_posted() noexcept;
   void start_idle() noexcept;

@@ -407,14 +407,11 @@ void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& er
   for (Listener* listener : listeners) listener->on_error(time, object, error, count);
   if (loop == nullptr && !loops.empty()) loop = loops.front();
   if (loop != nullptr && loop->on_error) {
-    // Taken out for the call: it may set another, and an error met in it goes to the log rather than round in a circle.
-    Callback<void(const ErrorReport&)> handler = std::move(loop->on_error);
-    try {
-      handler({object, error, count});
+    try {  // an error met in it goes to the log, rather than round in a circle
+      loop->on_error({object, error, count});
     } catch (...) {
       log(LogLevel::error, object, error.text() + " (and the handler of errors threw)", error.id());
     }
-    if (!loop->on_error) loop->on_error = std::move(handler);
     return;
   }
   std::string text = error.text();
@@ -430,7 +427,7 @@ Runtime::Runtime(Config config) : core_(std::make_unique<detail::RuntimeCore>(*t
 Runtime::~Runtime() = default;
 
 const Runtime::Config& Runtime::config() const noexcept { return core_->config; }
-void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log = std::move(handler); }
+void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log.set(std::move(handler)); }
 
 Result<void> Runtime::note_wall_clock(const ClockPair& pair) { return core_->note_wall_clock(pair); }
 

@@ -7,6 +7,7 @@
 #include <unordered_set>
 #include <vector>
 
+#include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
 #include "loop/topic_core.hpp"
 #include "rtdata/loop/health.hpp"
@@ -147,7 +148,7 @@ class RuntimeCore {
   enum class Repeats { old, all };
   /// Writes out the repeats that were held back for a second, or all.
   void flush_repeats(Repeats which);
-  Callback<void(const LogRecord&)> on_log;
+  Handler<LogRecord> on_log;
 
   std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports
   std::string place_of(const std::string& object) const {

@@ -15,16 +15,7 @@ class ViewSubscription final : public SubscriptionNode {
   ViewSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const EventView&)> handler)
       : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
   Delivered deliver(const EventRun& run, const void*) override {
-    Delivered result;
-    const std::byte* slot = run.slots;
-    for (; result.seen < run.count && is_open(); ++result.seen, slot += run.stride) {
-      if (run.is_cancelled(result.seen)) {
-        ++result.cancelled;
-        continue;
-      }
-      guarded(*this, [&] { handler_(view_of(run.topic, slot)); });
-    }
-    return result;
+    return for_each(run, [&](const std::byte* slot) { handler_(view_of(run.topic, slot)); });
   }
   Result<std::shared_ptr<const void>> accept(const TopicCore& topic) override {
     if (topic.type.description != nullptr) return std::shared_ptr<const void>{};
@@ -172,6 +163,7 @@ const std::string& topic_name(const TopicCore& topic) noexcept { return topic.na
 
 void publish_from_program(TopicCore& topic, const void* payload) {
   RuntimeCore& runtime = topic.runtime();
+  if (!runtime.loops.empty()) runtime.loops.front()->check_thread("cannot publish", topic.name);
   OriginCore& origin = runtime.program_origin(topic);
   ++origin.counts.received;
   ++origin.counts.published;

@@ -150,7 +150,7 @@ void TopicCore::cancel(const OriginCore& origin) noexcept {
 
 MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
   const std::uint64_t to_ring_end = mask_ + 1 - (tail_ & mask_);
-  const std::uint64_t end = tail_ + std::min({group_, head_ - tail_, to_ring_end});
+  const std::uint64_t end = tail_ + std::min({group_, round_end_ - tail_, to_ring_end});
   MonotonicTime from = begin;
   for (std::size_t i = 0; i < links_.size(); ++i) {
     SubscriptionNode* node = links_[i].node;
@@ -169,7 +169,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
       const MonotonicTime to = loop.now();
       loop.account(node->times, from, to, [&] { return node->name; });
       from = to;
-      if (!node->is_open()) retire(link);
+      if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
     }
     delivering_ = nullptr;
   }

@@ -69,10 +69,13 @@ class TopicCore {
   }
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
-  /// Delivers one small group of events to every link, beginning now; returns when it ended.
+  /// Delivers one small group of events of the round to every link, beginning now; returns when it ended.
   MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now);
   RuntimeCore& runtime() const noexcept { return runtime_; }
   bool has_pending() const noexcept { return head_ != tail_; }
+  /// What is queued now belongs to a round of deliveries, what is published from now on does not.
+  void begin_round() noexcept { round_end_ = head_; }
+  bool is_in_round() const noexcept { return tail_ < round_end_; }
   /// The loop is gone: if it delivers this topic, what is queued is cancelled.
   void abandon(const LoopCore& loop) noexcept;
 
@@ -120,6 +123,7 @@ class TopicCore {
   std::size_t mask_ = 0;
   std::uint64_t head_ = 0;
   std::uint64_t tail_ = 0;
+  std::uint64_t round_end_ = 0;
   std::uint64_t dropped_ = 0;
   std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
   const SubscriptionNode* delivering_ = nullptr;

@@ -53,6 +53,7 @@ class FeedNode final : public SourceNode {
     if (is_running_) origin_.counts.lost += count;
   }
   void set_numbered() { origin_.counts.lost_is_known = true; }
+  void check_thread() const { loop()->check_thread("cannot feed", origin_.name); }
   std::size_t payload_size() const noexcept { return origin_.topic.type.size; }
 
  private:
@@ -66,15 +67,21 @@ class FeedNode final : public SourceNode {
 Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) { return new FeedNode(loop.core(), config, std::move(type)); }
 
 void feed_publish(Node* feed, const void* payload, const Time* time) {
-  if (feed != nullptr) static_cast<FeedNode*>(feed)->publish(const_cast<void*>(payload), time);
+  if (feed == nullptr || !feed->is_open()) return;
+  static_cast<FeedNode*>(feed)->check_thread();
+  static_cast<FeedNode*>(feed)->publish(const_cast<void*>(payload), time);
 }
 
 }  // namespace detail
 
 namespace {
 
-detail::FeedNode* feed(detail::Node* node) noexcept {
-  return node != nullptr && node->is_open() ? static_cast<detail::FeedNode*>(node) : nullptr;
+/// Null when it is closed.
+detail::FeedNode* feed(detail::Node* node) {
+  if (node == nullptr || !node->is_open()) return nullptr;
+  auto* const feed = static_cast<detail::FeedNode*>(node);
+  feed->check_thread();
+  return feed;
 }
 
 void publish(detail::Node* node, std::span<const std::byte> payload, const Time* time) {

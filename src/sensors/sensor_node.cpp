@@ -54,24 +54,27 @@ const SensorNode::Rare& SensorNode::settings() const noexcept {
 
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
+  Call call(*this);
   failures_ = 0;
   if (rare_ != nullptr) {
     rare_->retry_delay = Duration{0};
     rare_->retry_at = {};
   }
-  if (!device_is_open_) {
-    const Result<void> opened = open_device();
-    if (opened) {
-      device_is_open_ = true;
-      set_health(Health::ok, nullptr);  // what it was before it stopped is over
-    } else if (settings().is_required) {
-      throw SetupError(opened.error());
-    } else {
-      failures_ = settings().faulted_after - 1;
-      failed(opened.error(), loop()->now());
-    }
+  if (device_is_open_) return begin_schedule();
+  const Result<void> opened = open_device();
+  if (!opened && settings().is_required) throw SetupError(opened.error());
+  if (!is_open()) {  // closed by its own device
+    if (opened) close_device();
+    return;
   }
-  begin_schedule();
+  device_is_open_ = static_cast<bool>(opened);
+  begin_schedule();  // before anybody is told, who may stop it
+  if (opened) {
+    set_health(Health::ok, nullptr);  // what it was before it stopped is over
+  } else {
+    failures_ = settings().faulted_after - 1;
+    failed(opened.error(), loop()->now());
+  }
 }
 
 void SensorNode::begin_schedule() {
@@ -120,7 +123,7 @@ void SensorNode::stop() {
   if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
   origin_.close_gap();
   origin_.topic.cancel(origin_);
-  if (std::exchange(device_is_open_, false)) device_->close();
+  if (std::exchange(device_is_open_, false)) close_device();
 }
 
 void SensorNode::set_rate(Rate rate) {
@@ -189,23 +192,50 @@ Result<void> SensorNode::open_device() noexcept {
   if (lane_side_ != nullptr) lane_side_->lane = nullptr;  // what is opened may be another physical device than before
   try {
     return device_->open();
-  } catch (const std::exception& e) {
-    return Error{Errc::handler_threw, "open() threw", object_name(), e.what(), ""};
   } catch (...) {
-    return Error{Errc::handler_threw, "open() threw", object_name(), "an exception that is no std::exception", ""};
+    return thrown("open() threw");
   }
 }
 
-bool SensorNode::is_ready(MonotonicTime now) {
-  if (device_is_open_ && health() != Health::faulted) [[likely]] return true;
-  if (now < settings().retry_at) return false;
-  if (device_is_open_) return true;
-  const Result<void> opened = open_device();
-  if (opened) {
-    device_is_open_ = true;
-    return true;
+void SensorNode::close_device() noexcept {
+  try {
+    device_->close();
+  } catch (...) {
+    report(thrown("close() threw"));
   }
-  failed(opened.error(), now);
+}
+
+Error SensorNode::thrown(const char* what) const {
+  try {
+    throw;
+  } catch (const std::exception& e) {
+    return {Errc::handler_threw, what, object_name(), e.what(), ""};
+  } catch (...) {
+    return {Errc::handler_threw, what, object_name(), "an exception that is no std::exception", ""};
+  }
+}
+
+bool SensorNode::is_ready(const Tick& tick) {
+  if (device_is_open_ && health() != Health::faulted) [[likely]] return true;
+  if (tick.now < settings().retry_at) {
+    origin_.fail_tick(settings().fault, tick.due);
+    return false;
+  }
+  if (device_is_open_) return true;
+  SamplePort port(*this, Time{}, &tick);  // the device may stop the sensor, or change its rate, as it may in a read
+  port_ = &port;
+  const Result<void> opened = open_device();
+  if (port.sensor_ == nullptr) {
+    if (opened) close_device();
+    return false;
+  }
+  port_ = nullptr;
+  device_is_open_ = static_cast<bool>(opened);
+  const bool is_counted = port.uncounted_ == nullptr;
+  if (is_counted) ++origin_.counts.repeated;  // as taken, by the change of rate
+  if (opened) return !is_counted;
+  if (!is_counted) origin_.fail_tick(opened.error().id(), tick.due);  // before anybody is told, who may stop it
+  failed(opened.error(), tick.now);
   return false;
 }
 
@@ -224,10 +254,7 @@ void SensorNode::tick(const Tick& tick) {
     return;
   }
   Call call(*this);
-  if (!is_ready(tick.now)) {
-    if (is_scheduled()) origin_.fail_tick(settings().fault, tick.due);
-    return;
-  }
+  if (!is_ready(tick)) return;
   if (lane_side_ != nullptr) {
     submit(tick);
   } else {
@@ -248,10 +275,8 @@ void SensorNode::read_inline(const Tick& tick) {
   Sampled sampled = Sampled::failed;
   try {
     sampled = device_->sample(port, error);
-  } catch (const std::exception& e) {
-    error = {Errc::handler_threw, "reading threw", object_name(), e.what(), ""};
   } catch (...) {
-    error = {Errc::handler_threw, "reading threw", object_name(), "an exception that is no std::exception", ""};
+    error = thrown("reading threw");
   }
   if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
   port_ = nullptr;
@@ -289,7 +314,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   if (is_faulted) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first : std::min(2 * state.retry_delay, state.retry_longest);
     state.retry_at = now + with_jitter(state.retry_delay, origin_.name, failures_);
-    if (std::exchange(device_is_open_, false)) device_->close();
+    if (std::exchange(device_is_open_, false)) close_device();
   }
   report(error);
   if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);
@@ -298,7 +323,13 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
 void SensorNode::submit(const Tick& tick) {
   auto& [device, lane, transaction] = *lane_side_;
   if (transaction == nullptr) {
-    transaction = device.make_transaction();
+    try {
+      transaction = device.make_transaction();
+    } catch (...) {
+      const Error error = thrown("preparing to read threw");
+      origin_.fail_tick(error.id(), tick.due);
+      return failed(error, tick.now);
+    }
     transaction->owner_ = this;
     transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
   }
@@ -328,7 +359,12 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   }
   SamplePort port(*this, loop()->runtime.event_time(transaction.began_), nullptr);
   Error error;
-  const Sampled sampled = device.decode(transaction, port, error);
+  Sampled sampled = Sampled::failed;
+  try {
+    sampled = device.decode(transaction, port, error);
+  } catch (...) {
+    error = thrown("decoding threw");
+  }
   if (sampled == Sampled::failed) {
     origin_.fail_read(error.id(), transaction.due_);
     failed(error, loop()->now());

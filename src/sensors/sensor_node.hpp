@@ -35,9 +35,12 @@ class SensorNode final : public SourceNode, public RateMember {
  private:
   void on_close() noexcept override;
   void drop_callbacks() noexcept override;
-  /// Whether the device may be read now: opens it again when its time has come.
-  bool is_ready(MonotonicTime now);
+  /// Whether the device may be read now: opens it again when its time has come. A tick at which it may not is counted.
+  bool is_ready(const Tick& tick);
   Result<void> open_device() noexcept;
+  void close_device() noexcept;
+  /// The error of the exception that is being handled.
+  Error thrown(const char* what) const;
   void begin_schedule();
   void change_period(Duration period);
   enum class EndOf { activity, rate };

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include "loop/handler.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
@@ -29,7 +30,7 @@ class SourceNode : public SensorEntry {
   std::string_view reason() const noexcept override { return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view(); }
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
-  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error = std::move(handler); }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error.set(std::move(handler)); }
 
  protected:
   ~SourceNode() override = default;
@@ -52,7 +53,7 @@ class SourceNode : public SensorEntry {
  private:
   /// What most sensors never need; made at its first use, since there may be thousands of them.
   struct Rare {
-    Callback<void(const ErrorReport&)> on_error;
+    Handler<ErrorReport> on_error;
     std::string reason;  // why it is not ok
   };
   Rare& rare() {

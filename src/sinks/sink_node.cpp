@@ -29,7 +29,10 @@ class StoreJob final : public LaneJob {
     if (result && closing) result = queue->close_writer();
     has_ended = queue->has_ended();
     refused = queue->take_refusals(refusal);
-    warning = queue->writer().take_warning();
+    try {
+      warning = queue->writer().take_warning();
+    } catch (...) {  // a warning less
+    }
   }
   void done(Outcome outcome) override;
 
@@ -139,7 +142,16 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   void on_topic(TopicCore& topic) override {
     if (closing_) return;
-    if (auto taken = take_topic(topic); !taken) report(taken.error(), 1);
+    Result<void> taken;
+    try {
+      taken = take_topic(topic);
+    } catch (const std::exception& e) {
+      taken = Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, e.what(), "this topic is not recorded"};
+    } catch (...) {
+      taken = Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, "an exception that is no std::exception",
+                    "this topic is not recorded"};
+    }
+    if (!taken) report(taken.error(), 1);
   }
 
   Result<void> take_topic(TopicCore& topic) {
@@ -264,7 +276,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (has_rows || has_account) start_storing();
   }
 
-  Callback<void(const ErrorReport&)> on_error_;
+  Handler<ErrorReport> on_error_;
   SinkCounts counts() const noexcept { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
 
@@ -506,7 +518,7 @@ SinkStatus Sink::status() const {
   return s != nullptr ? s->status() : SinkStatus{};
 }
 void Sink::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = detail::sink(node())) s->on_error_ = std::move(handler);
+  if (auto* s = detail::sink(node())) s->on_error_.set(std::move(handler));
 }
 void Sink::flush() {
   if (auto* s = detail::sink(node())) s->flush();

@@ -304,9 +304,9 @@ Result<void> SinkQueue::call_writer(Call&& call) {
   try {
     result = call();
   } catch (const std::exception& e) {
-    result = Error{Errc::io_failed, "the writer threw", "", e.what(), ""};
+    result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
   } catch (...) {
-    result = Error{Errc::io_failed, "the writer threw", "", "an exception that is no std::exception", ""};
+    result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
   }
   if (!result) {
     fail_batch();

@@ -1,6 +1,8 @@
 #include <doctest/doctest.h>
 
 #include <memory>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 #include "loop/observed.hpp"
@@ -105,6 +107,44 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
     loop.advance(1s);
     CHECK(sensor.counts().published == 0);
+  }
+
+  TEST_CASE("a device that throws while a read is prepared or decoded fails that read only") {
+    struct Throwing final : detail::LaneDevice {
+      struct Read final : detail::Transaction {
+        void transact() noexcept override {}
+      };
+      explicit Throwing(int& made_) : made(made_) {}
+      int& made;
+      int decoded = 0;
+      std::shared_ptr<detail::Transaction> make_transaction() override {
+        if (++made == 1) throw std::runtime_error("not yet");
+        return std::make_shared<Read>();
+      }
+      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port, Error&) override {
+        if (++decoded == 2) throw 7;
+        Number number{1, 0};
+        port.publish(&number);
+        return detail::Sampled::value;
+      }
+      std::string lane_key() const override { return "throwing"; }
+      Error given_up_error() const override { return {Errc::timed_out, "no answer", "", "", ""}; }
+    };
+    struct ThrowingSensor : AnySensor {
+      ThrowingSensor(Loop& loop, int& made)
+          : AnySensor(detail::make_sensor(loop, {.name = "throwing", .rate = 10_Hz}, detail::payload_type<Number>(),
+                                          std::make_unique<Throwing>(made))) {}
+    };
+    Loop loop(Loop::Manual{});
+    std::vector<std::string> errors;
+    int made = 0;
+    ThrowingSensor sensor(loop, made);
+    sensor.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+    loop.advance(450ms);
+    CHECK(errors == std::vector<std::string>{"preparing to read threw", "decoding threw"});
+    CHECK(sensor.counts().failed == 2);
+    CHECK(sensor.counts().published == 3);
+    CHECK(loop.runtime().balances());
   }
 
   TEST_CASE("drain from a callback of a tick or a delivery counts that tick and ends later") {

@@ -5,6 +5,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -121,6 +122,23 @@ TEST_SUITE("loop") {
     }
     CHECK(saw_given_up);
     CHECK(lane.left_behind() == 1);
+  }
+
+  TEST_CASE("where several with limits of their own use one lane, the longest holds") {
+    Loop loop(Loop::Manual{});
+    loop.script_lane_duration(300ms);
+    Lane& lane = loop.core().lane("device", 100ms);
+    CHECK(&loop.core().lane("device", 500ms) == &lane);
+    CHECK(&loop.core().lane("device", 200ms) == &lane);
+    struct Job final : LaneJob {
+      void run() noexcept override {}
+      void done(Outcome outcome) override { ended = outcome; }
+      std::optional<Outcome> ended;
+    };
+    const auto job = std::make_shared<Job>();
+    REQUIRE(lane.submit(job));
+    loop.advance(1s);
+    CHECK(job->ended == LaneJob::Outcome::finished);
   }
 
   TEST_CASE("so many threads are left behind; then nothing is taken, until one comes back") {

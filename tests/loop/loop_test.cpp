@@ -224,6 +224,32 @@ TEST_SUITE("loop") {
     CHECK(bad.fired() == 3);
   }
 
+  TEST_CASE("handlers of errors and of the log may set another in their own place, or none") {
+    Loop loop(Loop::Manual{});
+    const std::string large(200, 'x');  // on the heap: a handler that is gone reads freed memory
+    std::string seen;
+    int logged = 0;
+    SUBCASE("errors") {
+      loop.runtime().on_log([&](const LogRecord&) { ++logged; });
+      loop.on_error([&, large](const ErrorReport&) {
+        loop.on_error({});
+        seen = large;
+      });
+    }
+    SUBCASE("log") {
+      loop.runtime().on_log([&, large](const LogRecord&) {
+        loop.runtime().on_log([&](const LogRecord&) { ++logged; });
+        seen = large;
+      });
+    }
+    Ticker bad(loop, {.period = 2s, .name = "bad"}, [](const Tick&) { throw std::runtime_error("no luck"); });
+    loop.advance(1s);
+    CHECK(seen == large);
+    CHECK(logged == 0);
+    loop.advance(2s);
+    CHECK(logged == 1);
+  }
+
   TEST_CASE("repeats of an error within a second are joined, and none is forgotten") {
     Loop loop(Loop::Manual{});
     std::uint64_t reports = 0;

@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <atomic>
+#include <memory>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -15,6 +17,7 @@
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sensors/transaction.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -324,6 +327,70 @@ TEST_SUITE("loop") {
       const auto sensors = loop.runtime().sensors();
       return sensors.size() == 1 && sensors[0].health == Health::faulted && sensors[0].reason.find("it is gone") != std::string::npos;
     }));
+  }
+
+  TEST_CASE("publishing or feeding on a loop from the thread of another is refused") {
+    Loop loop;
+    loop.on_error([](const ErrorReport&) {});
+    Tier tier(loop, {.name = "fast"});
+    const auto topic = loop.topic<Count>("a");
+    Feed<Count> feed(loop, {.name = "f"});
+    std::atomic<int> refused{0};
+    Ticker wrong;
+    wrong = Ticker(tier.loop(), 1ms, [&](const Tick&) {
+      if (refused >= 4) return wrong.stop();
+      for (const bool feeds : {false, true}) {
+        try {
+          if (feeds) {
+            feed.publish({1});
+          } else {
+            topic.publish({1});
+          }
+        } catch (const SetupError& e) {
+          if (e.error().code == Errc::busy) ++refused;
+        }
+      }
+    });
+    CHECK(run_until(loop, [&] { return refused >= 4; }));
+    CHECK(feed.counts().received == 0);
+  }
+
+  TEST_CASE("US-24 a read of a tier that outlasts the end is counted as failed, and its account arrives") {
+    struct Slow final : detail::LaneDevice {
+      struct Read final : detail::Transaction {
+        void transact() noexcept override { ::usleep(700'000); }
+      };
+      std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
+      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port, Error&) override {
+        Count count{1};
+        port.publish(&count);
+        return detail::Sampled::value;
+      }
+      std::string lane_key() const override { return "slow"; }
+      Duration give_up_after() const override { return 10s; }
+      Error given_up_error() const override { return {Errc::timed_out, "no answer", "", "", ""}; }
+    };
+    struct SlowSensor : AnySensor {
+      explicit SlowSensor(Loop& loop)
+          : AnySensor(detail::make_sensor(loop, {.name = "slow", .rate = 1_Hz}, detail::payload_type<Count>(),
+                                          std::make_unique<Slow>())) {}
+    };
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+    Tier tier(loop, {.name = "fast"});
+    SlowSensor sensor(tier.loop());
+    CHECK(run_until(loop, [&] {
+      const auto all = loop.runtime().sensors();
+      return !all.empty() && all[0].counts.in_flight == 1;
+    }));
+    loop.close(800ms);
+    CHECK(std::find(errors.begin(), errors.end(), "tiers did not stop in time") == errors.end());
+    const auto all = loop.runtime().sensors();
+    REQUIRE(all.size() == 1);
+    CHECK(all[0].counts.in_flight == 0);
+    CHECK(all[0].counts.failed == 1);
+    CHECK(loop.runtime().balances());
   }
 
   TEST_CASE("the time of day noted on a tier is kept by the main loop") {

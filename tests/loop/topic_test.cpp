@@ -129,6 +129,77 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE("US-29 subscribing in the report of a handler that took too long, and closing that handler") {
+    Loop loop(Loop::Manual{});
+    const auto topic = loop.topic<Number>("a");
+    std::vector<Subscription> others;
+    int late = 0;
+    Subscription slow = topic.subscribe(loop, [&](const Event<Number>&) { loop.manual_clock().pass(50ms); });
+    loop.on_error([&](const ErrorReport&) {
+      for (int i = 0; i < 50; ++i) others.push_back(topic.subscribe(loop, [&](const Event<Number>&) { ++late; }));
+      slow.close();
+    });
+    topic.publish({});
+    loop.advance(10ms);
+    CHECK(others.size() == 50);
+    CHECK_FALSE(slow.is_open());
+    topic.publish({});
+    loop.advance(10ms);
+    CHECK(late == 50);
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-25 topics that feed each other hold neither a run nor the end") {
+    std::uint64_t seen = 0;
+    const auto circle = [&](Loop& loop) {
+      const auto a = loop.topic<Number>("a");
+      const auto b = loop.topic<Number>("b");
+      std::vector<Subscription> both;
+      both.push_back(a.subscribe(loop, [b, &seen](const Event<Number>& e) {
+        ++seen;
+        b.publish(e.data);
+      }));
+      both.push_back(b.subscribe(loop, [a](const Event<Number>& e) { a.publish(e.data); }));
+      a.publish({});
+      return both;
+    };
+    SUBCASE("virtual time") {
+      Loop loop(Loop::Manual{});
+      const auto both = circle(loop);
+      int ticks = 0;
+      Ticker ticker(loop, 10ms, [&](const Tick&) { ++ticks; });
+      loop.advance(100ms);
+      CHECK(ticks == 11);
+      loop.close();
+      CHECK(loop.runtime().balances());
+    }
+    SUBCASE("real time") {
+      Loop loop;
+      const auto both = circle(loop);
+      loop.poll();
+      loop.run_for(20ms);
+      loop.close();
+      CHECK(loop.runtime().balances());
+    }
+    CHECK(seen > 10);
+  }
+
+  TEST_CASE("US-25 a long row of handlers that publish for the next is delivered at one instant") {
+    Loop loop(Loop::Manual{});
+    constexpr std::size_t length = 50;
+    std::vector<Topic<Number>> topics;
+    std::vector<Subscription> handlers;
+    for (std::size_t i = 0; i <= length; ++i) topics.push_back(loop.topic<Number>("t" + std::to_string(i)));
+    int arrived = 0;
+    for (std::size_t i = 0; i < length; ++i) {
+      handlers.push_back(topics[i].subscribe(loop, [next = topics[i + 1]](const Event<Number>& e) { next.publish(e.data); }));
+    }
+    handlers.push_back(topics[length].subscribe(loop, [&](const Event<Number>&) { ++arrived; }));
+    topics[0].publish({});
+    loop.advance(0ns);
+    CHECK(arrived == 1);
+  }
+
   TEST_CASE("US-29 subscribing inside a handler, many times over") {
     Loop loop(Loop::Manual{});
     const auto topic = loop.topic<Number>("t");

@@ -2,7 +2,10 @@
 
 #include <doctest/doctest.h>
 
+#include <functional>
 #include <stdexcept>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "rtdata/loop/timer.hpp"
@@ -195,6 +198,149 @@ TEST_CASE("US-9 a sensor may stop, start, close and re-rate itself from within r
   loop.advance(1s);
   CHECK(closed == 2);
   CHECK(loop.runtime().balances());
+}
+
+namespace {
+
+/// Works, or not, as the test says; may do something when it is opened.
+struct Moody {
+  bool& is_bad;
+  std::function<void()> when_opened = {};
+  int* closed = nullptr;
+  Result<void> open() {
+    if (when_opened) when_opened();
+    if (is_bad) return Error{Errc::not_found, "no device", "", "", ""};
+    return {};
+  }
+  Result<Number> read() {
+    if (is_bad) return Error{Errc::io_failed, "no answer", "", "", ""};
+    return Number{1};
+  }
+  void close() {
+    if (closed != nullptr) ++*closed;
+  }
+};
+
+}  // namespace
+
+TEST_CASE("US-9 a sensor that cannot start may be stopped or closed by the handler that is told of it") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  bool is_bad = true;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .start = false}, Moody{is_bad});
+  SUBCASE("stopped") {
+    sensor.on_error([&](const ErrorReport&) { sensor.stop(); });
+    sensor.start();
+    CHECK_FALSE(sensor.is_running());
+    loop.advance(1s);
+    CHECK(sensor.counts().scheduled == 0);
+    is_bad = false;
+    sensor.start();
+    loop.advance(1s);
+    CHECK(sensor.counts().published == 11);
+  }
+  SUBCASE("closed") {
+    sensor.on_error([&](const ErrorReport&) { sensor.close(); });
+    sensor.start();
+    CHECK_FALSE(sensor.is_open());
+    loop.advance(1s);
+  }
+  CHECK(loop.runtime().balances());
+}
+
+TEST_CASE("US-9 a device may stop, close or re-rate its sensor while it is opened") {
+  enum class Act { stop, close, rate };
+  const auto check = [](Act act, bool at_start) {
+    CAPTURE(static_cast<int>(act));
+    CAPTURE(at_start);
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    bool is_bad = false;
+    bool acts = false;
+    int closed = 0;
+    Sensor<Number> sensor;
+    const auto when_opened = [&] {
+      if (!std::exchange(acts, false)) return;
+      if (act == Act::stop) sensor.stop();
+      if (act == Act::close) sensor.close();
+      if (act == Act::rate) sensor.set_rate(100_Hz);
+    };
+    sensor = Sensor<Number>(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 150ms, .start = false},
+                            Moody{is_bad, when_opened, &closed});
+    if (at_start) {
+      acts = true;
+      sensor.start();
+    } else {
+      sensor.start();
+      loop.advance(250ms);
+      is_bad = true;
+      loop.advance(100ms);
+      is_bad = false;
+      acts = true;
+    }
+    loop.advance(500ms);
+    CHECK_FALSE(acts);
+    CHECK(sensor.is_open() == (act != Act::close));
+    if (act == Act::rate) {
+      CHECK(sensor.is_running());
+      CHECK(sensor.rate() == 100_Hz);
+      CHECK(sensor.health() == Health::ok);
+    }
+    if (act == Act::stop && !at_start) CHECK_FALSE(sensor.is_running());
+    CHECK(loop.runtime().balances());
+    sensor.close();
+    CHECK(closed == (at_start ? 1 : 2));  // what was opened is closed
+    CHECK(loop.runtime().balances());
+  };
+  for (const Act act : {Act::stop, Act::close, Act::rate}) {
+    check(act, true);
+    check(act, false);
+  }
+}
+
+TEST_CASE("US-27 a device whose close throws is closed, and told of") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  struct Device {
+    Number read() { return {1}; }
+    void close() { throw std::runtime_error("stuck"); }
+  };
+  std::vector<std::string> errors;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, Device{});
+  sensor.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+  loop.advance(1s);
+  sensor.stop();
+  REQUIRE(errors.size() == 1);
+  CHECK(errors[0].find("close() threw") != std::string::npos);
+  CHECK(errors[0].find("stuck") != std::string::npos);
+}
+
+TEST_CASE("US-27 a handler of errors may set another in its own place, or none") {
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> log;
+  loop.runtime().on_log([&](const LogRecord& record) { log.emplace_back(record.text); });
+  bool is_bad = true;
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 100, .start = false}, Moody{is_bad});
+  const std::string large(200, 'x');  // on the heap: a handler that is gone reads freed memory
+  std::string seen;
+  int second = 0;
+  sensor.on_error([&, large](const ErrorReport&) {
+    sensor.on_error([&](const ErrorReport&) {
+      ++second;
+      sensor.on_error({});
+    });
+    seen = large;
+  });
+  is_bad = false;
+  sensor.start();
+  is_bad = true;
+  loop.advance(50ms);
+  CHECK(seen == large);
+  CHECK(second == 0);
+  const std::size_t before = log.size();
+  loop.advance(200ms);
+  CHECK(second == 1);  // then it is gone, and the log is told
+  CHECK(log.size() > before);
 }
 
 TEST_CASE("US-27 nothing new is counted as repeated; an equal value is data") {

@@ -48,6 +48,50 @@ bool has(const std::string& text, const std::string& part) {
 
 }  // namespace
 
+TEST_CASE("US-26 a recording is balanced when a sensor is stopped or re-rated by the handler of the error at its opening") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  bool stops = false;
+  SUBCASE("stopped") { stops = true; }
+  SUBCASE("re-rated") { stops = false; }
+  {
+    Loop loop{Loop::Manual{}};
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    bool is_bad = false;
+    struct Device {
+      bool& is_bad;
+      Result<void> open() {
+        if (is_bad) return Error{Errc::not_found, "no device", "", "", ""};
+        return {};
+      }
+      Result<Climate> read() {
+        if (is_bad) return Error{Errc::io_failed, "gone", "", "", ""};
+        return Climate{1, 2};
+      }
+    };
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 200ms}, Device{is_bad});
+    sensor.on_error([&](const ErrorReport& report) {
+      if (report.error.code != Errc::not_found) return;
+      if (stops) {
+        sensor.stop();
+      } else {
+        is_bad = false;
+        sensor.set_rate(20_Hz);
+      }
+    });
+    loop.advance(1s);
+    is_bad = true;
+    loop.advance(1s);
+    is_bad = false;
+    sensor.start();
+    loop.advance(1s);
+    loop.close();
+  }
+  const VerifyReport report = report_of(path);
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+}
+
 TEST_CASE("US-26 a recording is balanced, with its failures and missed ticks") {
   const Folder folder;
   const VerifyReport report = report_of(make(folder));

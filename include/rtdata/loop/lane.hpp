@@ -11,6 +11,7 @@
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <memory>
@@ -53,6 +54,8 @@ class Lane {
 
   /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
   bool submit(std::shared_ptr<LaneJob> job);
+  /// Raises the limit, where several with limits of their own use one lane.
+  void allow(Duration give_up_after) noexcept { give_up_after_ = std::max(give_up_after_, give_up_after); }
   /// Threads that have been left behind and have not come back.
   std::size_t left_behind() const noexcept;
   /// As many threads as may be are left behind: nothing runs until one of them comes back.

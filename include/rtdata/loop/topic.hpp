@@ -104,6 +104,27 @@ class SubscriptionNode : public Node {
 
  protected:
   void on_close() noexcept override;
+  /// Calls the function with each event of the run until the node is closed. What it throws is reported.
+  template <class Function>
+  Delivered for_each(const EventRun& given, const Function& function) noexcept {
+    const EventRun run = given;  // in registers
+    Delivered result;
+    std::byte* slot = run.slots;
+    for (; result.seen < run.count && is_open(); ++result.seen, slot += run.stride) {
+      if (run.is_cancelled(result.seen)) [[unlikely]] {
+        ++result.cancelled;
+        continue;
+      }
+      try {
+        function(slot);
+      } catch (const std::exception& e) {
+        report_exception(e.what());
+      } catch (...) {
+        report_exception("an exception that is no std::exception");
+      }
+    }
+    return result;
+  }
 
  private:
   std::string pattern_;
@@ -116,46 +137,24 @@ void apply_field_map(const void* map, const std::byte* from, std::byte* to);
 Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const PayloadType& wanted);
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only);
 
-/// Calls with every exception caught and reported.
-template <class Function>
-void guarded(SubscriptionNode& node, Function&& function) noexcept {
-  try {
-    function();
-  } catch (const std::exception& e) {
-    node.report_exception(e.what());
-  } catch (...) {
-    node.report_exception("an exception that is no std::exception");
-  }
-}
-
 template <class T>
 class TypedSubscription final : public SubscriptionNode {
  public:
   TypedSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const Event<T>&)> handler)
       : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
-  Delivered deliver(const EventRun& given, const void* field_map) override {
-    const EventRun run = given;  // in registers
-    Delivered result;
-    std::byte* slot = run.slots;
-    for (; result.seen < run.count && is_open(); ++result.seen, slot += run.stride) {
-      auto* event = reinterpret_cast<Event<T>*>(slot);
-      if (run.is_cancelled(result.seen)) [[unlikely]] {
-        ++result.cancelled;
-        continue;
-      }
-      if constexpr (Described<T>) {
-        if (field_map != nullptr) [[unlikely]] {
+  Delivered deliver(const EventRun& run, const void* field_map) override {
+    if constexpr (Described<T>) {
+      if (field_map != nullptr) [[unlikely]] {
+        return for_each(run, [&](std::byte* slot) {
           Event<T> mapped;
-          static_cast<EventHeader&>(mapped) = *event;
-          const EventView view = view_of(run.topic, slot);
-          apply_field_map(field_map, view.payload().data(), reinterpret_cast<std::byte*>(&mapped.data));
-          guarded(*this, [&] { handler_(mapped); });
-          continue;
-        }
+          static_cast<EventHeader&>(mapped) = *reinterpret_cast<Event<T>*>(slot);
+          apply_field_map(field_map, view_of(run.topic, slot).payload().data(),
+                          reinterpret_cast<std::byte*>(&mapped.data));
+          handler_(mapped);
+        });
       }
-      guarded(*this, [&] { handler_(*event); });
     }
-    return result;
+    return for_each(run, [this](std::byte* slot) { handler_(*reinterpret_cast<Event<T>*>(slot)); });
   }
   Result<std::shared_ptr<const void>> accept(const TopicCore& topic) override {
     return make_field_map(topic, payload_type<T>());

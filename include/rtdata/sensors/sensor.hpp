@@ -113,7 +113,7 @@ class SensorDevice {
  public:
   virtual ~SensorDevice() = default;
   virtual Result<void> open() { return {}; }
-  virtual void close() noexcept {}
+  virtual void close() {}
   virtual Sampled sample(SamplePort& port, Error& error) = 0;
 };
 
@@ -132,7 +132,7 @@ class DeviceOf final : public SensorDevice {
     }
     return {};
   }
-  void close() noexcept override {
+  void close() override {
     if constexpr (requires { device_.close(); }) device_.close();
   }
   Sampled sample(SamplePort& port, Error& error) override {
