@@ -21,6 +21,7 @@
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/topic_core.hpp"
+#include "loop/priority_mutex.hpp"
 
 namespace rtdata::detail {
 
@@ -154,7 +155,7 @@ class Bridge final : public Listener {
   LoopCore& from_;
   LoopCore& to_;
   ByteRing ring_;
-  std::mutex announced_mutex_;
+  PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};
   std::atomic<bool> wants_accounts_;   // the other side has sinks, or is the main loop, which shows them

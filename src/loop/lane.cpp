@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "loop/loop_core.hpp"
+#include "loop/priority_mutex.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
 
@@ -25,9 +26,9 @@ struct Lane::Worker {
   sem_t wake;  // not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers
   std::atomic<bool> quit{false};
   std::atomic<bool> ended{false};
-  std::mutex mutex;
-  std::condition_variable ended_signal;
-  std::condition_variable job_finished;
+  PriorityMutex mutex;
+  std::condition_variable_any ended_signal;
+  std::condition_variable_any job_finished;
   Wake* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
 
   Worker() { ::sem_init(&wake, 0, 0); }

@@ -13,6 +13,7 @@
 
 #include "loop/deadline.hpp"
 #include "loop/handler.hpp"
+#include "loop/priority_mutex.hpp"
 #include "loop/schedule.hpp"
 #include "loop/wake.hpp"
 #include "rtdata/loop/handle.hpp"
@@ -215,7 +216,7 @@ class LoopCore {
   std::vector<Lane*> all_lanes_;  // null: removed while they are told
   bool collecting_ = false;
 
-  std::mutex posted_mutex_;
+  PriorityMutex posted_mutex_;
   std::vector<Callback<void()>> posted_;
   std::vector<Callback<void()>> running_posted_;
   std::atomic<bool> stop_requested_{false};

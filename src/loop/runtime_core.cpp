@@ -332,9 +332,20 @@ SensorStatus status_of(const SensorEntry& sensor) {
           sensor.is_open() ? sensor.loop()->config.name : std::string(), origin.first_due()};
 }
 
+constexpr std::uint32_t most_lines_under_way = 1000;  // from tiers to a main loop that does not take them
+
 void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) {
   if (hub != nullptr && !on_log) {
+    if (hub->lines_under_way_.fetch_add(1, std::memory_order_relaxed) >= most_lines_under_way) {
+      hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
+      hub->lines_dropped_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
     hub->loops.front()->post([hub = hub, level, object = std::string(object), text = std::string(text), id = std::string(error_id)] {
+      hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
+      if (const auto dropped = hub->lines_dropped_.exchange(0, std::memory_order_relaxed)) {
+        hub->log(LogLevel::warning, "log", std::to_string(dropped) + " lines of tiers were dropped: too many at once");
+      }
       hub->log(level, object, text, id);
     });
   } else if (on_log) {

@@ -1,6 +1,8 @@
 // What lies behind a Runtime.
 #pragma once
 
+#include <atomic>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <unordered_map>
@@ -189,6 +191,9 @@ class RuntimeCore {
   std::unordered_map<std::string, std::string> name_by_lower_case_;
   std::unordered_set<OriginCore, ByName, ByName> origins_;
   std::vector<Repeat> repeats_;
+  // The hub's, counted by all loops: lines of the log that tiers have sent and it has not taken.
+  std::atomic<std::uint32_t> lines_under_way_{0};
+  std::atomic<std::uint64_t> lines_dropped_{0};
 };
 
 }  // namespace rtdata::detail

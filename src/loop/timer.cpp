@@ -7,7 +7,8 @@ namespace rtdata {
 namespace detail {
 class TimerNode final : public Node, public Deadline {
  public:
-  TimerNode(LoopCore& loop, Callback<void()> callback) : Node(loop), callback_(std::move(callback)) {}
+  TimerNode(LoopCore& loop, Timer::Config config, Callback<void()> callback)
+      : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {}
 
   void start_at(MonotonicTime at) {
     if (!is_open()) return;
@@ -21,7 +22,7 @@ class TimerNode final : public Node, public Deadline {
     }
   }
   bool tell_times(CallbackStatus& status) const override {
-    status.name = "timer";
+    status.name = config_.name;
     status.times = times_;
     return true;
   }
@@ -34,13 +35,14 @@ class TimerNode final : public Node, public Deadline {
     stop();
     LoopCore& on = *loop();
     Call call(*this);
-    on.call_user("timer", [&] { callback_(); });
-    on.account(times_, now, on.now(), [] { return std::string("timer"); });
+    on.call_user(config_.name, [&] { callback_(); });
+    on.account(times_, now, on.now(), [&] { return config_.name; });
   }
 
  private:
   void on_close() noexcept override { stop(); }
   void drop_callbacks() noexcept override { callback_.reset(); }
+  Timer::Config config_;
   Callback<void()> callback_;
   CallbackTimes times_;
 };
@@ -109,7 +111,9 @@ class TickerNode final : public Node, public RateMember {
 using detail::TickerNode;
 using detail::TimerNode;
 
-Timer::Timer(Loop& loop, Callback<void()> callback) : Handle(new TimerNode(loop.core(), std::move(callback))) {}
+Timer::Timer(Loop& loop, Callback<void()> callback) : Timer(loop, Config{}, std::move(callback)) {}
+Timer::Timer(Loop& loop, Config config, Callback<void()> callback)
+    : Handle(new TimerNode(loop.core(), std::move(config), std::move(callback))) {}
 Timer::Timer(Loop& loop, Duration delay, Callback<void()> callback) : Timer(loop, std::move(callback)) { start(delay); }
 void Timer::start(Duration delay) {
   if (is_open()) start_at(detail::later(node()->loop()->now(), std::max(delay, Duration{0})));

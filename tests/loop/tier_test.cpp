@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -391,6 +392,20 @@ TEST_SUITE("loop") {
     CHECK(all[0].counts.in_flight == 0);
     CHECK(all[0].counts.failed == 1);
     CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("lines of a tier that the main loop does not take are dropped beyond a number, and counted") {
+    Loop loop;
+    std::vector<std::string> lines;
+    loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
+    Tier tier(loop, {.name = "fast"});
+    tier.start();  // the main loop does not run yet
+    tier.call([](Loop& on) {
+      for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", "line");
+    });
+    CHECK(run_until(loop, [&] { return lines.size() >= 1001; }));
+    CHECK(lines.size() == 1001);
+    CHECK(lines[0] == "4000 lines of tiers were dropped: too many at once");
   }
 
   TEST_CASE("the time of day noted on a tier is kept by the main loop") {

@@ -9,13 +9,14 @@
 /// does not match the topic; a sink records it when it names it. Recordings in SQLite keep the changes in any case, in
 /// the table rtdata_health.
 ///
-/// | kind   | name               | degraded                                   | faulted |
-/// |--------|--------------------|--------------------------------------------|------------------------------------------|
-/// | sensor | its name           | reads fail                                 | closed, and tried again now and then;
-/// or stopped by `on_overrun` | | sink   | its name           |                                            | it cannot
-/// store                          | | lane   | the device or bus  | a job was given up, its thread left behind | no
-/// thread is left to run jobs            | | loop   | its or the tier's  | held longer than its limit in the last 10 s
-/// |                                         | | tier   | its name           | | it does not turn (see TierWatch) |
+/// By kind, the name it is told under, and what its states stand for:
+///   sensor   its name.            degraded: reads fail. faulted: closed, and tried again now and then; or stopped by
+///                                 `on_overrun`.
+///   sink     its name.            faulted: it cannot store.
+///   lane     the device or bus.   degraded: a job was given up, its thread left behind. faulted: no thread is left to
+///                                 run jobs.
+///   loop     its or the tier's.   degraded: held longer than its limit in the last 10 s.
+///   tier     its name.            faulted: it does not turn (see TierWatch).
 ///
 /// Values; any thread.
 #pragma once

@@ -19,9 +19,13 @@ namespace rtdata {
 /// Fires once per start.
 class Timer : public Handle {
  public:
+  struct Config {
+    std::string name = "timer";  ///< in reports
+  };
   Timer() noexcept = default;
   /// Not started: see `start`.
   Timer(Loop& loop, Callback<void()> callback);
+  Timer(Loop& loop, Config config, Callback<void()> callback);
   /// Started: fires `delay` from now. A delay of zero or less fires in the next turn.
   Timer(Loop& loop, Duration delay, Callback<void()> callback);
 

@@ -1,0 +1,28 @@
+// PriorityMutex: a mutex between threads of different priority. Whoever holds it runs with the priority of the highest that
+// waits for it, so that a real-time tier never waits for a third thread (pthread_mutexattr_setprotocol(3)).
+#pragma once
+
+#include <pthread.h>
+
+namespace rtdata::detail {
+
+class PriorityMutex {
+ public:
+  PriorityMutex() noexcept {
+    pthread_mutexattr_t attributes;
+    ::pthread_mutexattr_init(&attributes);
+    ::pthread_mutexattr_setprotocol(&attributes, PTHREAD_PRIO_INHERIT);
+    ::pthread_mutex_init(&mutex_, &attributes);
+    ::pthread_mutexattr_destroy(&attributes);
+  }
+  PriorityMutex(const PriorityMutex&) = delete;
+  PriorityMutex& operator=(const PriorityMutex&) = delete;
+  ~PriorityMutex() { ::pthread_mutex_destroy(&mutex_); }
+  void lock() noexcept { ::pthread_mutex_lock(&mutex_); }
+  void unlock() noexcept { ::pthread_mutex_unlock(&mutex_); }
+
+ private:
+  pthread_mutex_t mutex_;
+};
+
+}  // namespace rtdata::detail
