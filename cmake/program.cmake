@@ -3,6 +3,8 @@ find_package(CLI11 REQUIRED)
 find_package(spdlog REQUIRED)
 rtdata_sources(RTDATA_PROGRAM_SOURCES src/rtdata_program.sources)
 rtdata_library(rtdata_program program ${RTDATA_PROGRAM_SOURCES})
+# None of it runs while sampling: small rather than fast.
+target_compile_options(rtdata_program PRIVATE $<$<CONFIG:Release>:-Os>)
 target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE $<BUILD_INTERFACE:CLI11::CLI11> spdlog::spdlog
   $<TARGET_NAME_IF_EXISTS:rtdata::sqlite> $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> $<BUILD_INTERFACE:nlohmann_json::nlohmann_json>)
 if(TARGET rtdata_sqlite)
