@@ -14,6 +14,10 @@ int check(const Registry& registry, const std::string& file) {
   for (const Problem& warning : plan.warnings) {
     std::cout << "warning: " << warning.text() << "\n" << plan.document.excerpt(warning);
   }
+  for (const LoopLoad& load : plan.loads()) {
+    std::cout << load.text() << "\n";
+    for (const LaneLoad& lane : load.lanes) std::cout << "  " << lane.text() << "\n";
+  }
   const auto counted = [](std::size_t count, const char* what) { return std::to_string(count) + " " + what + (count == 1 ? "" : "s"); };
   std::cout << "ok: " << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink") << std::endl;
   return exit_good;

@@ -145,6 +145,7 @@ class Run {
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";
     say(LogLevel::info, "", text);
+    for (const LoopLoad& load : plan.loads()) say(LogLevel::info, "", load.text());
   }
 
   /// The loop turns, and so do its tiers.

@@ -194,6 +194,51 @@ class AcrossItems {
   std::map<std::string, const SinkPlan*> paths_;
 };
 
+std::vector<SensorLoad> loads_on(const std::string& tier, const std::vector<SensorPlan>& sensors) {
+  std::vector<SensorLoad> loads;
+  for (const SensorPlan& sensor : sensors) {
+    if (sensor.tier == tier && sensor.load) loads.push_back(*sensor.load);
+  }
+  return loads;
+}
+
+/// The sensor that takes the largest part, as `part` says it of a load.
+template <class Part>
+const SensorPlan& largest(const std::string& tier, const std::vector<SensorPlan>& sensors, const Part& part) {
+  const SensorPlan* found = nullptr;
+  for (const SensorPlan& sensor : sensors) {
+    if (sensor.tier != tier || !sensor.load) continue;
+    if (found == nullptr || part(*sensor.load) > part(*found->load)) found = &sensor;
+  }
+  return *found;
+}
+
+void warn_of_load(const std::string& tier, const std::string& name, const std::vector<SensorPlan>& sensors,
+                  Problems& warnings) {
+  const LoopLoad load = estimate_load(name, loads_on(tier, sensors));
+  const std::string where = tier.empty() ? "the main loop" : "tier \"" + tier + "\"";
+  if (load.is_overloaded()) {
+    const auto held = [](const SensorLoad& sensor) { return sensor.time.on_loop.value_or(Duration{0}); };
+    warnings.add(
+        child_or_self(largest(tier, sensors, held).item, "rate")
+            .problem("overloaded-loop",
+                     "the readings of " + where + " may take too long (" + load.text() +
+                         "), this one most; lower the rates, move sensors to another tier or lane, or give those of "
+                         "one longer period different phases"));
+  }
+  for (const LaneLoad& lane : load.lanes) {
+    if (!lane.is_overloaded()) continue;
+    const auto share = [&](const SensorLoad& sensor) {
+      if (sensor.time.lane != lane.lane || !sensor.time.on_lane) return -1.0;
+      return static_cast<double>(sensor.time.on_lane->count()) / static_cast<double>(sensor.period.count());
+    };
+    warnings.add(
+        child_or_self(largest(tier, sensors, share).item, "rate")
+            .problem("overloaded-lane", "a device cannot be read so often (" + lane.text() +
+                                            "), this sensor reads it most; lower the rates of those that share it"));
+  }
+}
+
 std::string stem_of(const std::string& file) { return std::filesystem::path(file).stem().string(); }
 
 }  // namespace
@@ -267,10 +312,12 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   if (plan.settings.sensors.empty() && (has_lists || plan.problems.empty())) {
     plan.warnings.add(child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
   }
-  plan.problems.sort();
-  plan.warnings.sort();
   plan.sensors = std::move(sensors);
   plan.sinks = std::move(sinks);
+  warn_of_load("", plan.loop_config().name, plan.sensors, plan.warnings);
+  for (const auto& entry : plan.settings.tiers) warn_of_load(entry.first, entry.first, plan.sensors, plan.warnings);
+  plan.problems.sort();
+  plan.warnings.sort();
   return plan;
 }
 
@@ -307,6 +354,16 @@ std::string SystemPlan::report() const {
   std::string text;
   for (const Problem& problem : problems) text += problem.text() + "\n" + document.excerpt(problem);
   return text;
+}
+
+std::vector<LoopLoad> SystemPlan::loads() const {
+  std::vector<LoopLoad> all;
+  const auto add = [&](const std::string& tier, const std::string& name) {
+    if (const auto loads = loads_on(tier, sensors); !loads.empty()) all.push_back(estimate_load(name, loads));
+  };
+  add("", loop_config().name);
+  for (const auto& entry : settings.tiers) add(entry.first, entry.first);
+  return all;
 }
 
 Runtime::Config SystemPlan::runtime_config() const {

@@ -656,6 +656,15 @@ std::vector<CallbackStatus> LoopCore::callbacks() const {
   return all;
 }
 
+LoopLoad LoopCore::load() const {
+  std::vector<SensorLoad> loads;
+  for (const SensorEntry* sensor : runtime.sensors) {
+    if (sensor->loop() != this) continue;
+    if (auto load = sensor->load()) loads.push_back(std::move(*load));
+  }
+  return estimate_load(config.name, loads);
+}
+
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
   try {
     runtime.report(this, name, {Errc::handler_threw, "a callback threw", "", what, "it goes on being called"});
@@ -735,6 +744,7 @@ const Loop::Config& Loop::config() const noexcept { return core_->config; }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error.set(std::move(handler)); }
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
+LoopLoad Loop::load() const { return core_->load(); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
 
 ManualClock& Loop::manual_clock() {

@@ -101,6 +101,7 @@ class LoopCore {
     return true;
   }
   std::vector<CallbackStatus> callbacks() const;
+  LoopLoad load() const;
   /// Reports that were held back are written at `due`.
   void flush_repeats_at(MonotonicTime due);
   void report_hold(const std::string& name, Duration took);

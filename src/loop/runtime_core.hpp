@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <unordered_map>
 #include <unordered_set>
@@ -13,6 +14,7 @@
 #include "loop/origin_core.hpp"
 #include "loop/topic_core.hpp"
 #include "rtdata/loop/health.hpp"
+#include "rtdata/loop/load.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
@@ -60,6 +62,8 @@ class SensorEntry : public Node {
   /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
   virtual void stop_schedule(MonotonicTime end) = 0;
   virtual bool is_reading() const noexcept = 0;
+  /// Nothing when there is nothing to read: the program feeds it.
+  virtual std::optional<SensorLoad> load() const { return {}; }
 };
 
 /// Origins are found by their names.

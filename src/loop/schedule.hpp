@@ -3,6 +3,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -37,6 +38,11 @@ class RateMember {
   /// Asks the processor for memory that `tick` will use besides the member's own: called some members ahead of it.
   virtual void prefetch() const noexcept {}
   Duration period() const noexcept { return period_; }
+  /// Within its period, as it is placed or will be; nothing while it is not scheduled.
+  std::optional<Duration> phase() const noexcept {
+    if (group_ != nullptr) return first_due_.time_since_epoch() % period_;
+    return is_waiting_ ? std::optional(phase_ % period_) : std::nullopt;
+  }
 
  protected:
   RateMember(Duration period, Duration phase) noexcept : period_(period), phase_(phase) {}

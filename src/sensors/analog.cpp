@@ -36,6 +36,7 @@ class AnalogDevice final : public detail::LaneDevice {
   std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(config_.file); }
   std::string lane_key() const override { return lane_key_; }
   Duration give_up_after() const override { return config_.timeout; }
+  ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read, config_.file, "no answer within " + to_string(config_.timeout),
             "look at the converter and its bus; `timeout` sets how long to wait"};
@@ -80,6 +81,10 @@ void check(const AnalogConfig& config, const std::string& name) {
 }
 
 }  // namespace
+
+ReadTime read_time(const AnalogConfig& config) {
+  return {.on_loop = detail::lane_read_on_loop, .on_lane = {}, .lane = detail::physical_device_of(config.file)};
+}
 
 double convert(const AnalogConfig& config, std::int64_t adc) noexcept {
   const double span_value_voltage = span_voltage_of_value(config);

@@ -66,7 +66,9 @@ template <class T>
 struct ProcDevice {
   ProcFile file;
   std::function<Reading<T>(std::string_view)> parse;
+  Duration held;
 
+  Duration read_time() const noexcept { return held; }
   Result<void> open() { return file.open(); }
   void close() noexcept { file.close(); }
   Reading<T> read() {
@@ -78,8 +80,10 @@ struct ProcDevice {
 struct CpuDevice {
   ProcFile file;
   std::string device;
+  Duration held;
   std::optional<detail::CpuTicks> before = {};
 
+  Duration read_time() const noexcept { return held; }
   Result<void> open() {
     before.reset();
     return file.open();
@@ -100,7 +104,8 @@ template <class T>
 class SysDevice final : public detail::LaneDevice {
  public:
   using Find = std::function<Result<std::string>()>;
-  SysDevice(Find find, double factor, Duration timeout) : find_(std::move(find)), factor_(factor), timeout_(timeout) {}
+  SysDevice(Find find, double factor, const HostConfig& config)
+      : find_(std::move(find)), factor_(factor), timeout_(config.timeout), time_(rtdata::read_time(config)) {}
 
   Result<void> open() override {
     Result<std::string> found = find_();
@@ -111,6 +116,7 @@ class SysDevice final : public detail::LaneDevice {
   std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(path_); }
   std::string lane_key() const override { return detail::physical_device_of(path_); }
   Duration give_up_after() const override { return timeout_; }
+  ReadTime read_time() const override { return time_; }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_), "look at the chip; `timeout` sets how long to wait"};
   }
@@ -135,6 +141,7 @@ class SysDevice final : public detail::LaneDevice {
   Find find_;
   double factor_;
   Duration timeout_;
+  ReadTime time_;
   std::string path_;
 };
 
@@ -201,13 +208,15 @@ detail::Node* inline_sensor(Loop& loop, SensorConfig sensor, Device device) {
                              std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)));
 }
 template <class T>
-detail::Node* proc_sensor(Loop& loop, SensorConfig sensor, std::string path, std::function<Reading<T>(std::string_view)> parse) {
-  return inline_sensor<T>(loop, std::move(sensor), ProcDevice<T>{ProcFile(std::move(path)), std::move(parse)});
+detail::Node* proc_sensor(Loop& loop, SensorConfig sensor, std::string path, Duration held,
+                          std::function<Reading<T>(std::string_view)> parse) {
+  return inline_sensor<T>(loop, std::move(sensor), ProcDevice<T>{ProcFile(std::move(path)), std::move(parse), held});
 }
 template <class T>
-detail::Node* sys_sensor(Loop& loop, SensorConfig sensor, typename SysDevice<T>::Find find, double factor, Duration timeout) {
+detail::Node* sys_sensor(Loop& loop, SensorConfig sensor, typename SysDevice<T>::Find find, double factor,
+                         const HostConfig& config) {
   return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
-                             std::make_unique<SysDevice<T>>(std::move(find), factor, timeout));
+                             std::make_unique<SysDevice<T>>(std::move(find), factor, config));
 }
 
 Reading<HostProcess> process_times(std::string_view schedstat) {
@@ -222,29 +231,63 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
 detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
   const std::string proc = config.root + "/proc/";
   std::string device = config.device;
+  const Duration held = *read_time(config).on_loop;
   switch (config.what) {
     case HostQuantity::cpu:
-      return inline_sensor<HostCpu>(loop, std::move(sensor), CpuDevice{ProcFile(proc + "stat"), std::move(device)});
-    case HostQuantity::load: return proc_sensor<HostLoad>(loop, std::move(sensor), proc + "loadavg", detail::parse_load);
-    case HostQuantity::memory: return proc_sensor<HostMemory>(loop, std::move(sensor), proc + "meminfo", detail::parse_memory);
+      return inline_sensor<HostCpu>(loop, std::move(sensor),
+                                    CpuDevice{ProcFile(proc + "stat"), std::move(device), held});
+    case HostQuantity::load:
+      return proc_sensor<HostLoad>(loop, std::move(sensor), proc + "loadavg", held, detail::parse_load);
+    case HostQuantity::memory:
+      return proc_sensor<HostMemory>(loop, std::move(sensor), proc + "meminfo", held, detail::parse_memory);
     case HostQuantity::disk:
-      return proc_sensor<HostDisk>(loop, std::move(sensor), proc + "diskstats",
+      return proc_sensor<HostDisk>(loop, std::move(sensor), proc + "diskstats", held,
                                    [device](std::string_view text) { return detail::parse_disk(text, device); });
     case HostQuantity::network:
-      return proc_sensor<HostNetwork>(loop, std::move(sensor), proc + "net/dev",
+      return proc_sensor<HostNetwork>(loop, std::move(sensor), proc + "net/dev", held,
                                       [device](std::string_view text) { return detail::parse_network(text, device); });
-    case HostQuantity::scheduler: return proc_sensor<HostScheduler>(loop, std::move(sensor), proc + "stat", detail::parse_scheduler);
-    case HostQuantity::process: return proc_sensor<HostProcess>(loop, std::move(sensor), proc + "thread-self/schedstat", process_times);
+    case HostQuantity::scheduler:
+      return proc_sensor<HostScheduler>(loop, std::move(sensor), proc + "stat", held, detail::parse_scheduler);
+    case HostQuantity::process:
+      return proc_sensor<HostProcess>(loop, std::move(sensor), proc + "thread-self/schedstat", held, process_times);
     case HostQuantity::temperature:
-      return sys_sensor<HostTemperature>(loop, std::move(sensor), [root = config.root, device] { return thermometer_file(root, device); },
-                                         1e-3, config.timeout);
+      return sys_sensor<HostTemperature>(
+          loop, std::move(sensor), [root = config.root, device] { return thermometer_file(root, device); }, 1e-3,
+          config);
     case HostQuantity::frequency: break;
   }
-  return sys_sensor<HostFrequency>(loop, std::move(sensor),
-                                   [path = frequency_file(config.root, device)] { return Result<std::string>(path); }, 1e3, config.timeout);
+  return sys_sensor<HostFrequency>(
+      loop, std::move(sensor), [path = frequency_file(config.root, device)] { return Result<std::string>(path); }, 1e3,
+      config);
 }
 
 }  // namespace
+
+ReadTime read_time(const HostConfig& config) {
+  using namespace std::chrono_literals;
+  // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
+  const auto on_lane = [](const std::string& file) {
+    return ReadTime{.on_loop = detail::lane_read_on_loop, .on_lane = 10ms, .lane = detail::physical_device_of(file)};
+  };
+  switch (config.what) {
+    case HostQuantity::process:
+    case HostQuantity::load:
+      return {.on_loop = 50us};
+    case HostQuantity::memory:
+    case HostQuantity::disk:
+    case HostQuantity::network:
+      return {.on_loop = 100us};
+    case HostQuantity::cpu:
+    case HostQuantity::scheduler:
+      return {.on_loop = 200us};
+    case HostQuantity::temperature:
+      return config.device.empty() ? on_lane(config.root + "/sys/class/thermal/")
+                                   : on_lane(*thermometer_file(config.root, config.device));
+    case HostQuantity::frequency:
+      break;
+  }
+  return on_lane(frequency_file(config.root, config.device));
+}
 
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
   const bool needs_device = config.what == HostQuantity::disk || config.what == HostQuantity::network;

@@ -27,10 +27,11 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
       device_(std::move(device)) {
   if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get())) lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
   const SensorConfig usual;
-  if (config.late_after != usual.late_after || config.retry_first != usual.retry_first ||
+  if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
       config.required != usual.required || config.on_overrun != usual.on_overrun) {
     Rare& own = rare();
+    own.read_time = config.read_time;
     own.late_after = config.late_after.value_or(Duration{-1});
     own.retry_first = config.retry_first;
     own.retry_longest = std::max(config.retry_longest, config.retry_first);
@@ -138,6 +139,13 @@ void SensorNode::change_period(Duration period) {
   end_schedule(EndOf::rate);
   set_period(period);
   begin_schedule();
+}
+
+std::optional<SensorLoad> SensorNode::load() const {
+  SensorLoad load{origin_.name, period(), phase(), device_->read_time()};
+  if (lane_side_ != nullptr && load.time.lane.empty()) load.time.lane = lane_side_->device.lane_key();
+  if (settings().read_time) (lane_side_ != nullptr ? load.time.on_lane : load.time.on_loop) = settings().read_time;
+  return load;
 }
 
 bool SensorNode::tell_times(CallbackStatus& status) const {

@@ -22,6 +22,7 @@ class SensorNode final : public SourceNode, public RateMember {
   CallbackTimes callback_times() const noexcept override { return times; }
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
+  std::optional<SensorLoad> load() const override;
 
   void tick(const Tick& tick) override;
   void prefetch() const noexcept override;
@@ -62,6 +63,7 @@ class SensorNode final : public SourceNode, public RateMember {
   /// needed, since there may be thousands of sensors.
   struct Rare {
     Duration late_after{-1};  // negative: by the rule
+    std::optional<Duration> read_time;
     Duration retry_first = SensorConfig{}.retry_first;
     Duration retry_longest = SensorConfig{}.retry_longest;
     unsigned faulted_after = SensorConfig{}.faulted_after;

@@ -53,6 +53,9 @@ class SerialLineNode final : public SourceNode {
     drop_device();
   }
   bool is_reading() const noexcept override { return false; }
+  std::optional<SensorLoad> load() const override {
+    return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
+  }
   void set_rate(Rate) override {
     throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes", "set the rate in the device"});
   }
@@ -195,6 +198,8 @@ class SerialLineNode final : public SourceNode {
 };
 
 }  // namespace detail
+
+ReadTime read_time(const SerialConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
 
 SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig config) {
   const auto refuse = [&](const char* why, const char* advice) {

@@ -40,6 +40,9 @@ class SysfsFile {
   std::array<char, most> buffer_;
 };
 
+/// What a read on a lane costs the loop, to hand it over and to decode it: 10 us on a PC, and slower boards are there.
+inline constexpr Duration lane_read_on_loop = std::chrono::microseconds{50};
+
 /// Reads it once.
 class ReadFile final : public Transaction {
  public:

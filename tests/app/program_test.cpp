@@ -121,8 +121,29 @@ TEST_SUITE("app") {
     folder.write("good.json", bench);
     Process good(folder, program, {"check", "good.json"});
     CHECK(good.end() == 0);
-    CHECK(good.out == "ok: 1 sensor, 2 sinks\n");
+    CHECK(good.out == "main: 1 sensor, worst not known of 10 ms (0 of 1 declared)\nok: 1 sensor, 2 sinks\n");
     CHECK_FALSE(folder.has("bench.jsonl"));
+  }
+
+  TEST_CASE("NFR-4 check and run say how loaded each tier is, and warn of one that is overloaded") {
+    const Folder folder;
+    folder.write("bench.json", R"({"tiers": {"fast": {}},
+      "sensors": [ {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "1 ms"},
+                   {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "800 us"},
+                   {"name": "c", "type": "analog", "file": "/tmp/no converter", "rate": "10 Hz", "read_time": "5 ms"} ],
+      "sinks": [ {"type": "discard"} ] })");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 0);
+    CHECK(has(check.out, "main: 1 sensor, worst 50 us of 100 ms, 0 %\n  lane /tmp/no converter: 1 sensor, 5 %\n"));
+    CHECK(has(check.out, "fast: 2 sensors, worst 1.8 ms of 2 ms, 90 %\n"));
+    CHECK(has(check.out, "warning: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" may take too long"));
+    Process run(folder, program, {"run", "bench.json", "--for", "10ms"});
+    CHECK(run.end() == 0);
+    CHECK(has(
+        run.err,
+        "warning: configuration: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" may take too long"));
+    CHECK(has(run.err, "[overloaded-loop]"));
+    CHECK(has(run.err, "rtdata: fast: 2 sensors, worst 1.8 ms of 2 ms, 90 %\n"));
   }
 
   TEST_CASE("NFR-7 a run of a wrong configuration exits 2 with every problem in the log file") {

@@ -24,6 +24,12 @@ std::string problems_of(std::string_view text) { return planned(text).problems.t
 
 ConfigItem item(std::string_view text) { return parse_config(text, "item.json").or_throw(); }
 
+/// Of a type that is read on a lane.
+struct SlowConfig {
+  friend constexpr auto parameters(type_tag<SlowConfig>) { return parameter_list(); }
+  friend ReadTime read_time(const SlowConfig&) { return {.on_loop = 10us, .on_lane = 8ms, .lane = "chip"}; }
+};
+
 constexpr const char* bench = R"({
   "name": "bench", "notes": "first run",
   "loop": {"hold_limit": "20 ms", "phase_grid": "0 s"},
@@ -278,6 +284,58 @@ f.json:16:38: sinks[2].when_full
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
     CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})").warnings.text() ==
           "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
+  }
+
+  TEST_CASE(
+      "NFR-4 the load of each loop is known from the file, and too much of it is a warning at the sensor that takes "
+      "most") {
+    const SystemPlan good = planned(R"({"tiers": {"fast": {}, "idle": {}}, "sensors": [
+ {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "1.4 ms"},
+ {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "100 us"},
+ {"name": "c", "type": "counter", "rate": "1 Hz", "tier": "fast"},
+ {"name": "d", "type": "counter", "rate": "100 Hz", "hold": "5 ms"},
+ {"name": "e", "type": "fed"}]})");
+    REQUIRE(good.loads().size() == 2);
+    CHECK(good.loads()[0].text() == "main: 1 sensor, worst 5 ms of 10 ms, 50 %");
+    CHECK(good.loads()[1].text() == "fast: 3 sensors, worst 1.5 ms of 2 ms, 75 % (2 of 3 declared)");
+    CHECK(good.warnings.size() == 1);  // of the idle tier
+
+    const SystemPlan bad = planned(R"({"tiers": {"fast": {}}, "sensors": [
+ {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "200 us"},
+ {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "1.6 ms"},
+ {"name": "d", "type": "counter", "rate": "100 Hz", "phase": "5 ms", "read_time": "5 ms"},
+ {"name": "e", "type": "counter", "rate": "100 Hz", "read_time": "4 ms"}]})");
+    CHECK(bad.good());
+    REQUIRE(bad.warnings.size() == 2);
+    const std::string warnings = bad.warnings.text();
+    CHECK(warnings.find("f.json:3:43: sensors[1].rate: the readings of tier \"fast\" may take too long (fast: 2 "
+                        "sensors, worst 1.8 ms "
+                        "of 2 ms, 90 %), this one most; lower the rates") != std::string::npos);
+    CHECK(warnings.find("f.json:4:43: sensors[2].rate: the readings of the main loop may take too long (main: 2 "
+                        "sensors, worst 9 ms "
+                        "of 10 ms, 90 %)") != std::string::npos);
+    CHECK(bad.warnings.begin()->id == "overloaded-loop");
+
+    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "read_time": "0 s"}]})") != "");
+    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "read_time": 3}]})") != "");
+  }
+
+  TEST_CASE("NFR-4 a device whose lane cannot be as fast as its sensors is a warning") {
+    Registry types = registry();
+    types.add_sensor<SlowConfig>(
+        "slow", "is read on a lane", [](const SlowConfig&) { return description_of<Count>(); },
+        [](Loop& loop, const SensorConfig& common, const SlowConfig&) {
+          return Sensor<Count>(loop, common, [] { return Count{1}; });
+        });
+    const SystemPlan plan = plan_system(types, parse_config(R"({"sensors": [
+ {"name": "a", "type": "slow", "rate": "50 Hz"},
+ {"name": "b", "type": "slow", "rate": "100 Hz", "read_time": "5 ms"}]})",
+                                                            "f.json"));
+    REQUIRE(plan.warnings.size() == 1);
+    CHECK(plan.warnings.begin()->id == "overloaded-lane");
+    CHECK(plan.warnings.begin()->text().find(
+              "f.json:3:40: sensors[1].rate: a device cannot be read so often (lane chip: 2 sensors, 90 %)") == 0);
+    CHECK(plan.loads()[0].worst == 20us);
   }
 
   TEST_CASE("US-17 what is probably not meant is a warning") {

@@ -34,6 +34,9 @@ struct CounterConfig {
                           parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
                           parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
   }
+  friend ReadTime read_time(const CounterConfig& config) {
+    return config.hold.count() > 0 ? ReadTime{.on_loop = config.hold} : ReadTime{};
+  }
 };
 
 struct Counter {

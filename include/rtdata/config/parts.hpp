@@ -14,7 +14,8 @@
 ///         });
 ///
 /// A factory may return any class derived from AnySensor or Sink. One that takes a FeedConfig instead of a SensorConfig
-/// makes sensors without a schedule: they have no `rate` and what belongs to it.
+/// makes sensors without a schedule: they have no `rate` and what belongs to it. A function `ReadTime read_time(const
+/// AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that is not known.
 ///
 /// Owner: the program; nothing is global. Filled by one thread, then read by any.
 /// Errors: adding a type twice throws SetupError (bad_argument).
@@ -23,6 +24,7 @@
 #include <concepts>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -75,6 +77,7 @@ struct SensorPlan {
   std::string topic;                               ///< never empty
   std::string tier;                                ///< empty: the main loop
   std::shared_ptr<const Description> description;  ///< of its events; null: known only once it is made
+  std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
   ConfigItem item;                                 ///< it was made from
   std::function<Owned<AnySensor>(Loop&)> make;
 };
@@ -116,6 +119,23 @@ struct Joined {
 
 SensorPlan sensor_plan(const std::string& name, const std::string& topic,
                        Result<std::shared_ptr<const Description>> description);
+template <class C>
+std::optional<SensorLoad> load_of(const SensorConfig& common, const C& config) {
+  SensorLoad load{common.name, common.rate.period(), {}, {}};
+  if (common.start) load.phase = common.phase;
+  if constexpr (requires { ReadTime{read_time(config)}; }) load.time = read_time(config);
+  if (common.read_time) (load.time.lane.empty() ? load.time.on_loop : load.time.on_lane) = common.read_time;
+  return load;
+}
+template <class C>
+std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
+  if constexpr (requires { ReadTime{read_time(config)}; }) {
+    return SensorLoad{common.name, Duration{0}, {}, read_time(config)};
+  } else {
+    return std::nullopt;
+  }
+}
+
 SinkPlan sink_plan(const std::string& type, std::string path, const SinkConfig& config);
 
 }  // namespace config_detail
@@ -143,6 +163,7 @@ class Registry {
       SensorPlan plan = config_detail::sensor_plan(all.common.name, all.common.topic, describe(all.own));
       plan.type = type;
       plan.tier = all.placement.tier;
+      plan.load = config_detail::load_of(all.common, all.own);
       plan.make = [make, all](Loop& loop) { return Owned<AnySensor>(make(loop, all.common, all.own)); };
       return plan;
     });

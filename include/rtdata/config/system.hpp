@@ -12,12 +12,12 @@
 ///     loop.run_for(10s);
 ///
 /// A plan is made without touching a device: it finds every mistake of the whole file, those of single items as well as
-/// names used twice, payloads that meet on one topic, and files written twice. It can be checked on another machine than
-/// the one that runs it. Relative paths are relative to the working directory.
+/// names used twice, payloads that meet on one topic, and files written twice. It can be checked on another machine
+/// than the one that runs it. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp: bad-name,
-/// description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings: matches-nothing,
-/// no-sensors, unused-tier.
+/// Keys of the file: name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp:
+/// bad-name, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
+/// matches-nothing, no-sensors, overloaded-lane, overloaded-loop, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.
@@ -142,6 +142,9 @@ struct SystemPlan {
   bool good() const noexcept { return problems.empty(); }
   /// Every problem with its line of the file, for people.
   std::string report() const;
+  /// How long the sensors of each loop may hold it (load.hpp): the main loop, then the tiers; those without sensors are
+  /// left out. One that is overloaded, or has an overloaded lane, is among the warnings.
+  std::vector<LoopLoad> loads() const;
   /// What the Runtime and the Loop of this system are to be made of.
   Runtime::Config runtime_config() const;
   Loop::Config loop_config() const;

@@ -29,6 +29,7 @@
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/callback_times.hpp"
 #include "rtdata/loop/clock.hpp"
+#include "rtdata/loop/load.hpp"
 
 struct uv_loop_s;
 typedef struct uv_loop_s uv_loop_t;
@@ -127,6 +128,9 @@ class Loop {
   /// What the callbacks of the objects on this loop cost, in the order in which these were made. Sensors count their
   /// reads on the loop, not those on lanes.
   std::vector<CallbackStatus> callbacks() const;
+  /// How long the sensors on this loop may hold it, by what their devices or configurations say: see load.hpp. Of a
+  /// tier that runs, ask in `Tier::call`.
+  LoopLoad load() const;
 
   /// Stops every sensor (reads under way may finish), hands every sink what is queued, closes and writes the ledger,
   /// then calls `done` with the number of events that could not be stored by the deadline. For attached loops; `close`

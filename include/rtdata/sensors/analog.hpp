@@ -83,6 +83,8 @@ struct AnalogReading {
   std::int64_t raw = 0;  ///< the converter's code
 };
 
+/// The loop's part; how long the converter holds its lane is for its data sheet to say, and so not known.
+ReadTime read_time(const AnalogConfig& config);
 /// The value of a code. Pure; the code is not checked against the range.
 double convert(const AnalogConfig& config, std::int64_t adc) noexcept;
 /// The code in the text of an ADC file. Errors: bad-data (empty, too long), not-a-number, out-of-range.

@@ -142,6 +142,9 @@ struct HostConfig {
   }
 };
 
+/// Some ten times what a PC takes (tiers.md), since boards are slower and processors many.
+ReadTime read_time(const HostConfig& config);
+
 class HostSensor : public AnySensor {
  public:
   HostSensor() noexcept = default;

@@ -9,6 +9,7 @@
 ///       rtdata::Result<void> open();            // optional; called at start and again after faults
 ///       rtdata::Result<Pressure> read();        // or Pressure, or Reading<Pressure>
 ///       void close();                           // optional
+///       rtdata::Duration read_time() const;     // optional: how long read() takes at most, see load.hpp
 ///     };
 ///     rtdata::Sensor<Pressure> barometer(loop, {.name = "barometer", .rate = 50_Hz}, Barometer{});
 ///
@@ -17,7 +18,8 @@
 /// The life of a sensor:
 ///   1. made: it starts at once; `stop` and `start` any number of times.
 ///   2. each tick of its schedule ends as taken, missed or failed, and is counted (ledger.hpp).
-///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and opened
+///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
+///   opened
 ///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
 ///   4. after `stop` or `close`: no event, no callback, no access to the device; queued deliveries are cancelled.
 ///
@@ -31,6 +33,7 @@
 #include <variant>
 
 #include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/load.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -77,6 +80,8 @@ struct SensorConfig {
   Rate rate = {};                         ///< ticks a second, up to 1 MHz
   Duration phase{0};                      ///< added to the start of its schedule
   std::optional<Duration> late_after = {};  ///< counted as late beyond this; unset: the larger of 1 ms and 10 % of the period
+  std::optional<Duration> read_time =
+      {};  ///< how long a reading holds the loop at most, or its lane when read on one; unset: as the device says
   unsigned faulted_after = 3;             ///< failures in a row that make it faulted
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
@@ -114,6 +119,8 @@ class SensorDevice {
   virtual ~SensorDevice() = default;
   virtual Result<void> open() { return {}; }
   virtual void close() {}
+  /// Of one reading; may be asked for before `open`.
+  virtual ReadTime read_time() const { return {}; }
   virtual Sampled sample(SamplePort& port, Error& error) = 0;
 };
 
@@ -134,6 +141,13 @@ class DeviceOf final : public SensorDevice {
   }
   void close() override {
     if constexpr (requires { device_.close(); }) device_.close();
+  }
+  ReadTime read_time() const override {
+    if constexpr (requires { Duration{device_.read_time()}; }) {
+      return {.on_loop = device_.read_time()};
+    } else {
+      return {};
+    }
   }
   Sampled sample(SamplePort& port, Error& error) override {
     if constexpr (requires { device_.read(); }) {

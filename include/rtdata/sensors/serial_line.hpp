@@ -108,6 +108,9 @@ struct SerialConfig {
 /// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
 Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
 
+/// Of the most that is read at once, 1 KiB of short lines.
+ReadTime read_time(const SerialConfig& config);
+
 class SerialLineSensor : public AnySensor {
  public:
   SerialLineSensor() noexcept = default;

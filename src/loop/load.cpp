@@ -1,0 +1,107 @@
+#include "rtdata/loop/load.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <utility>
+
+namespace rtdata {
+namespace {
+
+using Reads = std::vector<std::pair<Duration, Duration>>;  // phase, and how long it holds the loop
+
+std::string percent(double share) { return std::to_string(std::llround(100 * share)) + " %"; }
+
+std::string counted(std::size_t count) { return std::to_string(count) + (count == 1 ? " sensor" : " sensors"); }
+
+/// Two digits, or all of a whole number: "1.4 ms", "333 us".
+std::string rounded(Duration duration) {
+  double value = static_cast<double>(duration.count());
+  const char* unit = "ns";
+  for (const char* larger : {"us", "ms", "s"}) {
+    if (value < 1000) break;
+    value /= 1000;
+    unit = larger;
+  }
+  std::array<char, 32> text{};
+  const bool has_tenths = value < 10 && std::lround(10 * value) % 10 != 0;
+  std::snprintf(text.data(), text.size(), has_tenths ? "%.1f %s" : "%.0f %s", value, unit);
+  return text.data();
+}
+
+/// The most that comes due within `window`, of reads that repeat every `period`, the longer one.
+Duration worst_of(Reads reads, Duration period, Duration window) {
+  std::sort(reads.begin(), reads.end());
+  const std::size_t count = reads.size();
+  Duration sum{0}, worst{0};
+  for (std::size_t first = 0, end = 0; first < count; ++first) {
+    const auto due = [&](std::size_t i) { return reads[i % count].first + (i < count ? Duration{0} : period); };
+    for (; end < first + count && due(end) < reads[first].first + window; ++end) sum += reads[end % count].second;
+    worst = std::max(worst, sum);
+    sum -= reads[first].second;
+  }
+  return worst;
+}
+
+}  // namespace
+
+bool LaneLoad::is_overloaded() const noexcept { return share > LoopLoad::most; }
+
+std::string LaneLoad::text() const {
+  std::string text = "lane " + lane + ": " + counted(sensors) + ", ";
+  if (declared == 0) return text + "read times not known";
+  text += percent(share);
+  if (declared != sensors) text += " (" + std::to_string(declared) + " of " + std::to_string(sensors) + " declared)";
+  return text;
+}
+
+double LoopLoad::share() const noexcept {
+  return period.count() > 0 ? static_cast<double>(worst.count()) / static_cast<double>(period.count()) : 0;
+}
+
+std::string LoopLoad::text() const {
+  std::string text = loop + ": " + counted(sensors) + ", worst ";
+  text += declared == 0 ? "not known" : rounded(worst);
+  if (period.count() > 0) text += " of " + rounded(period);
+  if (declared != 0 && period.count() > 0) text += ", " + percent(share());
+  if (declared != sensors) text += " (" + std::to_string(declared) + " of " + std::to_string(sensors) + " declared)";
+  return text;
+}
+
+LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
+  LoopLoad load;
+  load.loop = std::move(loop);
+  load.sensors = sensors.size();
+  std::map<Duration, Reads> by_period;
+  std::map<std::string, LaneLoad> lanes;
+  for (const SensorLoad& sensor : sensors) {
+    const bool has_schedule = sensor.period.count() > 0;
+    if (has_schedule && (load.period.count() == 0 || sensor.period < load.period)) load.period = sensor.period;
+    if (has_schedule && !sensor.time.lane.empty()) {
+      LaneLoad& lane = lanes[sensor.time.lane];
+      ++lane.sensors;
+      if (sensor.time.on_lane) {
+        ++lane.declared;
+        lane.share += static_cast<double>(sensor.time.on_lane->count()) / static_cast<double>(sensor.period.count());
+      }
+    }
+    if (!sensor.time.on_loop) continue;
+    ++load.declared;
+    if (has_schedule && sensor.phase) {
+      const Duration phase = (*sensor.phase % sensor.period + sensor.period) % sensor.period;
+      by_period[sensor.period].emplace_back(phase, *sensor.time.on_loop);
+    } else {
+      load.worst += *sensor.time.on_loop;
+    }
+  }
+  for (auto& [period, reads] : by_period) load.worst += worst_of(std::move(reads), period, load.period);
+  for (auto& [key, lane] : lanes) {
+    lane.lane = key;
+    load.lanes.push_back(std::move(lane));
+  }
+  return load;
+}
+
+}  // namespace rtdata
