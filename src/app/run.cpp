@@ -16,6 +16,8 @@
 #include "app/stop_signals.hpp"
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 
@@ -91,6 +93,7 @@ class Run {
       uses_stdout = uses_stdout || sink.path == "-";
       deadline = std::max(deadline, sink.close_deadline);
     }
+    if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
     System system(loop, registry_, plan);
     signals_.attach(loop, {[&](const char* signal) { stop(loop, signal); }, [&] { return account_of(runtime).queued; },
                            [this](const char* signal, std::uint64_t queued) { end_at_once(signal, queued); }});
@@ -114,17 +117,45 @@ class Run {
       } else {
         loop.run();
       }
-      if (service.all_turn()) {  // one that does not would not answer
-        for (const auto& [name, settings] : plan.settings.tiers) {
-          tell_holds(system.tier(name).call([](Loop& on) { return on.callbacks(); }));
-        }
-      }
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       loop.close(deadline);
     }
     tell_holds(loop.callbacks());
+    const std::string hanging = stop_tiers(plan, system);
     close_view();
-    return report(runtime, paths, uses_stdout);
+    const int exit_status = report(runtime, loop.core().runtime.unknown_end, paths, uses_stdout);
+    if (!hanging.empty()) {
+      control.reset();
+      leave_behind(hanging);
+    }
+    return exit_status;
+  }
+
+  /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
+  std::string stop_tiers(const SystemPlan& plan, System& system) {
+    std::string hanging;
+    for (const auto& entry : plan.settings.tiers) {
+      Tier& tier = system.tier(entry.first);
+      if (tier.stop_within(std::chrono::milliseconds{100})) {
+        tell_holds(tier.loop().callbacks());
+        continue;
+      }
+      const std::string where = tier.doing();
+      hanging +=
+          (hanging.empty() ? "tier " : ", tier ") + entry.first + " in " + (where.empty() ? "a callback" : where);
+    }
+    return hanging;
+  }
+
+  /// The end of a program of which a thread does not end: what it uses cannot be destroyed.
+  [[noreturn]] void leave_behind(const std::string& hanging) {
+    say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
+        "not-turning");
+    log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
+    log_.wait_until_written(std::chrono::seconds{1});
+    messages_.wait_until_written(std::chrono::seconds{2});
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    ::_exit(exit_other);
   }
 
   void open_control(std::optional<ControlSocket>& control, Loop& loop, StatusSource& status) {
@@ -229,11 +260,15 @@ class Run {
     if (!note_.empty()) messages_.write(note_ + "\n");
   }
 
-  int report(const Runtime& runtime, const std::map<std::string, std::string>& paths, bool uses_stdout) {
+  /// `unknown`: what is not in the account; empty: it is complete.
+  int report(const Runtime& runtime, const std::string& unknown, const std::map<std::string, std::string>& paths,
+             bool uses_stdout) {
     const RunAccount account = account_of(runtime);
-    const bool balances = runtime.balances();
+    const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
-    const std::string verdict = std::string(balances ? "ledger balances" : "ledger does NOT balance") +
+    const std::string verdict = std::string(balances          ? "ledger balances"
+                                            : unknown.empty() ? "ledger does NOT balance"
+                                                              : "the account is NOT complete: " + unknown) +
                                 (has_loss ? "; something was lost: " : ": ") + progress(account);
     log_.write(balances ? LogLevel::info : LogLevel::error, "program", verdict);
     if (options_.talk == Talk::normal) {

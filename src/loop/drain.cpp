@@ -22,6 +22,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
       loop_.post([self = shared_from_this()] { self->begin(); });
       return;
     }
+    runtime_.unknown_end.clear();
     loop_.core().run_due();
     for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop_schedule(loop_.core().handled_until());
     drain_tiers();
@@ -35,14 +36,15 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
   /// Tiers first: what they still send is recorded by this loop's sinks.
   void drain_tiers() {
-    tiers_ = runtime_.tiers.size();
-    if (tiers_ == 0) return wait_for_reads();
-    // The sinks need time too, and a tier that gives up on a read still has to say so.
-    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;
+    if (runtime_.tiers.empty()) return wait_for_reads();
+    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;  // the sinks need time too
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
+    draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      tier->drain(share * 3 / 4, [self = shared_from_this()] {
-        if (--self->tiers_ == 0) self->tiers_done();
+      // A tier that gives up on a read still has to say so, before it is given up itself.
+      tier->drain(share - share / 4, [self = shared_from_this(), tier] {
+        std::erase(self->draining_, tier);
+        if (self->draining_.empty()) self->tiers_done();
       });
     }
   }
@@ -55,10 +57,29 @@ class Drain : public std::enable_shared_from_this<Drain> {
   }
 
   void give_up_tiers() {
-    runtime_.report(&loop_.core(), "loop " + loop_.config().name,
-                    {Errc::timed_out, "tiers did not stop in time", "", std::to_string(tiers_) + " still run a callback",
-                     "look at what held them; what they counted last is not recorded"});
+    for (detail::Bridge* bridge : runtime_.inbound) bridge->receive();
+    for (detail::TierCore* tier : copy(draining_)) {
+      const std::string until = last_heard_of(tier->config.name);
+      const Error error{Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
+                        "look at what blocks there; what its sensors did after " + until + " is not known"};
+      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "tier " : "; tier ") + tier->config.name +
+                              " did not come out of " + tier->where() + ": what its sensors did after " + until +
+                              " is not known";
+      runtime_.report(&loop_.core(), "tier " + tier->config.name, error);
+    }
     tiers_done();
+  }
+
+  /// When the tier told of its sensors last, by the latest of their ticks and events that is known here.
+  std::string last_heard_of(const std::string& tier) const {
+    Time last = Time::min();
+    for (const SensorStatus& sensor : loop_.runtime().sensors()) {
+      const detail::OriginCore* origin = sensor.loop == tier ? runtime_.find_origin(sensor.name) : nullptr;
+      if (origin == nullptr) continue;
+      last = std::max(last, origin->last_time);
+      if (origin->has_segment()) last = std::max(last, origin->segment(loop_.now()).end);
+    }
+    return last == Time::min() ? "its start" : to_iso8601(last);
   }
 
   void wait_for_reads() {
@@ -96,7 +117,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   MonotonicTime deadline_;
   Callback<void(std::uint64_t)> done_;
   Timer timer_;
-  std::size_t tiers_ = 0;  // that are still draining
+  std::vector<detail::TierCore*> draining_;
   bool are_tiers_waited_for_ = true;
   std::size_t pending_ = 0;
   std::uint64_t lost_ = 0;

@@ -12,6 +12,7 @@
 #include <semaphore>
 
 #include "loop/bridge.hpp"
+#include "loop/callback_survey.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/tier_core.hpp"
@@ -238,6 +239,13 @@ void LoopCore::link(Node& node) noexcept {
 }
 
 void LoopCore::unlink(Node& node) noexcept {
+  for (const auto& survey : surveys_) {
+    if (survey->next_ == &node) survey->next_ = node.next_;
+  }
+  {
+    const std::lock_guard lock(doing_mutex_);
+    if (doing_.load(std::memory_order_relaxed) == &node) doing_.store(nullptr, std::memory_order_relaxed);
+  }
   if (node.previous_ != nullptr) node.previous_->next_ = node.next_;
   if (node.next_ != nullptr) node.next_->previous_ = node.previous_;
   if (nodes_ == &node) nodes_ = node.next_;
@@ -470,6 +478,7 @@ void LoopCore::run_posted() {
   for (Callback<void()>& function : running_posted_) {
     CallbackTimes times;
     const MonotonicTime from = now();
+    begins(nullptr);
     call_user("posted function", function);
     account(times, from, now(), [] { return std::string("posted function"); });
   }
@@ -663,6 +672,36 @@ LoopLoad LoopCore::load() const {
     if (auto load = sensor->load()) loads.push_back(std::move(*load));
   }
   return estimate_load(config.name, loads);
+}
+
+std::string LoopCore::doing() const {
+  const std::lock_guard lock(doing_mutex_);
+  const Node* node = doing_.load(std::memory_order_acquire);
+  return node != nullptr ? node->callback_name() : std::string();
+}
+
+std::shared_ptr<CallbackSurvey> CallbackSurvey::begin(LoopCore& loop) {
+  auto survey = std::make_shared<CallbackSurvey>();
+  loop.post([&loop, survey] {
+    loop.surveys_.push_back(survey);
+    survey->next_ = loop.nodes_;
+    loop.go_on(survey);
+  });
+  return survey;
+}
+
+void LoopCore::go_on(const std::shared_ptr<CallbackSurvey>& survey) {
+  for (std::size_t i = 0; i < CallbackSurvey::most_in_turn && survey->next_ != nullptr; ++i) {
+    const Node* node = std::exchange(survey->next_, survey->next_->next_);
+    CallbackStatus status;
+    if (!node->tell_times(status) || status.times.count == 0) continue;
+    status.place = runtime.place_of(status.name);
+    survey->callbacks_.push_back(std::move(status));
+  }
+  if (survey->next_ != nullptr) return post([this, survey] { go_on(survey); });
+  std::erase(surveys_, survey);
+  std::reverse(survey->callbacks_.begin(), survey->callbacks_.end());
+  survey->done_.set();
 }
 
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {

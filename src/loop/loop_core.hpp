@@ -6,8 +6,10 @@
 #include <sched.h>
 
 #include <atomic>
+#include <memory>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -22,6 +24,7 @@
 namespace rtdata::detail {
 
 class RuntimeCore;
+class CallbackSurvey;
 class TopicCore;
 class Lane;
 
@@ -132,11 +135,24 @@ class LoopCore {
   std::optional<cpu_set_t> worker_cpus;
   Handler<ErrorReport> on_error;
 
+  /// A callback of the node begins; null: one that has no name.
+  void begins(const Node* node) noexcept { doing_.store(node, std::memory_order_release); }
+  /// The name of the callback that began last; empty when that is not known. Any thread.
+  std::string doing() const;
+  /// Goes on with a survey, on the loop's thread.
+  void go_on(const std::shared_ptr<CallbackSurvey>& survey);
+  /// Changes a name that `doing` may be reading.
+  void rename(std::string& name, std::string to) noexcept {
+    const std::lock_guard lock(doing_mutex_);
+    name.swap(to);
+  }
+
   // Nodes list themselves.
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;
 
  private:
+  friend class CallbackSurvey;
   struct UvSide;  // what libuv keeps until its close callbacks have run
   enum class Budget { limited, none };
   /// Brackets the time in which this thread runs the loop. SetupError when it runs already.
@@ -213,6 +229,9 @@ class LoopCore {
   bool delivering_ = false;
 
   Node* nodes_ = nullptr;
+  std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
+  std::atomic<const Node*> doing_{nullptr};
+  mutable std::mutex doing_mutex_;  // a node that is read by `doing` is not taken away
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> lanes_;
   std::vector<Lane*> all_lanes_;  // null: removed while they are told
   bool collecting_ = false;

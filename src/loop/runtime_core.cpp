@@ -486,6 +486,7 @@ std::vector<LoopStatus> Runtime::loops() const {
 }
 
 bool Runtime::balances() const {
+  if (!core_->unknown_end.empty()) return false;  // a tier hung: its account is not known
   for (const detail::OriginCore& origin : core_->origins()) {
     if (!origin.counts.balances() || (origin.counts.published != origin.sequence && !origin.is_mirror)) return false;
   }

@@ -129,6 +129,7 @@ class RuntimeCore {
     std::erase(recorders, &recorder);
   }
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
+  std::string unknown_end;               ///< why recordings that close now are not complete; empty: they are
   std::vector<SensorEntry*> sensors;
   std::vector<LoopCore*> loops;
 

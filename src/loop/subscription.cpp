@@ -179,7 +179,7 @@ CallbackTimes Subscription::times() const noexcept {
   return is_open() ? static_cast<detail::SubscriptionNode*>(node())->times : CallbackTimes{};
 }
 void Subscription::set_name(std::string name) {
-  if (is_open()) static_cast<detail::SubscriptionNode*>(node())->name = std::move(name);
+  if (is_open()) node()->loop()->rename(static_cast<detail::SubscriptionNode*>(node())->name, std::move(name));
 }
 
 Subscription Loop::subscribe(std::string_view pattern, Callback<void(const EventView&)> handler) {

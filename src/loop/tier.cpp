@@ -155,6 +155,7 @@ void TierCore::start() {
   if (is_running()) return;
   was_started_ = true;
   quit_.store(false, std::memory_order_relaxed);
+  ended_.clear();
   warnings.clear();
   loop.core().hold();
   main.core().hold();
@@ -167,6 +168,7 @@ void TierCore::start() {
       set_up_thread();
       is_set_up.release();
       run();
+      ended_.set();
     });
     is_set_up.acquire();
   } catch (const std::system_error& e) {
@@ -181,9 +183,28 @@ void TierCore::run() {
 }
 
 void TierCore::stop() noexcept {
-  if (!is_running()) return;
+  constexpr Duration patience = std::chrono::seconds{5};
+  if (stop_within(patience)) return;
+  main.core().call_user("handler of log records", [this] {
+    main.core().runtime.log(
+        LogLevel::error, "tier " + config.name,
+        "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
+        id(Errc::not_turning));
+  });
+  while (!stop_within(std::chrono::hours{1})) {
+  }
+}
+
+std::string TierCore::where() {
+  std::string name = loop.core().doing();
+  return name.empty() ? "a callback" : name;
+}
+
+bool TierCore::stop_within(Duration at_most) noexcept {
+  if (!is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
+  if (!ended_.wait(at_most)) return false;
   thread_.join();
   if (latency_fd_ >= 0) ::close(std::exchange(latency_fd_, -1));
   loop.core().unbind();
@@ -191,6 +212,7 @@ void TierCore::stop() noexcept {
   main.core().unhold();
   loop.core().forget_stop();
   scheduling = {};
+  return true;
 }
 
 void TierCore::call(Callback<void()> function) {
@@ -234,7 +256,7 @@ bool TierCore::look_at_turning(Duration limit) {
   if (now - asked_at_ > limit) {
     is_stuck_ = true;
     const Error error{Errc::not_turning, "does not turn", "",
-                      "it has not come out of a callback for more than " + to_string(limit),
+                      "it has not come out of " + where() + " for more than " + to_string(limit),
                       "look for what blocks in its sensors and handlers, and for what else takes its processor"};
     hub.health_changed("tier", config.name, Health::faulted, error.what + ": " + error.why);
     hub.report(&main.core(), name, error);  // as above
@@ -274,6 +296,8 @@ Loop& Tier::loop() noexcept { return core_->loop; }
 const Tier::Config& Tier::config() const noexcept { return core_->config; }
 void Tier::start() { core_->start(); }
 void Tier::stop() noexcept { core_->stop(); }
+bool Tier::stop_within(Duration at_most) noexcept { return core_->stop_within(at_most); }
+std::string Tier::doing() const { return core_->loop.core().doing(); }
 bool Tier::is_running() const noexcept { return core_->is_running(); }
 void Tier::call_erased(Callback<void()> function) { core_->call(std::move(function)); }
 Scheduling Tier::scheduling() const noexcept { return core_->scheduling; }

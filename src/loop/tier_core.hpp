@@ -7,6 +7,7 @@
 #include <thread>
 #include <vector>
 
+#include "loop/latch.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 
@@ -28,6 +29,10 @@ class TierCore {
   }
   /// Asks the thread to end, and waits for it.
   void stop() noexcept;
+  /// The same, but waits no longer than this: false when the callback under way has not returned.
+  bool stop_within(Duration at_most) noexcept;
+  /// The callback that it is in, for people: "sensor chamber".
+  std::string where();
   bool is_running() const noexcept { return thread_.joinable(); }
   /// While it runs.
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
@@ -55,6 +60,7 @@ class TierCore {
   std::thread thread_;
   bool was_started_ = false;
   std::atomic<bool> quit_{false};
+  Latch ended_;              // its thread is about to end
   std::uint64_t asked_ = 0;  // questions whether it turns
   std::atomic<std::uint64_t> answered_{0};
   MonotonicTime asked_at_{};

@@ -26,6 +26,7 @@ class TimerNode final : public Node, public Deadline {
     status.times = times_;
     return true;
   }
+  std::string callback_name() const override { return "timer"; }
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->remove(*this);
@@ -35,6 +36,7 @@ class TimerNode final : public Node, public Deadline {
     stop();
     LoopCore& on = *loop();
     Call call(*this);
+    on.begins(this);
     on.call_user(config_.name, [&] { callback_(); });
     on.account(times_, now, on.now(), [&] { return config_.name; });
   }
@@ -86,9 +88,11 @@ class TickerNode final : public Node, public RateMember {
     missed += tick.missed;
     LoopCore& on = *loop();
     Call call(*this);
+    on.begins(this);
     on.call_user(config_.name, [&] { callback_(told); });
   }
   std::string blame_name() const override { return config_.name; }
+  std::string callback_name() const override { return config_.name; }
   bool tell_times(CallbackStatus& status) const override {
     status.name = config_.name;
     status.times = times;

@@ -161,6 +161,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     delivering_ = node;
     {
       Call call(*node);
+      loop.begins(node);
       const auto result = node->deliver(run, map.get());
       Link& link = links_[i];  // the vector may have grown meanwhile
       link.delivered += result.seen - result.cancelled;

@@ -43,6 +43,7 @@ class FdWatchNode final : public Node {
     status.times = times_;
     return true;
   }
+  std::string callback_name() const override { return name_; }
   void set_events(unsigned events) {
     if (box_ == nullptr) return;
     int wanted = UV_DISCONNECT;
@@ -59,6 +60,7 @@ class FdWatchNode final : public Node {
     LoopCore& on = *loop();
     const MonotonicTime from = on.now();
     Call call(*this);
+    on.begins(this);
     const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0, status < 0 || (got & UV_DISCONNECT) != 0};
     on.call_user(name_, [&] { callback_(event); });
     on.account(times_, from, on.now(), [&] { return name_; });
@@ -96,6 +98,7 @@ class SignalWatchNode final : public Node {
     status.times = times_;
     return true;
   }
+  std::string callback_name() const override { return name_; }
 
  private:
   using Box = UvBox<uv_signal_t, SignalWatchNode>;
@@ -103,6 +106,7 @@ class SignalWatchNode final : public Node {
     LoopCore& on = *loop();
     const MonotonicTime from = on.now();
     Call call(*this);
+    on.begins(this);
     on.call_user(name_, [&] { callback_(); });
     on.account(times_, from, on.now(), [&] { return name_; });
   }

@@ -262,6 +262,7 @@ void SensorNode::tick(const Tick& tick) {
     return;
   }
   Call call(*this);
+  loop()->begins(this);
   if (!is_ready(tick)) return;
   if (lane_side_ != nullptr) {
     submit(tick);
@@ -355,6 +356,7 @@ void SensorNode::submit(const Tick& tick) {
 
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
   Call call(*this);
+  loop()->begins(this);
   LaneDevice& device = lane_side_->device;
   if (outcome != LaneJob::Outcome::finished) {
     const Error error = outcome == LaneJob::Outcome::given_up

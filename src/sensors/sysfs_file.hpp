@@ -40,7 +40,8 @@ class SysfsFile {
   std::array<char, most> buffer_;
 };
 
-/// What a read on a lane costs the loop, to hand it over and to decode it: 10 us on a PC, and slower boards are there.
+/// What a read on a lane costs the loop, to hand it over and to decode it: some ten times what was measured
+/// (docs/tiers.md).
 inline constexpr Duration lane_read_on_loop = std::chrono::microseconds{50};
 
 /// Reads it once.

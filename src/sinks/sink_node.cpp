@@ -332,6 +332,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     const MonotonicTime until = loop()->handled_until();
     account->at = runtime.event_time(loop()->now());
     account->is_last = is_last;
+    account->unknown = is_last ? runtime.unknown_end : "";
     account->origins.clear();
     for (const auto& tap : taps_) {
       for (OriginCore* origin : tap->topic.origins()) {

@@ -261,6 +261,35 @@ TEST_SUITE("app") {
     CHECK(has(folder.read("bench.log"), "bench.json:1:15: sensor a: /dev/absent: No such file or directory: plug it in [not-found]"));
   }
 
+  TEST_CASE("NFR-1 a run whose tier hangs ends by its deadline, names the callback, and verify says what is known") {
+    const Folder folder;
+    folder.write("bench.json", R"({"tiers": {"fast": {}},
+      "sensors": [ {"name": "a", "type": "counter", "rate": "200 Hz", "hang_at": 50, "tier": "fast"},
+                   {"name": "b", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db", "close_deadline": "1 s"} ] })");
+    Process run(folder, program, {"run", "bench.json", "--for", "600ms"});
+    CHECK(run.end() == 1);
+    CHECK(has(run.err,
+              "error: tier fast: did not stop in time: it has not come out of sensor a: look at what blocks there"));
+    CHECK(has(run.err,
+              "the account is NOT complete: tier fast did not come out of sensor a: what its sensors did after 20") !=
+          has(run.out,
+              "the account is NOT complete: tier fast did not come out of sensor a: what its sensors did after 20"));
+    CHECK(has(run.err, "ended though it hangs: tier fast in sensor a"));
+    CHECK(has(folder.read("bench.log"), "info program: ended with status 1\n"));
+
+    Process verify(folder, program, {"verify", "run.db"});
+    CHECK(verify.end() == 0);
+    CHECK(has(verify.out, "sealed"));
+    CHECK(has(verify.out, "tier fast did not come out of sensor a"));
+    // The recording goes on in the next run, which does not seal it again.
+    folder.write("next.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process next(folder, program, {"run", "next.json", "--for", "50ms"});
+    CHECK(next.end() == 0);
+    CHECK_FALSE(has(next.err, "ended without closing"));
+  }
+
   TEST_CASE("US-9 after kill -9 the next run goes on") {
     const Folder folder;
     folder.write("bench.json", bench);

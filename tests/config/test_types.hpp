@@ -2,6 +2,7 @@
 #pragma once
 
 #include <time.h>
+#include <unistd.h>
 
 #include <cstdio>
 #include <memory>
@@ -28,11 +29,14 @@ struct Level {
 struct CounterConfig {
   std::uint64_t first = 1;
   std::uint64_t fail_every = 0;
+  std::uint64_t hang_at = 0;
   Duration hold{0};
   friend constexpr auto parameters(type_tag<CounterConfig>) {
-    return parameter_list(parameter("first", &CounterConfig::first, "where it begins"),
-                          parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
-                          parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
+    return parameter_list(
+        parameter("first", &CounterConfig::first, "where it begins"),
+        parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
+        parameter("hang_at", &CounterConfig::hang_at, "the reading that never returns; 0: none"),
+        parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
   }
   friend ReadTime read_time(const CounterConfig& config) {
     return config.hold.count() > 0 ? ReadTime{.on_loop = config.hold} : ReadTime{};
@@ -44,6 +48,7 @@ struct Counter {
   std::uint64_t count = 0;
   Result<Count> read() {
     const std::uint64_t number = config.first + count++;
+    while (config.hang_at != 0 && count >= config.hang_at) ::pause();
     if (config.hold.count() > 0) {
       timespec wait{config.hold.count() / 1'000'000'000, config.hold.count() % 1'000'000'000};
       ::nanosleep(&wait, nullptr);  // the tests that ask for it want a loop that is held

@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "loop/callback_survey.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
@@ -455,6 +456,98 @@ TEST_SUITE("loop") {
     const auto counts = subscription.counts();
     CHECK(counts.delivered == seen);
     CHECK(counts.balances());
+  }
+
+  TEST_CASE("NFR-1 a tier that hangs is not waited for longer than asked, and says which callback it is in") {
+    Loop loop;
+    loop.runtime().on_log([](const LogRecord&) {});
+    Tier fast(loop, {.name = "fast"});
+    CHECK(fast.doing().empty());
+    CHECK(fast.stop_within(0ms));  // it does not run
+    std::atomic<bool> hangs{false}, let_go{false};
+    const auto hang = [&] {
+      hangs = true;
+      while (!let_go) std::this_thread::sleep_for(1ms);
+    };
+    const auto check = [&](const std::string& what) {
+      CHECK(run_until(loop, [&] { return hangs.load(); }));
+      CHECK_FALSE(fast.stop_within(5ms));
+      CHECK(fast.is_running());
+      CHECK(fast.doing() == what);
+      let_go = true;
+      CHECK(fast.stop_within(10s));
+      CHECK_FALSE(fast.is_running());
+      hangs = let_go = false;
+    };
+    {
+      const Sensor<Count> sensor(fast.loop(), {.name = "reader", .rate = 100_Hz}, [&] {
+        hang();
+        return Count{1};
+      });
+      fast.start();
+      check("sensor reader");
+    }
+    CHECK(fast.doing().empty());  // it is gone
+    {
+      const Timer timer(fast.loop(), 1ms, hang);
+      fast.start();
+      check("timer");
+    }
+    {
+      const Ticker ticker(fast.loop(), Ticker::Config{.period = 5ms, .name = "beat"}, [&](const Tick&) { hang(); });
+      fast.start();
+      check("beat");
+    }
+    {
+      Feed<Count> feed(fast.loop(), {.name = "feed"});
+      auto handler = fast.loop().subscribe("feed", [&](const EventView&) { hang(); });
+      handler.set_name("printer");
+      fast.start();
+      fast.call([&](Loop&) { feed.publish(Count{1}); });
+      check("printer");
+    }
+    fast.start();
+    fast.loop().post(hang);
+    check("");
+  }
+
+  TEST_CASE("callbacks of a tier are surveyed while it runs, a few at a time, whatever goes meanwhile") {
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    std::vector<Sensor<Count>> sensors;
+    constexpr std::size_t count = 200;
+    for (std::size_t i = 0; i < count; ++i) {
+      sensors.push_back(
+          Sensor<Count>(fast.loop(), {.name = "s" + std::to_string(i), .rate = 1_kHz}, [] { return Count{1}; }));
+    }
+    CHECK(run_until(loop, [&] { return sensors.back().counts().taken > 0; }));
+    std::shared_ptr<detail::CallbackSurvey> all;
+    const auto survey = [&] {
+      all = detail::CallbackSurvey::begin(fast.loop().core());
+      return all->wait(30s);
+    };
+    REQUIRE(survey());
+    std::vector<std::string> names;
+    for (const CallbackStatus& one : all->callbacks()) {
+      if (one.name.starts_with("sensor s")) names.push_back(one.name);
+      CHECK(one.times.count > 0);
+    }
+    REQUIRE(names.size() == count);
+    for (std::size_t i = 0; i < count; ++i) CHECK(names[i] == "sensor s" + std::to_string(i));
+    // Those that go while it is under way do no harm, and the others are all there.
+    fast.call([&](Loop& on) {
+      all = detail::CallbackSurvey::begin(on.core());
+      on.post([&] {  // between its first turn and the next
+        for (std::size_t i = 0; i < count; i += 2) sensors[i].close();
+      });
+    });
+    REQUIRE(all->wait(30s));
+    std::size_t left = 0;
+    for (const CallbackStatus& one : all->callbacks()) {
+      if (one.name.starts_with("sensor s") && std::stoi(one.name.substr(8)) % 2 == 1) ++left;
+    }
+    CHECK(left == count / 2);
+    loop.close();
   }
 
   TEST_CASE("NFR-4 everything works on one processor") {

@@ -128,8 +128,56 @@ TEST_SUITE("sinks") {
     });
     loop.run_for(100ms);
     loop.close(200ms);
-    CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) { return line.find("tiers did not stop in time") != std::string::npos; }));
+    CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
+      return line.find("did not stop in time: it has not come out of sensor a") != std::string::npos;
+    }));
     CHECK(number(path, "SELECT count(*) FROM a") >= 10);
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::sealed);
+    CHECK(report.exit_code() == 0);
+    const RunInfo& run = report.runs.at(0).info;
+    CHECK(run.remark.find("tier fast did not come out of sensor a: what its sensors did after 20") == 0);
+    CHECK(run.ended);
+    CHECK_FALSE(run.lost);
+    CHECK_FALSE(loop.runtime().balances());
     let_go = true;
+  }
+
+  TEST_CASE("NFR-1 a tier that hangs costs the other tiers and the main loop nothing of their account") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::atomic<bool> let_go{false};
+    {
+      Loop loop;
+      loop.runtime().on_log([](const LogRecord&) {});
+      Tier fast(loop, {.name = "fast"});
+      Tier other(loop, {.name = "other"});
+      SqliteSink sink(loop, {.path = path});
+      Sensor<Climate> here(loop, {.name = "here", .rate = 100_Hz}, [] { return Climate{}; });
+      Sensor<Climate> there(other.loop(), {.name = "there", .rate = 100_Hz}, [] { return Climate{}; });
+      Sensor<Climate> hangs(fast.loop(), {.name = "hangs", .rate = 100_Hz}, [] { return Climate{}; });
+      unsigned handled = 0;
+      auto handler = fast.loop().subscribe("hangs", [&](const EventView&) {
+        while (++handled > 5 && !let_go) std::this_thread::sleep_for(1ms);
+      });
+      loop.run_for(150ms);
+      loop.close(400ms);
+      CHECK_FALSE(fast.stop_within(1ms));
+      CHECK(fast.doing() == "handler of hangs");
+      CHECK(other.stop_within(10s));
+      let_go = true;
+      CHECK(fast.stop_within(10s));
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::sealed);
+    CHECK(report.runs.at(0).info.remark.find("tier fast did not come out of handler of hangs") == 0);
+    CHECK(report.runs.at(0).info.remark.find("tier other") == std::string::npos);
+    for (const char* name : {"here", "there"}) {
+      const std::string of = " FROM rtdata_ledger WHERE origin = '" + std::string(name) + "'";
+      CHECK(number(path, "SELECT scheduled - taken - missed - failed" + of) == 0);
+      CHECK(number(path, "SELECT published - stored" + of) == 0);
+    }
   }
 }

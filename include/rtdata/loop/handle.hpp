@@ -45,6 +45,8 @@ class Node {
   void close() noexcept;
   /// Fills in the name and times of its callbacks. False when it has none.
   virtual bool tell_times(CallbackStatus&) const { return false; }
+  /// The same name; empty when it has none. On any thread, as long as it is listed in its loop.
+  virtual std::string callback_name() const { return {}; }
 
  protected:
   virtual ~Node();

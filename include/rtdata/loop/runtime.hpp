@@ -118,7 +118,7 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The loops of this thread first, then their tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant.
+  /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed.
   bool balances() const;
   /// Something was missed, failed, lost or dropped by a sink.
   bool has_loss() const;

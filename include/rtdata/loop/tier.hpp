@@ -1,24 +1,27 @@
 /// Tier: a loop on a thread of its own, with a scheduling policy, a priority and a processor.
 ///
 ///     rtdata::Loop loop;                                     // the normal tier: sinks, slow handlers
-///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus = {1}});
-///     rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc);
-///     auto s = loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });   // runs on `loop`
-///     rtdata::SqliteSink sink(loop, {.path = "run.db"});
-///     loop.run();                                            // starts the tier
+///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus =
+///     {1}}); rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc); auto s =
+///     loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });   // runs on `loop` rtdata::SqliteSink
+///     sink(loop, {.path = "run.db"}); loop.run();                                            // starts the tier
 ///
-/// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring for
-/// each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
+/// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
+/// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
 /// publishing side takes no lock and allocates nothing; the other side is woken once, however much waits. Only payloads
 /// that are trivially copyable cross.
 ///
-/// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what to
-/// set, and so does the log.
+/// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
+/// to set, and so does the log.
 ///
-/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may be
-/// called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
+/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may
+/// be called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
 ///
-/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not. Thread: the main loop's.
+/// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
+/// incomplete, with the callback's name and the time up to which the tier's account is known.
+///
+/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not. Thread: the main
+/// loop's.
 #pragma once
 
 #include <memory>
@@ -57,7 +60,8 @@ class Tier {
   /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in
   /// virtual time, or belongs to a tier; a priority out of range; a name that is taken.
   Tier(Loop& main, Config config);
-  /// Stops it.
+  /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;
+  /// the log says which it is.
   ~Tier();
   Tier(const Tier&) = delete;
   Tier& operator=(const Tier&) = delete;
@@ -69,6 +73,13 @@ class Tier {
   void start();
   /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again.
   void stop() noexcept;
+  /// The same, but waits no longer than this for the callback. False: it hangs there, see `doing`, and the tier ends
+  /// when it returns. Whoever must end all the same leaves by std::_Exit, since destroying anything on the tier waits
+  /// for it.
+  bool stop_within(Duration at_most) noexcept;
+  /// The callback that it began last, "sensor chamber" or "handler of room/#"; empty: none, or one that has no name or
+  /// is gone. Any thread.
+  std::string doing() const;
   bool is_running() const noexcept;
 
   /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not

@@ -98,6 +98,7 @@ class SubscriptionNode : public Node {
   SubscriptionCounts counts() const noexcept;
   void report_exception(const char* what) noexcept;
   bool tell_times(CallbackStatus& status) const override;
+  std::string callback_name() const override { return name; }
 
   std::string name;
   CallbackTimes times;

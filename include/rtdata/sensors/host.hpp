@@ -142,7 +142,7 @@ struct HostConfig {
   }
 };
 
-/// Some ten times what a PC takes (tiers.md), since boards are slower and processors many.
+/// Some ten times what was measured (docs/tiers.md), since there are slower boards and machines with more processors.
 ReadTime read_time(const HostConfig& config);
 
 class HostSensor : public AnySensor {

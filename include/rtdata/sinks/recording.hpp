@@ -29,7 +29,8 @@ namespace rtdata {
 enum class RunState {
   recording,  ///< it records now, or ended without closing and was not sealed yet
   closed,
-  sealed,  ///< it ended without closing; a later start wrote down what was lost
+  sealed,  ///< it ended without closing, and a later start wrote down what was lost; or a tier hung at its end: see
+           ///< `remark`
 };
 std::string_view name_of(RunState state) noexcept;
 

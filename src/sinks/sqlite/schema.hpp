@@ -26,7 +26,7 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   started INTEGER NOT NULL,         -- time of the start
   ended INTEGER,                    -- time of the last account
   clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
-  state TEXT NOT NULL,              -- recording, closed, sealed (it ended without closing; a later start says what was lost)
+  state TEXT NOT NULL,              -- recording, closed, sealed (it ended without closing, or a tier hung: the remark)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
   remark TEXT NOT NULL DEFAULT ''   -- of a sealed run: what is known of its end
 );

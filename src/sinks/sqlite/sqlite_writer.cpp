@@ -171,7 +171,7 @@ Result<void> SqliteWriter::prepare_account() {
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason) VALUES(?,?,?,?,?,?)"},
-      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ? WHERE run = ?"},
+      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ?"},
   };
   for (const Prepared& one : all) {
     if (one.statement) continue;
@@ -297,7 +297,8 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
     if (auto done = health_.run(); !done) return done;
   }
-  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, std::string_view(account.is_last ? "closed" : "recording")).bind(3, run_);
+  const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
+  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
   return run_end_.run();
 }
 

@@ -1,0 +1,38 @@
+// Set by one thread, waited for by others.
+#pragma once
+
+#include <condition_variable>
+#include <mutex>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+class Latch {
+ public:
+  void set() noexcept {
+    const std::lock_guard lock(mutex_);
+    is_set_ = true;
+    signal_.notify_all();  // under the lock: who waits may take the latch away
+  }
+  void clear() noexcept {
+    const std::lock_guard lock(mutex_);
+    is_set_ = false;
+  }
+  bool is_set() const noexcept {
+    const std::lock_guard lock(mutex_);
+    return is_set_;
+  }
+  /// Whether it is set, waited for at most so long.
+  bool wait(Duration at_most) const noexcept {
+    std::unique_lock lock(mutex_);
+    return signal_.wait_for(lock, at_most, [this] { return is_set_; });
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  mutable std::condition_variable signal_;
+  bool is_set_ = false;
+};
+
+}  // namespace rtdata::detail
