@@ -8,6 +8,10 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "loop/callback_survey.hpp"
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
 #include "rtdata/data/value.hpp"
 
 namespace rtdata::app {
@@ -17,6 +21,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t most_callbacks = 64;  // those that took most
 constexpr std::size_t longest_request = 4096;
+constexpr Duration tier_patience = std::chrono::milliseconds{200};  // for all tiers together
 
 std::string short_value(const Value& value) {
   if (const double* number = std::get_if<double>(&value)) {
@@ -173,7 +178,27 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   shot->topics = runtime.topics();
   shot->callbacks = loop_.callbacks();
   shot->callbacks_loop = loop_.config().name;
+  ask_tiers(*shot);
   return shot;
+}
+
+void StatusSource::ask_tiers(Snapshot& shot) {
+  const auto& running = loop_.core().runtime.tiers;
+  std::erase_if(tiers_, [&](const AskedTier& known) {
+    return std::none_of(running.begin(), running.end(),
+                        [&](const auto* tier) { return tier->config.name == known.name; });
+  });
+  for (detail::TierCore* tier : running) {
+    if (!tier->is_running()) continue;
+    auto known =
+        std::find_if(tiers_.begin(), tiers_.end(), [&](const AskedTier& one) { return one.name == tier->config.name; });
+    if (known == tiers_.end()) known = tiers_.insert(tiers_.end(), AskedTier{tier->config.name, {}, {}, {}});
+    if (known->asked != nullptr && known->asked->is_done()) known->answered = std::move(known->asked);
+    if (known->asked == nullptr)
+      known->asked = detail::CallbackSurvey::begin(tier->loop.core());  // else it hangs: one question is enough
+    known->doing = tier->where();
+    shot.tiers.push_back(*known);
+  }
 }
 
 std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
@@ -223,6 +248,14 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     sensors.push_back(std::move(one));
   }
 
+  // On the socket's thread: a tier that turns has answered by now or does so at once.
+  const auto patience_ends = std::chrono::steady_clock::now() + tier_patience;
+  std::map<std::string_view, const AskedTier*> silent;
+  for (const AskedTier& tier : now.tiers) {
+    if (!tier.asked->wait(std::max(patience_ends - std::chrono::steady_clock::now(), Duration{0})))
+      silent[tier.name] = &tier;
+  }
+
   Json& loops = json["loops"] = Json::array();
   for (const LoopStatus& loop : now.loops) {
     Json one{{"name", loop.name},
@@ -235,6 +268,8 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     const auto late = lateness.find(loop.name);
     one["lateness_ns"] = late == lateness.end() ? Json() : lateness_json(late->second);
     one["warnings"] = loop.warnings;
+    const auto in = silent.find(loop.name);
+    one["hangs_in"] = in == silent.end() ? Json() : Json(in->second->doing);
     loops.push_back(std::move(one));
   }
 
@@ -261,17 +296,28 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
         {{"name", topic.name}, {"published", topic.published}, {"handlers_dropped", topic.subscriptions.dropped}});
   }
 
-  std::vector<const CallbackStatus*> callbacks;
-  for (const CallbackStatus& one : now.callbacks) {
-    if (one.times.count > 0) callbacks.push_back(&one);
+  struct Callback {
+    const CallbackStatus* status;
+    std::string_view loop;
+  };
+  std::vector<Callback> callbacks;
+  const auto add_callbacks = [&](const std::vector<CallbackStatus>& all, std::string_view loop) {
+    for (const CallbackStatus& one : all) {
+      if (one.times.count > 0) callbacks.push_back({&one, loop});
+    }
+  };
+  add_callbacks(now.callbacks, now.callbacks_loop);
+  for (const AskedTier& tier : now.tiers) {
+    const auto& survey = silent.contains(tier.name) ? tier.answered : tier.asked;
+    if (survey != nullptr) add_callbacks(survey->callbacks(), tier.name);
   }
   std::sort(callbacks.begin(), callbacks.end(),
-            [](const CallbackStatus* a, const CallbackStatus* b) { return a->times.total > b->times.total; });
+            [](const Callback& a, const Callback& b) { return a.status->times.total > b.status->times.total; });
   callbacks.resize(std::min(callbacks.size(), most_callbacks));
   Json& callbacks_json = json["callbacks"] = Json::array();
-  for (const CallbackStatus* one : callbacks) {
+  for (const auto& [one, loop] : callbacks) {
     callbacks_json.push_back({{"name", one->name},
-                              {"loop", now.callbacks_loop},
+                              {"loop", loop},
                               {"count", one->times.count},
                               {"total_ns", one->times.total.count()},
                               {"max_ns", one->times.max.count()}});

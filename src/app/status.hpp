@@ -13,6 +13,10 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
 
+namespace rtdata::detail {
+class CallbackSurvey;
+}
+
 namespace rtdata::app {
 
 /// Counts of times, each within 1/8 of itself, and the largest as it was.
@@ -61,6 +65,13 @@ class StatusSource {
     std::vector<std::byte> payload;  // empty: none yet
     std::shared_ptr<const TimeCounts> lateness;
   };
+  /// What a tier's callbacks took, which only its own thread knows.
+  struct AskedTier {
+    std::string name;
+    std::string doing;                                       // the callback that it began last
+    std::shared_ptr<const detail::CallbackSurvey> asked;     // perhaps never answered
+    std::shared_ptr<const detail::CallbackSurvey> answered;  // the last that was; null: none
+  };
   /// How things stood when a client asked.
   struct Snapshot {
     std::shared_ptr<const Info> info;
@@ -72,13 +83,15 @@ class StatusSource {
     std::vector<LoopStatus> loops;
     std::vector<SinkStatus> sinks;
     std::vector<TopicStatus> topics;
-    std::vector<CallbackStatus> callbacks;
+    std::vector<CallbackStatus> callbacks;  // of this loop
     std::string callbacks_loop;
+    std::vector<AskedTier> tiers;
   };
   /// Rates are from `before` on, if there is one.
   static std::string text(const Snapshot& now, const Snapshot* before);
   std::shared_ptr<const Snapshot> take();
   void begin_watching();
+  void ask_tiers(Snapshot& shot);
   void take_schedules(const std::vector<SensorStatus>& sensors);
 
   Loop& loop_;
@@ -87,6 +100,7 @@ class StatusSource {
   MonotonicTime started_at_;
   std::map<std::uint64_t, std::shared_ptr<const Snapshot>> clients_;  // the last one of each
   std::map<std::string, Seen, std::less<>> seen_;
+  std::vector<AskedTier> tiers_;
   MonotonicTime turned_{};
   Subscription subscription_;
 };

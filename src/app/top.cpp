@@ -78,6 +78,8 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
                    left(text_of(loop.at("policy")) + (priority > 0 ? " " + std::to_string(priority) : ""), 6) +
                    right(load.data(), 8) + lateness("p50") + lateness("p99") + lateness("max"));
     for (const Json& warning : loop.at("warnings")) head.push_back("  ! " + text_of(warning));
+    if (loop.at("hangs_in").is_string())
+      head.push_back("  ! it does not turn: it has not come out of " + text_of(loop.at("hangs_in")));
   }
   head.push_back("");
   head.push_back("sensor         loop       wanted    reached   late missed failed  value");
@@ -105,12 +107,13 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
   }
   if (!status.at("callbacks").empty()) {
     tail.push_back("");
-    tail.push_back("callback                           count     total       max");
+    tail.push_back("callback                       loop         count     total       max");
     std::size_t shown = 0;
     for (const Json& callback : status.at("callbacks")) {
       if (++shown > most_callbacks) break;
-      tail.push_back(left(text_of(callback.at("name")), 30) + right(count_text(callback.at("count")), 10) +
-                     right(time_text(callback.at("total_ns")), 10) + right(time_text(callback.at("max_ns")), 10));
+      tail.push_back(left(text_of(callback.at("name")), 30) + " " + left(text_of(callback.at("loop")), 7) +
+                     right(count_text(callback.at("count")), 10) + right(time_text(callback.at("total_ns")), 10) +
+                     right(time_text(callback.at("max_ns")), 10));
     }
   }
   const std::size_t room = rows > head.size() + tail.size() + 2 ? rows - head.size() - tail.size() - 1 : 1;

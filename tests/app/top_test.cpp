@@ -90,6 +90,44 @@ TEST_SUITE("app") {
     CHECK(runtime.sockets() == 0);
   }
 
+  TEST_CASE("NFR-5 callbacks of every tier are listed, and a tier that hangs is said to, without waiting for it") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", R"({ "name": "rig", "tiers": { "fast": {}, "slow": {} },
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "tier": "fast"},
+                   {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow", "hang_at": 100},
+                   {"name": "c", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "discard", "close_deadline": "100 ms"} ] })");
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    auto client = ControlClient::connect(running_instances().at(0).path);
+    REQUIRE(client);
+    const auto loop_of = [](const nlohmann::json& status, const std::string& name) {
+      for (const auto& callback : status["callbacks"]) {
+        if (callback["name"] == name) return callback["loop"].get<std::string>();
+      }
+      return std::string();
+    };
+    nlohmann::json status = ask(*client);
+    while (loop_of(status, "sensor a").empty() || loop_of(status, "sensor b").empty()) status = ask(*client);
+    CHECK(loop_of(status, "sensor a") == "fast");
+    CHECK(loop_of(status, "sensor b") == "slow");
+    CHECK(loop_of(status, "sensor c") == "main");
+    CHECK(status["loops"].at(1)["hangs_in"].is_null());
+    while (status["loops"].at(2)["hangs_in"].is_null()) status = ask(*client);
+    CHECK(status["loops"].at(2)["hangs_in"] == "sensor b");
+    CHECK(status["loops"].at(1)["hangs_in"].is_null());
+    CHECK(loop_of(status, "sensor a") == "fast");
+    CHECK(loop_of(status, "sensor b") == "slow");  // as it was told last
+    Process once(folder, program, {"top", "--once"});
+    CHECK(once.end() == 0);
+    CHECK(has(once.out, "\n  ! it does not turn: it has not come out of sensor b\n"));
+    CHECK(has(once.out, "\nsensor a                       fast "));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);
+    CHECK(runtime.sockets() == 0);
+  }
+
   TEST_CASE("NFR-5 top shows an instance once in 80 columns, as JSON, and on a terminal until q or Ctrl-C") {
     const RuntimeFolder runtime;
     const Folder folder;
