@@ -231,7 +231,7 @@ class LoopCore {
   Node* nodes_ = nullptr;
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
   std::atomic<const Node*> doing_{nullptr};
-  mutable std::mutex doing_mutex_;  // a node that is read by `doing` is not taken away
+  mutable PriorityMutex doing_mutex_;  // a node that is read by `doing` is not taken away
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> lanes_;
   std::vector<Lane*> all_lanes_;  // null: removed while they are told
   bool collecting_ = false;
