@@ -149,28 +149,31 @@ void Bridge::on_health(Time time, const HealthChange& change) {
   });
 }
 
-bool Bridge::send_account(Passage& passage, std::size_t spare) noexcept {
+bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) noexcept {
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
-  const Health health = sensor != nullptr ? sensor->health() : Health::ok;
-  const bool is_active = sensor != nullptr && sensor->is_active();
-  // Each of these changes with the state, or only grows.
-  const std::uint64_t sum = counts.scheduled + counts.received + counts.taken + counts.failed + origin.sequence + passage.dropped +
-                            (sensor != nullptr ? 1 : 0) + (is_active ? 1 : 0) + static_cast<std::uint64_t>(health);
-  if (sum == passage.told) return true;
+  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence +
+                     passage.dropped};
+  if (sensor != nullptr) {
+    told.period = sensor->schedule_period();
+    told.has_sensor = true;
+    told.is_active = sensor->is_active();
+    told.health = sensor->health();
+  }
+  if (which == Accounts::news && told == passage.told) return true;
   if (passage.dropped == passage.told_dropped && !wants_accounts_.load(std::memory_order_relaxed)) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, spare);
   if (record == nullptr) return false;
-  passage.told = sum;
+  passage.told = told;
   passage.told_dropped = passage.dropped;
   record->counts = counts;
   record->sequence = origin.sequence;
   record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
-  record->has_sensor = sensor != nullptr;
-  record->period = sensor != nullptr ? sensor->schedule_period() : Duration{0};
-  record->is_active = is_active;
-  record->health = health;
+  record->has_sensor = told.has_sensor;
+  record->period = told.period;
+  record->is_active = told.is_active;
+  record->health = told.health;
   const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
   const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
   if (length != 0) std::memcpy(record->reason, reason.data(), length);
@@ -180,17 +183,14 @@ bool Bridge::send_account(Passage& passage, std::size_t spare) noexcept {
 }
 
 void Bridge::send_accounts() {
-  for (Passage& passage : passages_) {
-    passage.told = ~std::uint64_t{0};
-    send_account(passage, 0);
-  }
+  for (Passage& passage : passages_) send_account(passage, 0, Accounts::all);
   accounts_left_ = 0;
 }
 
 void Bridge::send_some_accounts() {
   for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
     if (next_account_ >= passages_.size()) next_account_ = 0;
-    if (!send_account(passages_[next_account_], spare())) return;
+    if (!send_account(passages_[next_account_], spare(), Accounts::news)) return;
     ++next_account_;
   }
 }

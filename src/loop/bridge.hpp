@@ -32,7 +32,15 @@ struct Passage {
   OriginCore* source;            // the sending side's
   Channel* channel;
   std::uint64_t dropped = 0;     // the sending side's: for want of room in the ring, counted from the beginning
-  std::uint64_t told = 0;        // sum of what its last account said
+  struct Told {
+    std::uint64_t grown = 0;  // sum of counts, each of which only grows
+    Duration period{0};
+    bool has_sensor = false;
+    bool is_active = false;
+    Health health = Health::ok;
+    bool operator==(const Told&) const = default;
+  };
+  Told told;  // what its last account said
   std::uint64_t told_dropped = 0;
   OriginCore* mirror = nullptr;  // from here on the receiving side's
   std::uint64_t known_dropped = 0;
@@ -141,7 +149,8 @@ class Bridge final : public Listener {
   template <class RecordType>
   RecordType* reserve(Sort sort, Passage& passage, std::size_t spare) noexcept;
   /// False when there is no room for it.
-  bool send_account(Passage& passage, std::size_t spare) noexcept;
+  enum class Accounts { news, all };
+  bool send_account(Passage& passage, std::size_t spare, Accounts which) noexcept;
   void send_some_accounts();
   void commit() noexcept {
     ring_.commit();

@@ -387,7 +387,7 @@ TEST_SUITE("loop") {
       return !all.empty() && all[0].counts.in_flight == 1;
     }));
     loop.close(800ms);
-    CHECK(std::find(errors.begin(), errors.end(), "tiers did not stop in time") == errors.end());
+    CHECK(std::find(errors.begin(), errors.end(), "did not stop in time") == errors.end());
     const auto all = loop.runtime().sensors();
     REQUIRE(all.size() == 1);
     CHECK(all[0].counts.in_flight == 0);
@@ -407,6 +407,20 @@ TEST_SUITE("loop") {
     CHECK(run_until(loop, [&] { return lines.size() >= 1001; }));
     CHECK(lines.size() == 1001);
     CHECK(lines[0] == "4000 lines of tiers were dropped: too many at once");
+  }
+
+  TEST_CASE("a feed of a tier that was faulted and publishes again is ok on the main loop too") {
+    Loop loop;
+    Tier fast(loop, {});
+    Feed<Count> feed(fast.loop(), {.name = "echo"});
+    const auto told = [&] {
+      return loop.runtime().sensors().empty() ? SensorStatus{} : loop.runtime().sensors().front();
+    };
+    fast.start();
+    fast.call([&](Loop&) { feed.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""}); });
+    CHECK(run_until(loop, [&] { return told().health == Health::faulted; }));
+    fast.call([&](Loop&) { feed.publish({1}); });  // as much more in the account as health is less
+    CHECK(run_until(loop, [&] { return told().health == Health::ok && told().counts.published == 1; }));
   }
 
   TEST_CASE("the time of day noted on a tier is kept by the main loop") {
