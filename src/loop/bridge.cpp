@@ -27,7 +27,7 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(fro
   to_.runtime.inbound.push_back(this);
   from_.runtime.listeners.push_back(this);
   for (const auto& topic : from_.runtime.topics()) {
-    on_topic(*topic);
+    [[maybe_unused]] const auto taken = on_topic(*topic);
     for (OriginCore* origin : topic->origins()) on_origin(*origin);
   }
 }
@@ -54,11 +54,12 @@ void Bridge::announce(Announcement announcement) {
   has_news_ = true;
 }
 
-void Bridge::on_topic(TopicCore& topic) {
-  if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return;
+Result<void> Bridge::on_topic(TopicCore& topic) {
+  if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
   channels_.emplace_back(*this, topic);
   topic.add_channel_out(channels_.back());
   announce({&channels_.back(), nullptr, topic.name, topic.type});
+  return {};
 }
 
 void Bridge::on_origin(OriginCore& origin) {
@@ -202,9 +203,10 @@ void Bridge::Reminder::fire(MonotonicTime) {
 
 void Bridge::turn_done() {
   if (const std::uint64_t lost = std::exchange(notes_lost_, 0); lost != 0) [[unlikely]] {
-    from_.runtime.report(&from_, "loop " + from_.config.name,
-                         {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
-                          "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
+    from_.runtime.keep_report(
+        &from_, "loop " + from_.config.name,
+        {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
+         "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
   }
   if (!passages_.empty()) {
     const MonotonicTime now = from_.now();
@@ -233,21 +235,19 @@ void Bridge::hear_announcements() {
   for (Announcement& one : heard) {
     try {
       if (one.passage == nullptr) {
-        one.channel->mirror_ = &to_.runtime.topic(one.name, std::move(one.type));
+        one.channel->mirror_ = &to_.runtime.find_or_make_topic(one.name, std::move(one.type));
         one.channel->mirror_->add_channel_in(*one.channel);
       } else if (one.channel->mirror_ != nullptr) {
         one.passage->mirror = &to_.runtime.mirror_origin(one.name, *one.channel->mirror_);
         received_.push_back(one.passage);
       }
     } catch (const SetupError& e) {
-      to_.runtime.report(&to_, "tier " + from_.config.name, e.error());
+      to_.runtime.keep_report(&to_, "tier " + from_.config.name, e.error());
     }
   }
 }
 
 void Bridge::receive() {
-  if (is_receiving_) return;  // a handler of errors subscribes while this takes events
-  is_receiving_ = true;
   is_woken_.exchange(false, std::memory_order_acq_rel);  // what was sent before is seen, what comes later wakes again
   if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
   hear_announcements();
@@ -258,7 +258,6 @@ void Bridge::receive() {
     if (++taken % 64 == 0) ring_.release();
   }
   ring_.release();
-  is_receiving_ = false;
 }
 
 void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence) {

@@ -84,7 +84,7 @@ class Bridge final : public Listener {
   LoopCore& to() const noexcept { return to_; }
 
   // ---- the sending side
-  void on_topic(TopicCore& topic) override;
+  Result<void> on_topic(TopicCore& topic) override;
   void on_origin(OriginCore& origin) override;
   void on_gap(OriginCore& origin, const Gap& gap) override;
   void on_segment(OriginCore& origin, const Segment& segment) override;
@@ -97,6 +97,7 @@ class Bridge final : public Listener {
     has_news_ = false;
     if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake().send();
   }
+  // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
   void turn_done();
   /// Sends how the sensors do, all of them, now.
@@ -189,7 +190,6 @@ class Bridge final : public Listener {
 
   // the receiving side
   std::vector<Passage*> received_;  // those with a mirror
-  bool is_receiving_ = false;
 };
 
 }  // namespace rtdata::detail

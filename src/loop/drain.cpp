@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <memory>
 
-#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/tier_core.hpp"
@@ -52,7 +51,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void tiers_done() {
     if (!are_tiers_waited_for_) return;
     are_tiers_waited_for_ = false;
-    for (detail::Bridge* bridge : runtime_.inbound) bridge->receive();
+    runtime_.receive();
     wait_for_reads();
   }
 

@@ -408,11 +408,11 @@ void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
   schedule_.begin_waiting();
   start_tiers_in_turn();
-  for (Bridge* bridge : runtime.outbound) bridge->turn_done();
+  runtime.turn_done();
   if (runtime.has_injected_clock()) runtime.look_at_clock();
   if (ready_first_ != nullptr) {
     deliver(Budget::limited);
-    for (Bridge* bridge : runtime.outbound) bridge->turn_done();  // what handlers have published
+    runtime.turn_done();  // what handlers have published
   }
   if (ready_first_ == nullptr && !turn_is_open_) uv_idle_stop(&side_->idle);
 }
@@ -470,7 +470,7 @@ void LoopCore::collect_lanes() {
 
 void LoopCore::run_posted() {
   collect_lanes();
-  for (Bridge* bridge : runtime.inbound) bridge->receive();
+  runtime.receive();
   {
     const std::lock_guard lock(posted_mutex_);
     running_posted_.swap(posted_);

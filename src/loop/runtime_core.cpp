@@ -218,7 +218,7 @@ TopicCore* RuntimeCore::find_topic(std::string_view name) noexcept {
   return found == topic_by_name_.end() ? nullptr : found->second;
 }
 
-TopicCore& RuntimeCore::topic(std::string_view name, PayloadType type) {
+TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType type) {
   if (TopicCore* existing = find_topic(name)) {
     const auto& have = existing->type;
     if ((have.description != nullptr) != (type.description != nullptr) ||
@@ -253,19 +253,15 @@ TopicCore& RuntimeCore::topic(std::string_view name, PayloadType type) {
   topics_.push_back(std::make_unique<TopicCore>(*this, std::string(name), std::move(type)));
   TopicCore& made = *topics_.back();
   topic_by_name_.emplace(made.name, &made);
-  struct Refusal {
-    LoopCore* loop;
-    std::string handler;
-    Error error;
-  };
-  std::vector<Refusal> refused;  // told of at the end, since a report may run user code
   for (SubscriptionNode* node : patterns) {
     if (!topic_matches(node->pattern(), made.name)) continue;
-    if (auto linked = made.link(*node->loop(), *node); !linked) refused.push_back({node->loop(), node->name, std::move(linked).error()});
+    if (auto linked = made.link(*node->loop(), *node); !linked)
+      keep_report(node->loop(), node->name, std::move(linked).error());
   }
-  const auto told = listeners;
-  for (Listener* listener : told) listener->on_topic(made);
-  for (const Refusal& refusal : refused) report(refusal.loop, refusal.handler, refusal.error);
+  for (Listener* listener : listeners) {
+    if (auto taken = listener->on_topic(made); !taken)
+      kept_.push_back({listener, nullptr, {}, std::move(taken).error()});
+  }
   return made;
 }
 
@@ -353,6 +349,28 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
   } else if (level >= LogLevel::warning) {
     std::fprintf(stderr, "rtdata: %s: %.*s: %.*s\n", level == LogLevel::error ? "error" : "warning",
                  static_cast<int>(object.size()), object.data(), static_cast<int>(text.size()), text.data());
+  }
+}
+
+void RuntimeCore::receive() {
+  for (Bridge* bridge : inbound) bridge->receive();
+  report_kept();
+}
+
+void RuntimeCore::turn_done() {
+  for (Bridge* bridge : outbound) bridge->turn_done();
+  report_kept();
+}
+
+void RuntimeCore::report_all_kept() {
+  while (!kept_.empty()) {  // a report may bring others
+    const Kept kept = std::move(kept_.front());
+    kept_.erase(kept_.begin());
+    if (kept.listener == nullptr) {
+      report(kept.loop, kept.object, kept.error);
+    } else if (std::find(listeners.begin(), listeners.end(), kept.listener) != listeners.end()) {
+      kept.listener->on_refusal(kept.error);
+    }
   }
 }
 

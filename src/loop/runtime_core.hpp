@@ -25,7 +25,9 @@ class TierCore;
 /// What wants to know of everything that a recording holds besides events. Called on the loop's thread.
 class Listener {
  public:
-  virtual void on_topic(TopicCore& topic) = 0;
+  /// Errors: it cannot take the topic; then `on_refusal` is called with them, when user code may run.
+  virtual Result<void> on_topic(TopicCore& topic) = 0;
+  virtual void on_refusal(const Error&) {}
   /// One that is new in this run.
   virtual void on_origin(OriginCore&) {}
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
@@ -107,7 +109,13 @@ class RuntimeCore {
   std::vector<ClockPair> clock_pairs();
 
   /// SetupError: bad-name, description-differs.
-  TopicCore& topic(std::string_view name, PayloadType type);
+  TopicCore& topic(std::string_view name, PayloadType type) {
+    TopicCore& found = find_or_make_topic(name, std::move(type));
+    report_kept();
+    return found;
+  }
+  /// The same, for who calls `report_kept` later.
+  TopicCore& find_or_make_topic(std::string_view name, PayloadType type);
   TopicCore* find_topic(std::string_view name) noexcept;
   const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
   /// Claims the origin for one sensor or feed. SetupError (bad-name, busy): the name is taken, or was on another topic.
@@ -139,6 +147,10 @@ class RuntimeCore {
   std::vector<TierCore*> tiers;     ///< the hub's
   std::vector<Bridge*> outbound;    ///< from this loop
   std::vector<Bridge*> inbound;     ///< to this loop
+  /// Takes what other loops sent before the call. May report, as the next does.
+  void receive();
+  /// The end of a turn of the loop: tells the other loops.
+  void turn_done();
   /// Puts times on the hub's line.
   void share_time(const RuntimeCore& of) noexcept {
     start_ = of.start_;
@@ -152,6 +164,15 @@ class RuntimeCore {
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
   /// the same object within a second are joined.
   void report(LoopCore* loop, std::string_view object, const Error& error);
+  /// A report may run user code, which may close or destroy anything: while something is iterated over, it is kept, and
+  /// made afterwards.
+  void keep_report(LoopCore* loop, std::string object, Error error) {
+    kept_.push_back({nullptr, loop, std::move(object), std::move(error)});
+  }
+  void report_kept() {
+    if (!kept_.empty()) [[unlikely]]
+      report_all_kept();
+  }
   enum class Repeats { old, all };
   /// Writes out the repeats that were held back for a second, or all.
   void flush_repeats(Repeats which);
@@ -166,6 +187,13 @@ class RuntimeCore {
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:
+  struct Kept {
+    Listener* listener;  // whose refusal it is, if it still listens; null: a report
+    LoopCore* loop;
+    std::string object;
+    Error error;
+  };
+  void report_all_kept();
   OriginCore& make_origin(std::string_view name, TopicCore& topic);
   struct Repeat {
     std::string object;
@@ -199,6 +227,7 @@ class RuntimeCore {
   // The hub's, counted by all loops: lines of the log that tiers have sent and it has not taken.
   std::atomic<std::uint32_t> lines_under_way_{0};
   std::atomic<std::uint64_t> lines_dropped_{0};
+  std::vector<Kept> kept_;
 };
 
 }  // namespace rtdata::detail

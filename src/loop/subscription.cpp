@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cstring>
 
-#include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -125,7 +124,7 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
 
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   RuntimeCore& runtime = loop.runtime;
-  for (Bridge* bridge : runtime.inbound) bridge->receive();  // published before: not for the new one
+  runtime.receive();  // published before: not for the new one
   if (only != nullptr) {
     const auto hub_of = [](RuntimeCore& core) { return core.hub != nullptr ? core.hub : &core; };
     if (&only->runtime() != &runtime && hub_of(only->runtime()) == hub_of(runtime)) {  // the topic's mirror on this tier

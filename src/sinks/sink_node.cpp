@@ -140,19 +140,20 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   // ---- Recorder
 
-  void on_topic(TopicCore& topic) override {
-    if (closing_) return;
-    Result<void> taken;
+  Result<void> on_topic(TopicCore& topic) override {
+    if (closing_) return {};
+    const auto threw = [&](const char* what) {
+      return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
+    };
     try {
-      taken = take_topic(topic);
+      return take_topic(topic);
     } catch (const std::exception& e) {
-      taken = Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, e.what(), "this topic is not recorded"};
+      return threw(e.what());
     } catch (...) {
-      taken = Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, "an exception that is no std::exception",
-                    "this topic is not recorded"};
+      return threw("an exception that is no std::exception");
     }
-    if (!taken) report(taken.error(), 1);
   }
+  void on_refusal(const Error& error) override { report(error, 1); }
 
   Result<void> take_topic(TopicCore& topic) {
     const auto matches = [&](const std::string& pattern) { return topic_matches(pattern, topic.name); };

@@ -21,7 +21,7 @@ namespace {
 /// Notes the pairs that a recording would hold.
 struct Pairs final : detail::Recorder {
   std::vector<ClockPair> pairs;
-  void on_topic(detail::TopicCore&) override {}
+  Result<void> on_topic(detail::TopicCore&) override { return {}; }
   void on_gap(detail::OriginCore&, const Gap&) override {}
   void on_segment(detail::OriginCore&, const Segment&) override {}
   void on_clock(const ClockPair& pair) override { pairs.push_back(pair); }

@@ -423,6 +423,24 @@ TEST_SUITE("loop") {
     CHECK(run_until(loop, [&] { return told().health == Health::ok && told().counts.published == 1; }));
   }
 
+  TEST_CASE("a tier may be destroyed by the handler of a report about what it announced") {
+    Loop loop;
+    auto fast = std::make_unique<Tier>(loop, Tier::Config{});
+    loop.topic<Count>("one");
+    fast->loop().topic<double>("one");
+    fast->loop().topic<Count>("two");
+    unsigned reports = 0;
+    bool had_heard_all = false;
+    loop.on_error([&](const ErrorReport&) {
+      ++reports;
+      had_heard_all = loop.runtime().core().find_topic("two") != nullptr;
+      fast.reset();
+    });
+    CHECK(run_until(loop, [&] { return fast == nullptr; }));
+    CHECK(reports == 1);
+    CHECK(had_heard_all);
+  }
+
   TEST_CASE("the time of day noted on a tier is kept by the main loop") {
     Loop loop;
     Tier fast(loop, {});

@@ -305,6 +305,32 @@ TEST_SUITE("sinks") {
     CHECK(bench.loop.runtime().sinks().size() == 1);
   }
 
+  TEST_CASE(
+      "a sink's refusal of a topic is reported when all sinks have heard of it, so that its handler may close "
+      "another") {
+    Bench bench;
+    std::vector<std::string> heard;
+    bench.script->on_topic = [](std::string_view topic) -> Result<void> {
+      if (topic == "no") return Error{Errc::bad_argument, "not this one", std::string(topic), "", ""};
+      return {};
+    };
+    Sink refusing = bench.make();
+    auto script = std::make_shared<Script>();
+    script->on_topic = [&](std::string_view topic) -> Result<void> {
+      heard.emplace_back(topic);
+      return {};
+    };
+    Sink other(bench.loop, config(), std::make_unique<ScriptedWriter>(script));
+    bool had_heard = false;
+    refusing.on_error([&](const ErrorReport&) {
+      had_heard = std::find(heard.begin(), heard.end(), "no") != heard.end();
+      other.close();
+    });
+    bench.loop.topic<Number>("no");
+    CHECK(had_heard);
+    CHECK_FALSE(other.is_open());
+  }
+
   TEST_CASE("a sink may be closed from its own error handler, and from the loop's") {
     for (const bool own : {true, false}) {
       Bench bench;
