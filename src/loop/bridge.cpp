@@ -34,6 +34,10 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(fro
 
 Bridge::~Bridge() {
   from_.remove(reminder_);
+  to_.runtime.forget_announcements(*this);
+  for (Passage* passage : received_) {
+    if (!passage->is_past) passage->mirror->passage = nullptr;
+  }
   std::erase(from_.runtime.outbound, this);
   std::erase(to_.runtime.inbound, this);
   std::erase(from_.runtime.listeners, static_cast<Listener*>(this));
@@ -45,12 +49,8 @@ Bridge::~Bridge() {
 
 // ---- the sending side
 
-void Bridge::announce(Announcement announcement) {
-  {
-    const std::lock_guard lock(announced_mutex_);
-    announced_.push_back(std::move(announcement));
-  }
-  has_announced_.store(true, std::memory_order_release);
+void Bridge::announce(Channel& channel, Passage* passage, const std::string& name, PayloadType type) {
+  to_.runtime.announce({this, &channel, passage, name, std::move(type)});
   has_news_ = true;
 }
 
@@ -58,7 +58,7 @@ Result<void> Bridge::on_topic(TopicCore& topic) {
   if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
   channels_.emplace_back(*this, topic);
   topic.add_channel_out(channels_.back());
-  announce({&channels_.back(), nullptr, topic.name, topic.type});
+  announce(channels_.back(), nullptr, topic.name, topic.type);
   return {};
 }
 
@@ -71,7 +71,7 @@ void Bridge::on_origin(OriginCore& origin) {
   passage.channel = channel;
   if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
   channel->passages_[origin.index] = &passage;
-  announce({channel, &passage, origin.name, {}});
+  announce(*channel, &passage, origin.name, {});
 }
 
 Channel* Bridge::channel_of(const TopicCore& topic) noexcept {
@@ -151,6 +151,15 @@ void Bridge::on_health(Time time, const HealthChange& change) {
 }
 
 bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) noexcept {
+  if (passage.is_given_up) {
+    if (passage.dropped == passage.told_dropped) return true;
+    auto* record = reserve<DropsRecord>(Sort::drops, passage, spare);
+    if (record == nullptr) return false;
+    record->last_sequence = passage.last_sequence;
+    passage.told_dropped = passage.dropped;
+    commit();
+    return true;
+  }
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
@@ -196,6 +205,23 @@ void Bridge::send_some_accounts() {
   }
 }
 
+void Bridge::give_up(const OriginCore& origin) noexcept {
+  Passage* passage = passage_of(origin);
+  if (passage == nullptr) return;
+  passage->is_given_up = true;
+  passage->last_sequence = origin.sequence;
+}
+
+void Bridge::finish() {
+  accounts_left_ = passages_.size();
+  for (std::size_t before = accounts_left_ + 1; accounts_left_ > 0 && accounts_left_ < before;) {  // as many as fit
+    before = accounts_left_;
+    send_some_accounts();
+    receive();
+  }
+  receive();
+}
+
 void Bridge::Reminder::fire(MonotonicTime) {
   bridge.from_.remove(*this);
   bridge.is_reminded_ = true;
@@ -225,39 +251,60 @@ void Bridge::turn_done() {
 
 // ---- the receiving side
 
-void Bridge::hear_announcements() {
-  if (!has_announced_.exchange(false, std::memory_order_acquire)) return;
-  std::vector<Announcement> heard;
-  {
-    const std::lock_guard lock(announced_mutex_);
-    heard.swap(announced_);
-  }
-  for (Announcement& one : heard) {
+void Bridge::hear(Announcement& announcement) {
+  RuntimeCore& here = to_.runtime;
+  Channel& channel = *announcement.channel;
+  Passage* const passage = announcement.passage;
+  if (passage == nullptr) {
     try {
-      if (one.passage == nullptr) {
-        one.channel->mirror_ = &to_.runtime.find_or_make_topic(one.name, std::move(one.type));
-        one.channel->mirror_->add_channel_in(*one.channel);
-      } else if (one.channel->mirror_ != nullptr) {
-        one.passage->mirror = &to_.runtime.mirror_origin(one.name, *one.channel->mirror_);
-        received_.push_back(one.passage);
-      }
+      channel.mirror_ = &here.find_or_make_topic(announcement.name, std::move(announcement.type));
+      channel.mirror_->add_channel_in(channel);
     } catch (const SetupError& e) {
-      to_.runtime.keep_report(&to_, "tier " + from_.config.name, e.error());
+      here.keep_report(&to_, "loop " + from_.config.name, e.error());
     }
+    return;
   }
+  if (channel.mirror_ == nullptr) {
+    passage->is_heard = true;
+    return;
+  }
+  if (OriginCore* known = here.find_origin(announcement.name)) {
+    // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
+    for (Bridge* bridge : here.inbound) bridge->take_heard();
+    for (Bridge* bridge : here.outbound) bridge->give_up(*known);
+  }
+  here.find_or_make_origin(announcement.name, *channel.mirror_).become_mirror(*passage);
+  passage->is_heard = true;
+  received_.push_back(passage);
 }
 
 void Bridge::receive() {
   is_woken_.exchange(false, std::memory_order_acq_rel);  // what was sent before is seen, what comes later wakes again
   if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
-  hear_announcements();
+  do {
+    to_.runtime.hear_announcements();  // it was announced before it was sent
+  } while (!take_heard());
+}
+
+bool Bridge::take_heard() {
   std::size_t taken = 0;
+  bool are_all_heard = true;
   while (const std::byte* front = ring_.front()) {
-    take(*reinterpret_cast<const Record*>(front));
+    const auto& record = *reinterpret_cast<const Record*>(front);
+    if (record.passage->mirror == nullptr) [[unlikely]] {
+      if (!record.passage->is_heard) {
+        are_all_heard = false;
+        break;
+      }
+      if (record.sort == Sort::event) ++to_.runtime.lost_between_loops;
+    } else {
+      take(record);
+    }
     ring_.pop();
     if (++taken % 64 == 0) ring_.release();
   }
   ring_.release();
+  return are_all_heard;
 }
 
 void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence) {
@@ -269,10 +316,6 @@ void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t l
 
 void Bridge::take(const Record& record) {
   Passage& passage = *record.passage;
-  if (passage.mirror == nullptr) {
-    hear_announcements();  // it was announced before it was sent
-    if (passage.mirror == nullptr) return;  // refused, which was reported
-  }
   OriginCore& mirror = *passage.mirror;
   switch (record.sort) {
     case Sort::event: {
@@ -294,6 +337,7 @@ void Bridge::take(const Record& record) {
     case Sort::account: {
       const auto& account = static_cast<const AccountRecord&>(record);
       note_drops(passage, account.dropped, account.sequence);
+      if (passage.is_past) break;  // the new holder of the name tells more
       mirror.mirror(account.counts, account.sequence, account.under_way);
       passage.period = account.period;
       passage.is_active = account.is_active;
@@ -302,12 +346,15 @@ void Bridge::take(const Record& record) {
       if (passage.reason != account.reason) passage.reason = account.reason;
       break;
     }
+    case Sort::drops:
+      note_drops(passage, record.dropped, static_cast<const DropsRecord&>(record).last_sequence);
+      break;
   }
 }
 
 void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
   for (const Passage* passage : received_) {
-    if (!passage->has_sensor) continue;
+    if (!passage->has_sensor || passage->is_past) continue;
     all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active, passage->health,
                    passage->reason, passage->mirror->counts, from_.config.name, passage->mirror->first_due()});
   }

@@ -5,14 +5,15 @@
 //      events is a flag of its channel, which the sending side looks at for each event.
 //   3. Events, gaps, ended segments and accounts go through the ring in the order in which they happened. A full ring drops
 //      the event and counts it with its sensor; the next record of that sensor tells how many there were.
-//   4. After the sending loop's callbacks, the receiving loop is woken once for all that waits.
+//   4. A name belongs to one loop at a time, which the hub says at set-up. When another loop has taken it over, the receiving
+//      side first takes what the old one has sent; then that passage is past, and the mirror is fed by the new one.
+//   5. After the sending loop's callbacks, the receiving loop is woken once for all that waits.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <deque>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <vector>
 
@@ -21,7 +22,6 @@
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/topic_core.hpp"
-#include "loop/priority_mutex.hpp"
 
 namespace rtdata::detail {
 
@@ -42,7 +42,11 @@ struct Passage {
   };
   Told told;  // what its last account said
   std::uint64_t told_dropped = 0;
-  OriginCore* mirror = nullptr;  // from here on the receiving side's
+  bool is_given_up = false;         // another loop has the name
+  std::uint64_t last_sequence = 0;  // then
+  bool is_heard = false;            // from here on the receiving side's; not yet: what follows waits in the ring
+  OriginCore* mirror = nullptr;     // null, though heard: its topic cannot be what it is elsewhere
+  bool is_past = false;             // another loop has the name
   std::uint64_t known_dropped = 0;
   Duration period{0};
   bool is_active = false;
@@ -102,14 +106,19 @@ class Bridge final : public Listener {
   void turn_done();
   /// Sends how the sensors do, all of them, now.
   void send_accounts();
+  /// Another loop has the name of this origin: its account is no longer told.
+  void give_up(const OriginCore& origin) noexcept;
+  /// The sending loop is about to go: all that is left crosses. On either thread, while none of the loops turns.
+  void finish();
 
   // ---- the receiving side
+  void hear(Announcement& announcement);
   /// Takes what was sent before the call.
   void receive();
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
-  enum class Sort : std::uint32_t { event, gap, segment, account };
+  enum class Sort : std::uint32_t { event, gap, segment, account, drops };
   struct Record {  // the ring's records begin with it
     std::uint32_t bytes;  // the ring's
     Sort sort;
@@ -137,11 +146,8 @@ class Bridge final : public Listener {
     Health health;
     char reason[96];
   };
-  struct Announcement {
-    Channel* channel;
-    Passage* passage;  // null: the channel itself
-    std::string name;
-    PayloadType type;
+  struct DropsRecord : Record {
+    std::uint64_t last_sequence;
   };
   /// Gaps and segments find this room when events have filled the ring.
   std::size_t spare() const noexcept { return ring_.capacity() / 8; }
@@ -157,17 +163,15 @@ class Bridge final : public Listener {
     ring_.commit();
     has_news_ = true;
   }
-  void announce(Announcement announcement);
-  void hear_announcements();
+  void announce(Channel& channel, Passage* passage, const std::string& name, PayloadType type);
+  /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
+  bool take_heard();
   void take(const Record& record);
   void note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence);
 
   LoopCore& from_;
   LoopCore& to_;
   ByteRing ring_;
-  PriorityMutex announced_mutex_;
-  std::vector<Announcement> announced_;
-  std::atomic<bool> has_announced_{false};
   std::atomic<bool> wants_accounts_;   // the other side has sinks, or is the main loop, which shows them
   std::atomic<bool> is_woken_{false};  // set by the sender, cleared by the receiver before it looks
 
@@ -189,7 +193,7 @@ class Bridge final : public Listener {
   std::uint64_t notes_lost_ = 0;  // gaps and segments that found no room
 
   // the receiving side
-  std::vector<Passage*> received_;  // those with a mirror
+  std::vector<Passage*> received_;  // those that have, or had, a mirror
 };
 
 }  // namespace rtdata::detail

@@ -56,7 +56,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   }
 
   void give_up_tiers() {
-    for (detail::Bridge* bridge : runtime_.inbound) bridge->receive();
+    runtime_.receive();
     for (detail::TierCore* tier : copy(draining_)) {
       const std::string until = last_heard_of(tier->config.name);
       const Error error{Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),

@@ -162,7 +162,7 @@ void LoopCore::arm_clock() noexcept {
   ::timerfd_settime(side_->clock_fd, TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET, &never, nullptr);
 }
 
-LoopCore::~LoopCore() {
+void LoopCore::close_nodes() noexcept {
   on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
   while (nodes_ != nullptr) {
     nodes_->retain();
@@ -170,6 +170,10 @@ LoopCore::~LoopCore() {
     node->close();
     node->release();
   }
+}
+
+LoopCore::~LoopCore() {
+  close_nodes();
   while (!lanes_.empty()) {  // one by one: a job's `done` may ask for lanes
     const auto last = std::move(lanes_.back().second);
     lanes_.pop_back();

@@ -147,6 +147,9 @@ class LoopCore {
     name.swap(to);
   }
 
+  /// Closes all that is on it. Errors in it no longer reach the user's handler.
+  void close_nodes() noexcept;
+
   // Nodes list themselves.
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;

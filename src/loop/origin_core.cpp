@@ -1,5 +1,6 @@
 #include "loop/origin_core.hpp"
 
+#include "loop/bridge.hpp"
 #include "loop/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -21,6 +22,23 @@ Segment OriginCore::segment(MonotonicTime end) const noexcept {
 }
 
 Time OriginCore::first_due() const noexcept { return topic.runtime().event_time(first_due_); }
+
+void OriginCore::adopt(const State& state) noexcept {
+  counts = state.counts;
+  sequence = state.sequence;
+  last_time = state.last_time;
+  period_ = Duration{0};
+  is_mirror = false;
+  if (passage != nullptr) passage->is_past = true;
+  passage = nullptr;
+}
+
+void OriginCore::become_mirror(Passage& from) noexcept {
+  is_mirror = true;
+  if (passage != nullptr) passage->is_past = true;
+  passage = &from;
+  from.mirror = this;
+}
 
 void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept {
   counts = told;

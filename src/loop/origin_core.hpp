@@ -10,6 +10,7 @@
 
 namespace rtdata::detail {
 
+struct Passage;
 class RuntimeCore;
 class SensorEntry;
 class TopicCore;
@@ -55,6 +56,17 @@ class OriginCore {
 
   void close_gap() noexcept;
 
+  /// What goes on when another loop takes the name over.
+  struct State {
+    SensorCounts counts;
+    std::uint64_t sequence = 0;
+    Time last_time = Time::min();
+  };
+  State state() const noexcept { return {counts, sequence, last_time}; }
+  /// It publishes on this loop from here on.
+  void adopt(const State& state) noexcept;
+  /// It publishes on another loop from here on.
+  void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
   void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
 
@@ -65,7 +77,6 @@ class OriginCore {
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
   const std::uint32_t index;  ///< within its topic
-  bool is_claimed = false;    ///< a sensor or feed of this name exists now
   bool is_mirror = false;     ///< it publishes on another loop; what is known of it comes over a bridge
 
  private:
@@ -74,6 +85,7 @@ class OriginCore {
  public:
   SensorCounts counts;
   SensorEntry* sensor = nullptr;  ///< that exists now, if any; feeds too
+  Passage* passage = nullptr;     ///< a mirror's, while its bridge exists
 
  private:
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last, std::uint64_t count);

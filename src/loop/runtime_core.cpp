@@ -270,24 +270,57 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     throw SetupError({Errc::bad_name, "cannot make sensor", "\"" + std::string(name) + "\"",
                       "a name has 1 to 200 characters and no control characters", "give it another `name`"});
   }
-  OriginCore* const found = find_origin(name);
-  if (found == nullptr) {
-    OriginCore& made = make_origin(name, topic);
-    made.is_claimed = true;
-    for (Listener* listener : listeners) listener->on_origin(made);
-    return made;
+  receive_all();  // what another loop has published under the name comes first
+  RuntimeCore& all = hub != nullptr ? *hub : *this;
+  bool is_new = false;
+  OriginCore* origin = nullptr;
+  {
+    const std::lock_guard lock(all.names_mutex_);
+    Name& claim = all.names_[std::string(name)];
+    const auto refuse = [&](const std::string& why, const char* advice) {
+      throw SetupError({Errc::busy, "cannot make sensor", std::string(name), why, advice});
+    };
+    if (claim.holder != nullptr) {
+      const bool is_here = claim.holder == this;
+      refuse(
+          "there is one of that name already" + (is_here ? "" : " on loop " + claim.holder->loops.front()->config.name),
+          "give each sensor a `name` of its own");
+    }
+    if (claim.left != nullptr && claim.left->topic != topic.name) {
+      refuse("earlier in this run it published on topic " + claim.left->topic, "choose another name or that topic");
+    }
+    const OriginCore* known = find_origin(name);
+    is_new = known == nullptr || known->is_mirror;
+    origin = &find_or_make_origin(name, topic);
+    if (is_new) origin->adopt(claim.left != nullptr ? claim.left->state : OriginCore::State{});
+    claim.holder = this;
   }
-  OriginCore& known = *found;
-  if (known.is_claimed || known.is_mirror) {
-    throw SetupError({Errc::busy, "cannot make sensor", std::string(name), "there is one of that name already",
-                      "give each sensor a `name` of its own"});
+  if (is_new) {
+    for (Listener* listener : listeners) listener->on_origin(*origin);
   }
-  if (&known.topic != &topic) {
-    throw SetupError({Errc::busy, "cannot make sensor", std::string(name),
-                      "earlier in this run it published on topic " + known.topic.name, "choose another name or that topic"});
+  return *origin;
+}
+
+void RuntimeCore::release(const OriginCore& origin) noexcept {
+  RuntimeCore& all = hub != nullptr ? *hub : *this;
+  const std::lock_guard lock(all.names_mutex_);
+  if (const auto found = all.names_.find(origin.name); found != all.names_.end()) release(found->first, found->second);
+}
+
+void RuntimeCore::release_all() noexcept {
+  RuntimeCore& all = hub != nullptr ? *hub : *this;
+  const std::lock_guard lock(all.names_mutex_);
+  for (auto& [name, claim] : all.names_) {
+    if (claim.holder == this) release(name, claim);
   }
-  known.is_claimed = true;
-  return known;
+}
+
+void RuntimeCore::release(std::string_view name, Name& claim) noexcept try {
+  claim.holder = nullptr;
+  const OriginCore* origin = find_origin(name);
+  if (claim.left == nullptr) claim.left = std::make_unique<Name::Left>(Name::Left{origin->topic.name, {}});
+  claim.left->state = origin->state();
+} catch (...) {  // out of memory: on another loop it begins anew
 }
 
 OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
@@ -296,19 +329,10 @@ OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
   return found == origins_.end() ? nullptr : const_cast<OriginCore*>(&*found);
 }
 
-OriginCore& RuntimeCore::make_origin(std::string_view name, TopicCore& topic) {
+OriginCore& RuntimeCore::find_or_make_origin(std::string_view name, TopicCore& topic) {
+  if (OriginCore* known = find_origin(name)) return *known;
   auto& made = const_cast<OriginCore&>(*origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
   topic.origins().push_back(&made);
-  return made;
-}
-
-OriginCore& RuntimeCore::mirror_origin(std::string_view name, TopicCore& topic) {
-  if (find_origin(name) != nullptr) {
-    throw SetupError({Errc::busy, "cannot take over sensor", std::string(name), "there is one of that name on another tier already",
-                      "give each sensor a `name` of its own"});
-  }
-  OriginCore& made = make_origin(name, topic);
-  made.is_mirror = true;
   return made;
 }
 
@@ -352,9 +376,31 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
   }
 }
 
-void RuntimeCore::receive() {
+void RuntimeCore::receive_all() {
   for (Bridge* bridge : inbound) bridge->receive();
-  report_kept();
+}
+
+void RuntimeCore::announce(Announcement announcement) {
+  {
+    const std::lock_guard lock(announced_mutex_);
+    announced_.push_back(std::move(announcement));
+  }
+  has_announced_.store(true, std::memory_order_release);
+}
+
+void RuntimeCore::hear_announcements() {
+  if (!has_announced_.exchange(false, std::memory_order_acquire)) return;
+  std::vector<Announcement> heard;
+  {
+    const std::lock_guard lock(announced_mutex_);
+    heard.swap(announced_);
+  }
+  for (Announcement& one : heard) one.bridge->hear(one);
+}
+
+void RuntimeCore::forget_announcements(const Bridge& of) {
+  const std::lock_guard lock(announced_mutex_);
+  std::erase_if(announced_, [&](const Announcement& one) { return one.bridge == &of; });
 }
 
 void RuntimeCore::turn_done() {
@@ -518,6 +564,7 @@ bool Runtime::balances() const {
 }
 
 bool Runtime::has_loss() const {
+  if (core_->lost_between_loops > 0) return true;
   for (const detail::OriginCore& origin : core_->origins()) {
     if (origin.counts.has_loss()) return true;
   }

@@ -12,6 +12,7 @@
 
 #include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
+#include "loop/priority_mutex.hpp"
 #include "loop/topic_core.hpp"
 #include "rtdata/loop/health.hpp"
 #include "rtdata/loop/load.hpp"
@@ -20,6 +21,8 @@
 namespace rtdata::detail {
 
 class Bridge;
+class Channel;
+struct Passage;
 class TierCore;
 
 /// What wants to know of everything that a recording holds besides events. Called on the loop's thread.
@@ -82,6 +85,15 @@ SensorStatus status_of(const SensorEntry& sensor);
 /// How a payload reads in errors: the name of its description, or that of its C++ type.
 std::string payload_name(const PayloadType& type);
 
+/// What a bridge tells the other side of before anything of it is sent.
+struct Announcement {
+  Bridge* bridge;
+  Channel* channel;  ///< of a topic
+  Passage* passage;  ///< of one of its origins; null: the topic itself
+  std::string name;
+  PayloadType type;
+};
+
 class RuntimeCore {
  public:
   RuntimeCore(Runtime& face, Runtime::Config config);
@@ -118,8 +130,13 @@ class RuntimeCore {
   TopicCore& find_or_make_topic(std::string_view name, PayloadType type);
   TopicCore* find_topic(std::string_view name) noexcept;
   const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
-  /// Claims the origin for one sensor or feed. SetupError (bad-name, busy): the name is taken, or was on another topic.
+  /// Claims the origin for one sensor or feed of this loop. One that another loop has given up goes on here. SetupError
+  /// (bad-name, busy): the name is taken, on this loop or another, or was on another topic.
   OriginCore& claim_origin(std::string_view name, TopicCore& topic);
+  /// Gives up the claim.
+  void release(const OriginCore& origin) noexcept;
+  /// Gives up all, as when its tier goes.
+  void release_all() noexcept;
   OriginCore* find_origin(std::string_view name) noexcept;
   /// The origin of the program's own events on a topic.
   OriginCore& program_origin(TopicCore& topic);
@@ -147,8 +164,20 @@ class RuntimeCore {
   std::vector<TierCore*> tiers;     ///< the hub's
   std::vector<Bridge*> outbound;    ///< from this loop
   std::vector<Bridge*> inbound;     ///< to this loop
+  std::uint64_t lost_between_loops =
+      0;  ///< events of topics that cannot be what they are elsewhere; which was reported
   /// Takes what other loops sent before the call. May report, as the next does.
-  void receive();
+  void receive() {
+    receive_all();
+    report_kept();
+  }
+  /// The same, for who calls `report_kept` later.
+  void receive_all();
+  /// From the sending side's thread. All that is announced to this loop is heard in this order, so that of the loops
+  /// which had a name one after the other the last one comes last.
+  void announce(Announcement announcement);
+  void hear_announcements();
+  void forget_announcements(const Bridge& of);
   /// The end of a turn of the loop: tells the other loops.
   void turn_done();
   /// Puts times on the hub's line.
@@ -157,8 +186,7 @@ class RuntimeCore {
     offset_ = of.offset_;
     last_offset_ = of.last_offset_;
   }
-  /// What comes from another loop under this name. SetupError (busy): the name is taken here.
-  OriginCore& mirror_origin(std::string_view name, TopicCore& topic);
+  OriginCore& find_or_make_origin(std::string_view name, TopicCore& topic);
 
   void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {});
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
@@ -194,7 +222,16 @@ class RuntimeCore {
     Error error;
   };
   void report_all_kept();
-  OriginCore& make_origin(std::string_view name, TopicCore& topic);
+  /// Who has the name of a sensor or feed.
+  struct Name {
+    struct Left {
+      std::string topic;
+      OriginCore::State state;
+    };
+    const RuntimeCore* holder = nullptr;
+    std::unique_ptr<Left> left;  // by its last holder
+  };
+  void release(std::string_view name, Name& claim) noexcept;
   struct Repeat {
     std::string object;
     Error error;
@@ -228,6 +265,11 @@ class RuntimeCore {
   std::atomic<std::uint32_t> lines_under_way_{0};
   std::atomic<std::uint64_t> lines_dropped_{0};
   std::vector<Kept> kept_;
+  PriorityMutex announced_mutex_;
+  std::vector<Announcement> announced_;
+  std::atomic<bool> has_announced_{false};
+  PriorityMutex names_mutex_;                       // taken at set-up only
+  std::unordered_map<std::string, Name> names_;  // the hub's: of all its tiers
 };
 
 }  // namespace rtdata::detail

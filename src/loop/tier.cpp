@@ -83,6 +83,9 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
 }
 
 void TierCore::make_bridges() {
+  // What the others have said of each other comes before what is said to the new one.
+  main.core().runtime.receive_all();
+  for (TierCore* tier : main.core().runtime.tiers) tier->runtime.core().receive_all();
   const auto connect = [&](LoopCore& other) {
     bridges_.push_back(std::make_unique<Bridge>(loop.core(), other, config.ring_bytes));
     bridges_.push_back(std::make_unique<Bridge>(other, loop.core(), config.ring_bytes));
@@ -98,6 +101,9 @@ TierCore::~TierCore() {
     for (TierCore* tier : tiers) tier->stop();
   }
   stop();
+  loop.core().close_nodes();
+  runtime.core().release_all();
+  for (Bridge* bridge : runtime.core().outbound) bridge->finish();
   for (const TierCore* tier : tiers) {
     if (tier == this) continue;
     auto& theirs = const_cast<TierCore*>(tier)->bridges_;

@@ -21,8 +21,8 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
 }
 
 void SourceNode::leave() noexcept {
-  origin_.is_claimed = false;
   origin_.sensor = nullptr;
+  loop()->runtime.release(origin_);
   std::erase(loop()->runtime.sensors, this);
 }
 

@@ -111,8 +111,10 @@ class SinkNode final : public Node, public Recorder, public RateMember {
                                                                                  : sink.slot_of(*this, origin);
       slot.live->offered += count;
       slot.dropped_newest += count;
-      if (slot.first_sequence == 0) slot.first_sequence = last_sequence - count + 1;
-      slot.last_sequence = last_sequence;
+      // Told late, when another tier has gone on with the name, they are before what it published.
+      if (slot.first_sequence == 0 || last_sequence < slot.first_sequence)
+        slot.first_sequence = last_sequence - count + 1;
+      slot.last_sequence = std::max(slot.last_sequence, last_sequence);
     }
     SinkNode& sink;
     TopicCore& topic;

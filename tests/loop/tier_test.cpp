@@ -314,6 +314,104 @@ TEST_SUITE("loop") {
     loop.run();  // nothing is left to wait for
   }
 
+  TEST_CASE("a name that a sensor of another loop has is refused") {
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    Tier slow(loop, {.name = "slow"});
+    const Feed<Count> there(fast.loop(), {.name = "there"});
+    const Feed<Count> here(loop, {.name = "here"});
+    CHECK_THROWS_WITH_AS(Feed<Count>(loop, {.name = "there", .topic = "other"}),
+                         "cannot make sensor: there: there is one of that name already on loop fast: give each sensor "
+                         "a `name` of its own",
+                         SetupError);
+    CHECK_THROWS_AS(Feed<Count>(slow.loop(), {.name = "there"}), SetupError);
+    CHECK_THROWS_AS(Feed<Count>(slow.loop(), {.name = "here"}), SetupError);
+    loop.run_for(5ms);  // all have heard of each other
+    CHECK_THROWS_AS(Feed<Count>(loop, {.name = "there", .topic = "other"}), SetupError);
+    CHECK_THROWS_AS(slow.call([](Loop& on) { return Feed<Count>(on, {.name = "here"}); }), SetupError);
+  }
+
+  TEST_CASE(
+      "US-8 a name that was freed may be used on another loop, and goes on in its sequence, with every event in "
+      "order") {
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    Tier slow(loop, {.name = "slow"});
+    std::uint64_t numbered = 0;
+    std::uint64_t out_of_order = 0;
+    const auto follow = [&](const Event<Count>& event) {
+      if (event.sequence != ++numbered || event->number != numbered) ++out_of_order;
+    };
+    auto subscription = loop.subscribe<Count>("x", follow);
+    std::uint64_t on_slow = 0;
+    auto other = slow.loop().subscribe<Count>("x", [&](const Event<Count>& event) {
+      if (event.sequence != ++on_slow) on_slow += 1'000'000;
+    });
+    fast.start();
+    slow.start();
+    std::uint64_t next = 0;
+    const auto burst = [&](Loop& on) {
+      Feed<Count> feed(on, {.name = "x"});
+      CHECK_THROWS_AS(Feed<Count>(on, {.name = "x"}), SetupError);
+      for (int i = 0; i < 7; ++i) feed.publish({++next});
+      on.core().deliver_all();  // a feed that goes cancels what its own loop has not delivered
+    };
+    for (unsigned round = 0; round < 60; ++round) {
+      if (round % 7 == 0) loop.run_for(1ms);
+      if (round % 5 == 0) {
+        burst(loop);
+      } else {
+        (round % 3 == 0 ? slow : fast).call(burst);
+      }
+    }
+    CHECK(next == 420);
+    CHECK(run_until(loop, [&] { return numbered == next; }));
+    CHECK(out_of_order == 0);
+    CHECK(run_until(loop, [&] { return slow.call([&](Loop&) { return on_slow; }) == next; }));
+    loop.close();
+    CHECK(subscription.counts().offered == next);
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("a tier that is made again with the same sensors reaches the main loop again") {
+    Loop loop;
+    std::uint64_t seen = 0;
+    std::uint64_t last = 0;
+    auto subscription = loop.subscribe<Count>("x", [&](const Event<Count>& event) {
+      ++seen;
+      last = event.sequence;
+    });
+    for (std::uint64_t round = 1; round <= 3; ++round) {
+      Tier fast(loop, {});
+      fast.start();
+      auto feed = fast.call([](Loop& on) { return Feed<Count>(on, {.name = "x"}); });
+      fast.call([&](Loop& on) {
+        on.topic<Count>("own").publish({});
+        for (int i = 0; i < 10; ++i) feed.publish({});
+      });
+      if (round == 2) continue;  // the tier goes before anything of it was taken
+      CHECK(run_until(loop, [&] { return seen == 10 * round; }));
+    }
+    CHECK(seen == 30);
+    CHECK(last == 30);
+    for (const TopicStatus& topic : loop.runtime().topics()) {
+      if (topic.name == "own") CHECK(topic.published == 3);
+    }
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("events that another loop cannot take, since the topic is another one there, are a loss") {
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    Tier fast(loop, {});
+    loop.topic<Count>("one");
+    const auto topic = fast.loop().topic<double>("one");
+    Ticker ticker(fast.loop(), 1ms, [&](const Tick&) { topic.publish(1); });
+    CHECK(run_until(loop, [&] { return loop.runtime().has_loss(); }));
+    CHECK(errors.size() == 1);
+  }
+
   TEST_CASE("errors and log lines of a tier come out on the main loop") {
     Loop loop;
     std::vector<std::string> told;

@@ -120,7 +120,7 @@ class Runtime {
   std::vector<LoopStatus> loops() const;
   /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed.
   bool balances() const;
-  /// Something was missed, failed, lost or dropped by a sink.
+  /// Something was missed, failed, lost or dropped by a sink, or could not be taken from a tier, which was reported.
   bool has_loss() const;
 
   detail::RuntimeCore& core() noexcept { return *core_; }
