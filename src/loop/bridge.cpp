@@ -49,8 +49,8 @@ Bridge::~Bridge() {
 
 // ---- the sending side
 
-void Bridge::announce(Channel& channel, Passage* passage, const std::string& name, PayloadType type) {
-  to_.runtime.announce({this, &channel, passage, name, std::move(type)});
+void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
+  to_.runtime.announce({this, channel, passage, name, std::move(type)});
   has_news_ = true;
 }
 
@@ -58,12 +58,14 @@ Result<void> Bridge::on_topic(TopicCore& topic) {
   if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
   channels_.emplace_back(*this, topic);
   topic.add_channel_out(channels_.back());
-  announce(channels_.back(), nullptr, topic.name, topic.type);
+  announce(&channels_.back(), nullptr, topic.name, topic.type);
   return {};
 }
 
 void Bridge::on_origin(OriginCore& origin) {
   if (origin.is_mirror) return;
+  if (origin.topic.type.move_construct != nullptr)
+    return announce(nullptr, nullptr, origin.topic.name, origin.topic.type);
   Channel* channel = channel_of(origin.topic);
   if (channel == nullptr) return;
   Passage& passage = passages_.emplace_back();
@@ -71,7 +73,7 @@ void Bridge::on_origin(OriginCore& origin) {
   passage.channel = channel;
   if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
   channel->passages_[origin.index] = &passage;
-  announce(*channel, &passage, origin.name, {});
+  announce(channel, &passage, origin.name, {});
 }
 
 Channel* Bridge::channel_of(const TopicCore& topic) noexcept {
@@ -253,18 +255,24 @@ void Bridge::turn_done() {
 
 void Bridge::hear(Announcement& announcement) {
   RuntimeCore& here = to_.runtime;
-  Channel& channel = *announcement.channel;
+  Channel* const channel = announcement.channel;
   Passage* const passage = announcement.passage;
   if (passage == nullptr) {
     try {
-      channel.mirror_ = &here.find_or_make_topic(announcement.name, std::move(announcement.type));
-      channel.mirror_->add_channel_in(channel);
+      TopicCore& topic = here.find_or_make_topic(announcement.name, std::move(announcement.type));
+      if (channel != nullptr) {
+        channel->mirror_ = &topic;
+        topic.add_channel_in(*channel);
+      } else {
+        topic.cut_off_from = from_.config.name;
+        here.tell_of_cut_off(topic);
+      }
     } catch (const SetupError& e) {
       here.keep_report(&to_, "loop " + from_.config.name, e.error());
     }
     return;
   }
-  if (channel.mirror_ == nullptr) {
+  if (channel->mirror_ == nullptr) {
     passage->is_heard = true;
     return;
   }
@@ -273,7 +281,7 @@ void Bridge::hear(Announcement& announcement) {
     for (Bridge* bridge : here.inbound) bridge->take_heard();
     for (Bridge* bridge : here.outbound) bridge->give_up(*known);
   }
-  here.find_or_make_origin(announcement.name, *channel.mirror_).become_mirror(*passage);
+  here.find_or_make_origin(announcement.name, *channel->mirror_).become_mirror(*passage);
   passage->is_heard = true;
   received_.push_back(passage);
 }

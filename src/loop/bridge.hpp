@@ -163,7 +163,7 @@ class Bridge final : public Listener {
     ring_.commit();
     has_news_ = true;
   }
-  void announce(Channel& channel, Passage* passage, const std::string& name, PayloadType type);
+  void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
   /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
   bool take_heard();
   void take(const Record& record);

@@ -87,6 +87,12 @@ std::string payload_name(const PayloadType& type) {
   return std::string(begin == text.npos ? text : text.substr(begin + 4, text.find_last_of(']') - begin - 4));
 }
 
+Error cannot_cross(const TopicCore& topic) {
+  return {Errc::bad_argument, "cannot subscribe", topic.name,
+          "its payload " + payload_name(topic.type) + " is not trivially copyable and cannot cross tiers",
+          "use text<N> for strings, arrays for vectors; or subscribe on the loop that publishes it"};
+}
+
 RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_) : face(face_), config(std::move(config_)) {
   use_clock(config.clock != nullptr ? *config.clock : system_clock_);
 }
@@ -396,6 +402,14 @@ void RuntimeCore::hear_announcements() {
     heard.swap(announced_);
   }
   for (Announcement& one : heard) one.bridge->hear(one);
+}
+
+void RuntimeCore::tell_of_cut_off(TopicCore& topic) {
+  const SubscriptionNode* node = topic.first_subscriber();
+  if (node == nullptr || topic.cut_off_from.empty()) return;
+  Error error = cannot_cross(topic);
+  error.where += ", which is published on loop " + std::exchange(topic.cut_off_from, {});
+  keep_report(node->loop(), node->name, std::move(error));
 }
 
 void RuntimeCore::forget_announcements(const Bridge& of) {

@@ -84,11 +84,13 @@ SensorStatus status_of(const SensorEntry& sensor);
 
 /// How a payload reads in errors: the name of its description, or that of its C++ type.
 std::string payload_name(const PayloadType& type);
+/// Of a payload that is not trivially copyable.
+Error cannot_cross(const TopicCore& topic);
 
 /// What a bridge tells the other side of before anything of it is sent.
 struct Announcement {
   Bridge* bridge;
-  Channel* channel;  ///< of a topic
+  Channel* channel;  ///< of a topic; null: its payload cannot cross
   Passage* passage;  ///< of one of its origins; null: the topic itself
   std::string name;
   PayloadType type;
@@ -178,6 +180,8 @@ class RuntimeCore {
   void announce(Announcement announcement);
   void hear_announcements();
   void forget_announcements(const Bridge& of);
+  /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
+  void tell_of_cut_off(TopicCore& topic);
   /// The end of a turn of the loop: tells the other loops.
   void turn_done();
   /// Puts times on the hub's line.

@@ -128,6 +128,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   if (only != nullptr) {
     const auto hub_of = [](RuntimeCore& core) { return core.hub != nullptr ? core.hub : &core; };
     if (&only->runtime() != &runtime && hub_of(only->runtime()) == hub_of(runtime)) {  // the topic's mirror on this tier
+      if (only->type.move_construct != nullptr) throw SetupError(cannot_cross(*only));
       only = &runtime.topic(only->name, only->type);
     }
     if (&only->runtime() != &runtime) {
@@ -135,6 +136,8 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
                         "give both loops one runtime"});
     }
     if (auto linked = only->link(loop, node); !linked) throw SetupError(linked.error());
+    runtime.tell_of_cut_off(*only);
+    runtime.report_kept();
     return;
   }
   if (!is_topic_pattern(node.pattern())) {
@@ -148,10 +151,12 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
       if (topic->name == node.pattern()) throw SetupError(linked.error());
       refused.push_back(std::move(linked).error());
     }
+    runtime.tell_of_cut_off(*topic);
   }
   runtime.patterns.push_back(&node);
   const std::string name = node.name;
   for (const Error& error : refused) runtime.report(&loop, name, error);
+  runtime.report_kept();
 }
 
 TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType type) {

@@ -79,6 +79,7 @@ class TopicCore {
   /// The loop is gone: if it delivers this topic, what is queued is cancelled.
   void abandon(const LoopCore& loop) noexcept;
 
+  const SubscriptionNode* first_subscriber() const noexcept { return links_.empty() ? nullptr : links_.front().node; }
   SubscriptionCounts subscription_counts() const noexcept;
   SubscriptionCounts counts_of(const SubscriptionNode& node) const noexcept;
   std::vector<OriginCore*>& origins() noexcept { return origins_; }
@@ -86,6 +87,7 @@ class TopicCore {
 
   TopicCore* next_ready = nullptr;  ///< of the loop's list of topics with pending deliveries
   bool is_ready = false;
+  std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once that was told
   OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
 
  private:

@@ -400,6 +400,39 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE(
+      "a payload that cannot cross is refused where its topic is subscribed to, and told of once where it is wanted by "
+      "name") {
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error(
+        [&](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.text()); });
+    Tier fast(loop, {});
+    const auto words = fast.loop().topic<std::string>("words");
+    CHECK_THROWS_AS((void)words.subscribe(loop, [](const Event<std::string>&) {}), SetupError);
+    std::uint64_t there = 0;
+    auto on_tier = words.subscribe(fast.loop(), [&](const Event<std::string>&) { ++there; });
+    auto typed = loop.subscribe<std::string>("words", [](const Event<std::string>&) {});
+    Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+      words.publish("a word");
+      fast.loop().topic<std::string>("others").publish("another");
+      fast.loop().topic<Count>("numbers").publish({});
+    });
+    loop.run_for(20ms);
+    REQUIRE(errors.size() == 1);  // nobody wants the others
+    CHECK(errors[0].starts_with(
+        "handler of words: cannot subscribe: words, which is published on loop fast: its payload std::"));
+    CHECK(errors[0].find("cannot cross tiers: use text<N>") != std::string::npos);
+    auto late = loop.subscribe<std::string>("#", [](const Event<std::string>&) {});
+    std::erase_if(errors, [](const std::string& error) { return error.find("others") == std::string::npos; });
+    REQUIRE(errors.size() == 1);
+    CHECK(errors[0].find("others, which is published on loop fast") != std::string::npos);
+    errors.clear();
+    loop.run_for(20ms);
+    CHECK(errors.empty());
+    CHECK(fast.call([&](Loop&) { return there; }) > 0);
+  }
+
   TEST_CASE("events that another loop cannot take, since the topic is another one there, are a loss") {
     Loop loop;
     std::vector<std::string> errors;

@@ -9,7 +9,7 @@
 /// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
 /// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
 /// publishing side takes no lock and allocates nothing; the other side is woken once, however much waits. Only payloads
-/// that are trivially copyable cross.
+/// that are trivially copyable cross: of others, subscribing on another loop is a SetupError, or is reported when it is by name.
 ///
 /// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
 /// to set, and so does the log.
