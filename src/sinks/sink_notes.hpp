@@ -21,15 +21,16 @@ class SinkNotes {
   static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
-    if (gaps_.size() >= std::max<std::size_t>(4096, 2 * slots)) {
-      for (auto entry = gaps_.rbegin(); entry != gaps_.rend(); ++entry) {
-        if (entry->slot != slot || entry->gap.kind != gap.kind) continue;
-        entry->gap.last = gap.last;
-        entry->gap.count += gap.count;
-        if (entry->gap.reason != gap.reason) entry->gap.reason = "several";
-        return;
-      }
+    std::uint32_t& last = last_gap(slot, gap.kind);
+    if (gaps_.size() >= std::max<std::size_t>(4096, 2 * slots) && last < gaps_.size() && gaps_[last].slot == slot &&
+        gaps_[last].gap.kind == gap.kind) {
+      Gap& grown = gaps_[last].gap;
+      grown.last = gap.last;
+      grown.count += gap.count;
+      if (grown.reason != gap.reason) grown.reason = "several";
+      return;
     }
+    last = static_cast<std::uint32_t>(gaps_.size());
     gaps_.push_back({slot, gap});
   }
 
@@ -91,6 +92,12 @@ class SinkNotes {
                       "look at the storage"};
     account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0)});
   }
+  /// Where in `gaps_` the last one of this kind is; anywhere when there is none.
+  std::uint32_t& last_gap(std::uint32_t slot, Gap::Kind kind) {
+    const std::size_t at = 2 * std::size_t{slot} + (kind == Gap::Kind::missed ? 0 : 1);
+    if (at >= last_gaps_.size()) last_gaps_.resize(2 * at + 2);
+    return last_gaps_[at];
+  }
   template <class T>
   static void move(std::vector<T>& from, std::vector<T>& to) {
     to.swap(from);  // the memory goes round
@@ -98,6 +105,7 @@ class SinkNotes {
   }
 
   std::vector<Account::GapEntry> gaps_;
+  std::vector<std::uint32_t> last_gaps_;
   std::vector<Account::SegmentEntry> segments_;
   std::vector<Account::ErrorEntry> errors_;
   std::vector<ClockPair> clock_;
