@@ -17,6 +17,10 @@ namespace rtdata {
 namespace detail {
 namespace {
 
+// Accounts of many origins are made in parts, so that none holds the loop for long.
+constexpr std::size_t origins_at_once = 500;
+constexpr Duration pause_between_parts = std::chrono::milliseconds{1};
+
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
 /// Stores what is queued, on the lane.
@@ -58,7 +62,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
         queue_(std::make_shared<SinkQueue>(config_, std::move(writer))),
         job_(std::make_shared<StoreJob>(queue_)),
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
-        retry_(loop.face, [this] { start_storing(); }) {}
+        retry_(loop.face, [this] { start_storing(); }),
+        next_part_(loop.face, [this] { account_more(); }) {}
 
   void attach() {
     RuntimeCore& runtime = loop()->runtime;
@@ -88,49 +93,65 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   struct TopicTap final : Tap {
     TopicTap(SinkNode& sink_, TopicCore& topic_, std::uint32_t number_)
-        : sink(sink_), topic(topic_), number(number_), record_bytes(record_bytes_of(topic_.type.size)) {}
+        : sink(sink_),
+          topic(topic_),
+          number(number_),
+          payload_bytes(static_cast<std::uint32_t>(topic_.type.size)),
+          record_bytes(record_bytes_of(topic_.type.size)) {}
+    /// What is touched for each event of an origin.
+    struct Place {
+      LiveCounts* live = nullptr;  // null: it has no slot yet
+      std::uint64_t first_sequence = 0;
+      std::uint64_t last_sequence = 0;
+      std::uint32_t slot = 0;
+    };
     void offer(OriginCore& origin, const EventHeader& header, const void* payload) override {
-      Slot& slot = origin.index < slots.size() && slots[origin.index] != nullptr ? *slots[origin.index]
-                                                                                 : sink.slot_of(*this, origin);
-      ++slot.live->offered;
-      if (slot.first_sequence == 0) [[unlikely]]
-        slot.first_sequence = header.sequence;
-      slot.last_sequence = header.sequence;
+      Place& place = place_of(origin);
+      ++place.live->offered;
+      if (place.first_sequence == 0) [[unlikely]]
+        place.first_sequence = header.sequence;
+      place.last_sequence = header.sequence;
       SinkQueue& queue = *sink.queue_;
-      std::byte* to = queue.room(slot, record_bytes);
+      std::byte* to = queue.room(place.slot, record_bytes);
       if (to == nullptr) [[unlikely]]
         return sink.start_storing();
-      const RecordHeader record{&slot, to_nanoseconds(header.time), header.sequence};
+      const RecordHeader record{place.slot, payload_bytes, to_nanoseconds(header.time), header.sequence};
       std::memcpy(to, &record, sizeof record);
-      std::memcpy(to + sizeof record, payload, topic.type.size);
+      std::memcpy(to + sizeof record, payload, payload_bytes);
       queue.commit(record_bytes);
       if (queue.is_batch_due()) sink.flush_rows();
     }
     void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override {
-      Slot& slot = origin.index < slots.size() && slots[origin.index] != nullptr ? *slots[origin.index]
-                                                                                 : sink.slot_of(*this, origin);
-      slot.live->offered += count;
-      slot.dropped_newest += count;
+      Place& place = place_of(origin);
+      place.live->offered += count;
+      sink.queue_->slot(place.slot).dropped_newest += count;
       // Told late, when another tier has gone on with the name, they are before what it published.
-      if (slot.first_sequence == 0 || last_sequence < slot.first_sequence)
-        slot.first_sequence = last_sequence - count + 1;
-      slot.last_sequence = std::max(slot.last_sequence, last_sequence);
+      if (place.first_sequence == 0 || last_sequence < place.first_sequence)
+        place.first_sequence = last_sequence - count + 1;
+      place.last_sequence = std::max(place.last_sequence, last_sequence);
+    }
+    Place& place_of(OriginCore& origin) {
+      if (origin.index >= places.size() || places[origin.index].live == nullptr) [[unlikely]]
+        make_place(origin);
+      return places[origin.index];
+    }
+    void make_place(OriginCore& origin) {
+      const std::uint32_t slot = sink.queue_->add_slot({number, origin.name, topic.name, topic.type.description});
+      if (places.size() <= origin.index) {
+        const auto count = std::max<std::size_t>(origin.index + 1, topic.origins().size());
+        places.resize(count);
+        accounted.resize(count);
+      }
+      places[origin.index] = {sink.queue_->slot(slot).live, 0, 0, slot};
     }
     SinkNode& sink;
     TopicCore& topic;
-    std::uint32_t number;
-    std::size_t record_bytes;
-    std::vector<Slot*> slots;  // by the origin's index within the topic
+    const std::uint32_t number;
+    const std::uint32_t payload_bytes;
+    const std::size_t record_bytes;
+    std::vector<Place> places;             // by the origin's index within the topic, as the next
+    std::vector<OriginAccount> accounted;  // as last handed over
   };
-
-  Slot& slot_of(TopicTap& tap, OriginCore& origin) {
-    if (tap.slots.size() <= origin.index)
-      tap.slots.resize(std::max<std::size_t>(origin.index + 1, tap.topic.origins().size()));
-    Slot*& slot = tap.slots[origin.index];
-    if (slot == nullptr)
-      slot = &queue_->add_slot({tap.number, tap.topic.name, origin.name, tap.topic.type.description}, tap.record_bytes);
-    return *slot;
-  }
 
   void flush_rows() {
     if (is_busy()) {  // the chunk goes on filling
@@ -173,13 +194,13 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   }
 
   void on_gap(OriginCore& origin, const Gap& gap) override {
-    Slot* slot = find_slot(origin);
-    if (slot == nullptr) return;
-    notes_.add(slot->accounted.slot, gap, queue_->slot_count());
+    const TopicTap::Place* place = find_place(origin);
+    if (place == nullptr) return;
+    notes_.add(place->slot, gap, queue_->slot_count());
   }
 
   void on_segment(OriginCore& origin, const Segment& segment) override {
-    if (Slot* slot = find_slot(origin)) notes_.add(slot->accounted.slot, segment);
+    if (const TopicTap::Place* place = find_place(origin)) notes_.add(place->slot, segment);
   }
 
   void on_clock(const ClockPair& pair) override { notes_.add(pair); }
@@ -249,10 +270,10 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       finish_drain();
     } else if (closing_) {
       start_storing();
-    } else if (is_due_ || !queue_->is_idle()) {
+    } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
       is_due_ = false;
       queue_->hand_over();
-      account(false);
+      if (is_account_due_) begin_account();
       start_storing();
     }
   }
@@ -270,13 +291,17 @@ class SinkNode final : public Node, public Recorder, public RateMember {
 
   void flush() {
     if (closing_) return;
-    if (is_busy()) {
+    bool has_rows = false;
+    if (is_busy()) {  // the chunk goes on filling
       is_due_ = true;
-      return;
+    } else {
+      has_rows = queue_->hand_over();
     }
-    const bool has_rows = queue_->hand_over();
-    const bool has_account = account(false);
-    if (has_rows || has_account) start_storing();
+    if (retry_.is_running()) {
+      is_account_due_ = true;
+    } else if (begin_account() || has_rows) {
+      start_storing();
+    }
   }
 
   Handler<ErrorReport> on_error_;
@@ -287,9 +312,9 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   ~SinkNode() override = default;
   std::string object_name() const { return "sink " + config_.name; }
 
-  Slot* find_slot(OriginCore& origin) {
+  const TopicTap::Place* find_place(OriginCore& origin) {
     for (const auto& tap : taps_) {
-      if (&tap->topic == &origin.topic) return &slot_of(*tap, origin);
+      if (&tap->topic == &origin.topic) return &tap->place_of(origin);
     }
     return nullptr;
   }
@@ -299,7 +324,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void start_storing() {
     if (is_busy() || closed_ || !is_attached_) return;
     if (closing_ && !has_last_account_)
-      has_last_account_ = account(true);  // else all are with the lane, which frees them first
+      has_last_account_ = account(all_and_last);  // else all are with the lane, which frees them first
     job_->closing = has_last_account_;
     is_storing_ = lane_->submit(job_);
     if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
@@ -327,36 +352,69 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     report(error, 1);
   }
 
-  /// Fills an account with what changed since the last one. False when there is nothing, or no place for it now.
-  bool account(bool is_last) {
+  /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
+  /// was handed over.
+  bool begin_account() {
+    if (next_part_.is_running()) return false;  // the one before is under way
+    is_account_due_ = queue_->free_account() == nullptr;
+    if (is_account_due_) return false;
+    return account(first_part);
+  }
+
+  void account_more() {
+    if (closing_ || !is_attached_) return;
+    if (retry_.is_running() || queue_->free_account() == nullptr) {
+      next_part_.start(pause_between_parts);
+    } else if (account(next_part)) {
+      start_storing();
+    }
+  }
+
+  enum Part { first_part, next_part, all_and_last };
+  /// There is a free account. False when there is nothing to tell.
+  bool account(Part part) {
     Account* account = queue_->free_account();
     if (account == nullptr) return false;
+    const bool is_last = part == all_and_last;
     RuntimeCore& runtime = loop()->runtime;
     const MonotonicTime until = loop()->handled_until();
     account->at = runtime.event_time(loop()->now());
     account->is_last = is_last;
     account->unknown = is_last ? runtime.unknown_end : "";
     account->origins.clear();
-    for (const auto& tap : taps_) {
-      for (OriginCore* origin : tap->topic.origins()) {
-        if (is_last) origin->close_gap();
-        Slot& slot = slot_of(*tap, *origin);
-        OriginAccount now{slot.accounted.slot, origin->counts,      slot.live->offered, slot.dropped_newest,
-                          slot.dropped_oldest, slot.first_sequence, slot.last_sequence, {}};
-        if (origin->has_segment()) now.segment = origin->segment(until);
-        if (!is_last && now.offered == slot.accounted.offered && now.dropped_oldest == slot.accounted.dropped_oldest &&
-            now.sensor.lost == slot.accounted.sensor.lost && now.sensor.scheduled == slot.accounted.sensor.scheduled &&
-            now.sensor.received == slot.accounted.sensor.received &&
-            now.segment.period == slot.accounted.segment.period &&
-            now.sensor.in_flight == slot.accounted.sensor.in_flight) {
+    if (part != next_part) account_topic_ = account_origin_ = 0;
+    std::size_t looked_at = 0;
+    for (; account_topic_ < taps_.size(); ++account_topic_, account_origin_ = 0) {
+      TopicTap& tap = *taps_[account_topic_];
+      for (const auto& origins = tap.topic.origins(); account_origin_ < origins.size(); ++account_origin_) {
+        if (!is_last && looked_at++ == origins_at_once) {
+          next_part_.start(pause_between_parts);
+          return hand_over(*account);
+        }
+        OriginCore& origin = *origins[account_origin_];
+        if (is_last) origin.close_gap();
+        const TopicTap::Place& place = tap.place_of(origin);
+        const Slot& slot = queue_->slot(place.slot);
+        OriginAccount now{place.slot,          origin.counts,        slot.live->offered,  slot.dropped_newest,
+                          slot.dropped_oldest, place.first_sequence, place.last_sequence, {}};
+        if (origin.has_segment()) now.segment = origin.segment(until);
+        OriginAccount& before = tap.accounted[origin.index];
+        if (!is_last && now.offered == before.offered && now.dropped_oldest == before.dropped_oldest &&
+            now.sensor.lost == before.sensor.lost && now.sensor.scheduled == before.sensor.scheduled &&
+            now.sensor.received == before.sensor.received && now.segment.period == before.segment.period &&
+            now.sensor.in_flight == before.sensor.in_flight) {
           continue;
         }
-        slot.accounted = now;
+        before = now;
         account->origins.push_back(now);
       }
     }
-    notes_.move_into(*account);
-    if (account->is_empty()) return false;
+    return hand_over(*account);
+  }
+
+  bool hand_over(Account& account) {
+    notes_.move_into(account);
+    if (account.is_empty()) return false;
     queue_->hand_over_account();
     return true;
   }
@@ -371,6 +429,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (!is_attached_) return;
     if (!notes_.has_end()) notes_.add(runtime.read_clock("end"));
     if (is_scheduled()) loop()->schedule().remove(*this);
+    next_part_.stop();
     queue_->hand_over();
     queue_->keep_own_counts();
     if (retry_.is_running()) {  // one try at once, then the delays begin anew
@@ -439,6 +498,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (is_storing_) lane_->leave_behind();
     lane_ = nullptr;
     retry_.close();
+    next_part_.close();
     deadline_.close();
     auto done = std::move(drained_);
     drained_.clear();
@@ -462,6 +522,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::vector<std::unique_ptr<TopicTap>> taps_;
   SinkNotes notes_;
   Timer retry_;
+  Timer next_part_;  // of an account
   Timer deadline_;
   Duration retry_delay_{0};
   std::uint64_t failures_ = 0;
@@ -473,6 +534,9 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   bool is_attached_ = false;
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free
+  bool is_account_due_ = false;
+  std::size_t account_topic_ = 0;  // where its next part begins
+  std::size_t account_origin_ = 0;
   bool closing_ = false;
   bool has_last_account_ = false;
   bool closed_ = false;

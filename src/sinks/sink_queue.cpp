@@ -20,11 +20,13 @@ namespace {
 template <class Function>
 void for_each_slot(const ChunkHeader& chunk, Function&& function) {
   for (std::size_t at = 0; at < chunk.used;) {
-    Slot& slot = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->slot;
-    function(slot);
-    at += slot.record_bytes;
+    const auto& record = *reinterpret_cast<const RecordHeader*>(chunk.data + at);
+    function(record.slot);
+    at += record_bytes_of(record.payload_bytes);
   }
 }
+
+constexpr std::size_t most_chunks_together = 16;
 
 constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { return ticket << 2 | state; }
 
@@ -48,33 +50,42 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
 SinkQueue::~SinkQueue() {
   ::munmap(memory_, memory_bytes_);
   for (auto& block : blocks_) delete[] block.load(std::memory_order_relaxed);
+  for (auto& block : stored_blocks_) delete[] block.load(std::memory_order_relaxed);
 }
 
-Slot& SinkQueue::add_slot(SlotInfo info, std::size_t record_bytes) {
+std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   const std::uint32_t index = slot_count_.load(std::memory_order_relaxed);
   if (index == most_slots)
     throw SetupError({Errc::bad_argument, "too many origins", config_.name,
                       "a sink takes at most " + std::to_string(most_slots), ""});
   const Place at = place_of(index);
-  if (at.offset == 0) blocks_[at.block].store(new Slot[first_block << at.block], std::memory_order_release);
+  if (at.offset == 0) {
+    blocks_[at.block].store(new Slot[first_block << at.block], std::memory_order_release);
+    stored_blocks_[at.block].store(new SlotStored[first_block << at.block], std::memory_order_release);
+  }
   Slot& made = slot(index);
   made.info = std::move(info);
-  made.record_bytes = record_bytes;
-  made.accounted.slot = index;
+  stored(index).info = &made.info;
   if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
-  return made;
+  return index;
 }
 
-ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
-  for (ChunkHeader& chunk : chunks_) {
-    if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) == ChunkHeader::free) return &chunk;
+ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
+  const std::uint64_t revision = revision_.load(std::memory_order_acquire);
+  if (revision != full_at_revision_) {  // else the lane has freed none since the last look
+    for (ChunkHeader& chunk : chunks_) {
+      if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) == ChunkHeader::free) return &chunk;
+    }
   }
-  if (config_.when_full == WhenFull::drop_newest) {
-    ++slot.dropped_newest;
-    ++slot.live->dropped;
+  full_at_revision_ = revision;
+  const auto drop_newest = [&] {
+    Slot& lost = slot(index);
+    ++lost.dropped_newest;
+    ++lost.live->dropped;
     return nullptr;
-  }
+  };
+  if (config_.when_full == WhenFull::drop_newest) return drop_newest();
   for (;;) {
     ChunkHeader* oldest = nullptr;
     std::uint64_t oldest_value = 0;
@@ -85,14 +96,11 @@ ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
         oldest_value = value;
       }
     }
-    if (oldest == nullptr) {  // the lane is at work on all of them
-      ++slot.dropped_newest;
-      ++slot.live->dropped;
-      return nullptr;
-    }
+    if (oldest == nullptr) return drop_newest();  // the lane is at work on all of them
     if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling)))
       continue;
-    for_each_slot(*oldest, [](Slot& lost) {
+    for_each_slot(*oldest, [this](std::uint32_t number) {
+      Slot& lost = slot(number);
       ++lost.dropped_oldest;
       ++lost.live->dropped;
     });
@@ -100,7 +108,7 @@ ChunkHeader* SinkQueue::take_chunk(Slot& slot) {
   }
 }
 
-std::byte* SinkQueue::room(Slot& slot, std::size_t bytes) {
+std::byte* SinkQueue::room(std::uint32_t slot, std::size_t bytes) {
   if (filling_ != nullptr && filling_->used + bytes > chunk_bytes) {
     queue_filling();
     ++full_chunks_;
@@ -170,10 +178,9 @@ SinkCounts SinkQueue::sum() const noexcept {
   SinkCounts sum;
   for (std::uint32_t i = 0; i < slot_count(); ++i) {
     const Slot& s = slot(i);
-    const std::uint64_t stored = s.stored.load(std::memory_order_relaxed);
-    const std::uint64_t refused = s.refused.load(std::memory_order_relaxed);
+    const std::uint64_t refused = stored(i).refused.load(std::memory_order_relaxed);
     sum.offered += s.live->offered;
-    sum.stored += stored;
+    sum.stored += stored(i).stored.load(std::memory_order_relaxed);
     sum.dropped[static_cast<std::size_t>(DropReason::queue_full_newest)] += s.dropped_newest;
     sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += s.dropped_oldest;
     sum.dropped[static_cast<std::size_t>(DropReason::refused)] += refused;
@@ -188,9 +195,10 @@ std::vector<TopicDrops> SinkQueue::dropped_by_topic(Queued queued) const {
   std::vector<TopicDrops> all;
   for (std::uint32_t i = 0; i < slot_count(); ++i) {
     const Slot& s = slot(i);
-    const std::uint64_t dropped = queued == Queued::lost
-                                      ? s.live->offered - s.stored.load(std::memory_order_relaxed)
-                                      : s.dropped_newest + s.dropped_oldest + s.refused.load(std::memory_order_relaxed);
+    const SlotStored& lane = stored(i);
+    const std::uint64_t dropped =
+        queued == Queued::lost ? s.live->offered - lane.stored.load(std::memory_order_relaxed)
+                               : s.dropped_newest + s.dropped_oldest + lane.refused.load(std::memory_order_relaxed);
     if (all.size() <= s.info.topic_number) all.resize(s.info.topic_number + 1);
     all[s.info.topic_number].topic = s.info.topic;
     all[s.info.topic_number].count += dropped;
@@ -244,8 +252,10 @@ bool SinkQueue::gather() {
   AccountBox& box = accounts_[account_cursor_];
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
+  // What waits already is stored together, in transactions that stay short.
+  const std::size_t most_chunks = std::min(most_chunks_together, chunks_.size() / 8);
   bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
-  while (batch_.rows_ < config_.batch_rows && !has_all) {
+  while ((batch_.rows_ < config_.batch_rows || batch_.chunks_.size() < most_chunks) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
@@ -256,8 +266,9 @@ bool SinkQueue::gather() {
   if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
   slots_in_batch_.clear();
   for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_slot(*chunk, [this](Slot& slot) {
-      if (slot.in_batch++ == 0) slots_in_batch_.push_back(&slot);
+    for_each_slot(*chunk, [this](std::uint32_t slot) {
+      SlotStored& counts = stored(slot);
+      if (counts.in_batch++ == 0) slots_in_batch_.push_back(&counts);
     });
   }
   return true;
@@ -267,7 +278,7 @@ void SinkQueue::finish_batch() {
   const std::lock_guard lock(abandon_mutex_);
   if (abandoned_) return;
   revision_.fetch_add(1, std::memory_order_acq_rel);
-  for (Slot* s : slots_in_batch_) {
+  for (SlotStored* s : slots_in_batch_) {
     s->stored.fetch_add(s->in_batch - s->refused_in_batch, std::memory_order_relaxed);
     s->refused.fetch_add(s->refused_in_batch, std::memory_order_relaxed);
     s->in_batch = s->refused_in_batch = 0;
@@ -291,11 +302,11 @@ void SinkQueue::fail_batch() noexcept {
   is_open_ = false;
   refusals_in_batch_ = 0;
   if (!has_batch_) return;
-  for (Slot* s : slots_in_batch_) s->refused_in_batch = 0;
+  for (SlotStored* s : slots_in_batch_) s->refused_in_batch = 0;
 }
 
 void SinkQueue::refuse_batch() {
-  for (Slot* s : slots_in_batch_) s->refused_in_batch = s->in_batch;
+  for (SlotStored* s : slots_in_batch_) s->refused_in_batch = s->in_batch;
 }
 
 template <class Call>
@@ -349,7 +360,7 @@ Result<void> SinkQueue::close_writer() {
 }
 
 void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
-  ++slot(index).refused_in_batch;
+  ++stored(index).refused_in_batch;
   if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
 }
 
@@ -365,16 +376,17 @@ std::uint64_t SinkQueue::take_refusals(Error& why) {
 Record Batch::Iterator::operator*() const noexcept {
   const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
   const auto* stored = reinterpret_cast<const detail::RecordHeader*>(at);
-  const SlotInfo& info = stored->slot->info;
-  return {stored->slot->accounted.slot,
+  const SlotInfo& info = *batch_->queue_->stored(stored->slot).info;
+  return {stored->slot,
           &info,
           {from_nanoseconds(stored->time), stored->sequence, info.origin},
-          {at + sizeof *stored, info.description->size()}};
+          {at + sizeof *stored, stored->payload_bytes}};
 }
 
 Batch::Iterator& Batch::Iterator::operator++() noexcept {
   const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
-  offset_ += reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->slot->record_bytes;
+  offset_ +=
+      detail::record_bytes_of(reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->payload_bytes);
   if (offset_ >= chunk.used) {
     offset_ = 0;
     ++chunk_;
@@ -387,11 +399,11 @@ Batch::Iterator Batch::end() const { return Iterator(*this, chunks_.size()); }
 const SlotInfo& Batch::slot(std::uint32_t slot) const noexcept { return queue_->slot(slot).info; }
 std::size_t Batch::slots() const noexcept { return queue_->slot_count(); }
 std::uint64_t Batch::stored_after(std::uint32_t slot) const noexcept {
-  const detail::Slot& s = queue_->slot(slot);
+  const detail::SlotStored& s = queue_->stored(slot);
   return s.stored.load(std::memory_order_relaxed) + s.in_batch - s.refused_in_batch;
 }
 std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
-  const detail::Slot& s = queue_->slot(slot);
+  const detail::SlotStored& s = queue_->stored(slot);
   return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
 }
 void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }

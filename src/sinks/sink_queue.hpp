@@ -16,11 +16,10 @@
 
 namespace rtdata::detail {
 
-struct Slot;
-
 /// Lies before each payload in a chunk.
 struct RecordHeader {
-  Slot* slot;
+  std::uint32_t slot;
+  std::uint32_t payload_bytes;
   std::int64_t time;
   std::uint64_t sequence;
 };
@@ -39,23 +38,22 @@ struct ChunkHeader {
   std::uint32_t rows = 0;
 };
 
-/// One (topic, origin): what is fixed, the loop's counts, the lane's counts.
-struct Slot {
+/// One (topic, origin): what is fixed, and the loop's counts.
+struct alignas(64) Slot {
   SlotInfo info;
-  std::size_t record_bytes = 0;
-  // loop
   LiveCounts own;
   LiveCounts* live = &own;
   std::uint64_t dropped_newest = 0;
   std::uint64_t dropped_oldest = 0;
-  std::uint64_t first_sequence = 0;
-  std::uint64_t last_sequence = 0;
-  OriginAccount accounted;  // as last handed over
-  // lane
+};
+
+/// The lane's counts of a slot. Apart from it and small, since they are touched for each record.
+struct SlotStored {
   std::atomic<std::uint64_t> stored{0};  // changed between two steps of the queue's revision
   std::atomic<std::uint64_t> refused{0};
-  std::uint64_t in_batch = 0;
-  std::uint64_t refused_in_batch = 0;
+  std::uint32_t in_batch = 0;
+  std::uint32_t refused_in_batch = 0;
+  const SlotInfo* info = nullptr;
 };
 
 class SinkQueue {
@@ -65,7 +63,7 @@ class SinkQueue {
 
   // ---- loop
   /// Room for a record, or null when the queue is full: then the policy has been applied and counted.
-  std::byte* room(Slot& slot, std::size_t bytes);
+  std::byte* room(std::uint32_t slot, std::size_t bytes);
   void commit(std::size_t bytes) noexcept {
     filling_->used += bytes;
     ++filling_->rows;
@@ -81,11 +79,15 @@ class SinkQueue {
   Account* free_account();
   /// Queues it behind all that was handed over before.
   void hand_over_account();
-  /// `record_bytes`: of each of its records.
-  Slot& add_slot(SlotInfo info, std::size_t record_bytes);
+  /// Its number.
+  std::uint32_t add_slot(SlotInfo info);
   Slot& slot(std::uint32_t index) const noexcept {
     const Place at = place_of(index);
     return blocks_[at.block].load(std::memory_order_acquire)[at.offset];
+  }
+  SlotStored& stored(std::uint32_t index) const noexcept {
+    const Place at = place_of(index);
+    return stored_blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
   /// A snapshot between two batches; while the lane ends batches faster than this can count, an approximate one.
@@ -132,7 +134,7 @@ class SinkQueue {
     Account account;
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
-  ChunkHeader* take_chunk(Slot& slot);
+  ChunkHeader* take_chunk(std::uint32_t slot);
   void queue_filling();
   SinkCounts sum() const noexcept;
   /// Takes the oldest chunk with a ticket before this one.
@@ -150,6 +152,7 @@ class SinkQueue {
   std::size_t memory_bytes_ = 0;
   std::vector<ChunkHeader> chunks_;
   std::array<std::atomic<Slot*>, most_blocks> blocks_{};
+  std::array<std::atomic<SlotStored*>, most_blocks> stored_blocks_{};
   std::atomic<std::uint32_t> slot_count_{0};
   std::array<AccountBox, account_count> accounts_;
 
@@ -159,10 +162,11 @@ class SinkQueue {
   std::size_t rows_since_handover_ = 0;
   std::size_t full_chunks_ = 0;  // queued since the last hand-over because they were full
   std::size_t next_account_ = 0;
+  std::uint64_t full_at_revision_ = ~std::uint64_t{0};  // when no chunk was free
   // lane
   Batch batch_;
   bool has_batch_ = false;
-  std::vector<Slot*> slots_in_batch_;
+  std::vector<SlotStored*> slots_in_batch_;
   bool is_open_ = false;
   std::size_t account_cursor_ = 0;
   std::uint64_t taken_ticket_ = 0;  // the last one gathered

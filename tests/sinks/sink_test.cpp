@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sink_notes.hpp"
 
@@ -381,6 +382,65 @@ TEST_SUITE("sinks") {
     CHECK(bench.loop.close(1min) == 0);
     CHECK(bench.script->has_last_account);
     bench.check_all_once();
+  }
+
+  TEST_CASE("accounts of many origins come in parts, a few in each turn, and miss none") {
+    constexpr int feeds = 1234;
+    struct Accounts final : Writer {
+      explicit Accounts(std::vector<std::vector<std::uint32_t>>& parts_) : parts(parts_) {}
+      Result<void> open() override { return {}; }
+      Result<void> write(Batch& batch) override {
+        if (batch.account() == nullptr) return {};
+        parts.emplace_back();
+        for (const OriginAccount& origin : batch.account()->origins) parts.back().push_back(origin.slot);
+        return {};
+      }
+      std::vector<std::vector<std::uint32_t>>& parts;
+    };
+    std::vector<std::vector<std::uint32_t>> parts;
+    Loop loop{Loop::Manual{}};
+    Sink sink(loop, config(), std::make_unique<Accounts>(parts));
+    std::vector<Feed<Number>> all;
+    for (int i = 0; i < feeds; ++i) all.emplace_back(loop, FeedConfig{.name = "f" + std::to_string(i), .topic = "a"});
+    loop.advance(500ms);
+    parts.clear();
+    for (int second = 0; second < 3; ++second) {
+      for (auto& feed : all) feed.publish({1});
+      loop.advance(1s);
+      std::vector<std::uint32_t> slots;
+      for (const auto& part : parts) {
+        CHECK(part.size() <= 500);
+        slots.insert(slots.end(), part.begin(), part.end());
+      }
+      std::sort(slots.begin(), slots.end());
+      REQUIRE(slots.size() == feeds);
+      for (std::uint32_t i = 0; i < feeds; ++i) CHECK(slots[i] == i);
+      parts.clear();
+    }
+    all[700].publish({1});
+    loop.advance(1s);
+    std::size_t told = 0;
+    for (const auto& part : parts) told += part.size();
+    CHECK(told == 1);
+    parts.clear();
+    sink.close();
+    REQUIRE(parts.size() == 1);
+    CHECK(parts[0].size() == feeds);
+  }
+
+  TEST_CASE("what waits already is stored together, in batches that stay small") {
+    Bench bench;
+    SinkConfig with = config();
+    with.queue_bytes = 64 << 20;
+    Sink sink = bench.make(with);
+    bench.loop.advance(1ms);
+    bench.script->failures = 1;
+    bench.publish(200'000);
+    bench.loop.advance(1s);
+    bench.check_all_once();
+    const std::size_t most = *std::max_element(bench.script->batches.begin(), bench.script->batches.end());
+    CHECK(most > 10'000);
+    CHECK(most < 40'000);
   }
 
   TEST_CASE("NFR-1 a writer that hangs delays the end by the deadline only, and its events count as lost") {

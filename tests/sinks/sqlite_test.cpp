@@ -307,6 +307,47 @@ TEST_SUITE("sinks") {
     CHECK(verdict_of(path) == Verdict::sealed);
   }
 
+  TEST_CASE("US-26 killed while accounts of many sensors are written in parts: each is sealed from its own on") {
+    constexpr int feeds = 1200;
+    for (const auto after : {0us, 500us, 1500us, 2500us}) {  // all, one, two parts, none left
+      Directory directory;
+      const std::string path = directory / "run.db";
+      const pid_t child = ::fork();
+      if (child == 0) {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path});
+        std::vector<Feed<Number>> all;
+        for (int i = 0; i < feeds; ++i)
+          all.emplace_back(loop, FeedConfig{.name = "f" + std::to_string(i), .topic = "a"});
+        const auto publish_all = [&] {
+          for (auto& feed : all) feed.publish({1});
+        };
+        loop.advance(500ms);
+        publish_all();
+        loop.advance(500ms + after);  // the account is due
+        publish_all();
+        loop.advance(1us);
+        for (int i = 0; i < 7; ++i) all[0].publish({2});
+        ::raise(SIGKILL);
+      }
+      int status = 0;
+      REQUIRE(::waitpid(child, &status, 0) == child);
+      REQUIRE(WIFSIGNALED(status));
+      const std::int64_t rows = query(path, "SELECT count(*) FROM \"a\"");
+      CHECK(rows >= feeds);
+      record(path, 10);
+      CHECK(query(path, "SELECT sum(stored) FROM rtdata_ledger WHERE run = 1") == rows);
+      CHECK(query(path, "SELECT sum(offered) FROM rtdata_ledger WHERE run = 1") == 2 * feeds + 7);
+      CHECK(query(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 2 * feeds + 7 - rows);
+      CHECK(verdict_of(path) == Verdict::sealed);
+      sqlite::Database::open(path, Database::Mode::write)
+          .or_throw()
+          .execute("DELETE FROM \"a\" WHERE run = 1 AND origin = 'f700' AND sequence = 1")
+          .or_throw();
+      CHECK(verdict_of(path) == Verdict::not_balanced);
+    }
+  }
+
   TEST_CASE("US-26 after a power cut what was lost is not known, and that is said") {
     Directory directory;
     const std::string path = directory / "run.db";

@@ -50,7 +50,7 @@ constexpr auto describe(type_tag<WhenFull>) {
 struct SinkConfig {
   std::string name = {};                            ///< in reports and the ledger; each kind has a default
   std::vector<std::string> topics = {"#"};          ///< patterns; topics made later are taken too
-  std::size_t batch_rows = 500;                     ///< events that are stored together
+  std::size_t batch_rows = 500;                     ///< events that are stored together; more when more wait already
   Duration batch_time = std::chrono::seconds{1};    ///< a batch is stored after so long, however small it is
   std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
   WhenFull when_full = WhenFull::drop_newest;
@@ -80,8 +80,8 @@ struct SinkConfig {
 /// One (topic, origin) that a sink takes events of. Immutable once it is listed.
 struct SlotInfo {
   std::uint32_t topic_number = 0;  ///< counts the topics of this sink from 0
-  std::string topic;
   std::string origin;
+  std::string topic;
   std::shared_ptr<const Description> description;
 };
 
@@ -131,7 +131,7 @@ struct Account {
   Time at{};
   bool is_last = false;                ///< the sink closes: nothing follows
   std::string unknown = {};            ///< of the last one: what is not in it, and why; empty: it is complete
-  std::vector<OriginAccount> origins;  ///< those that changed
+  std::vector<OriginAccount> origins;  ///< those that changed; of many, a part
   std::vector<GapEntry> gaps;          ///< closed since the last account
   std::vector<SegmentEntry> segments;  ///< ended since the last account
   std::vector<ErrorEntry> errors;

@@ -1,6 +1,8 @@
 // Runs that ended without closing, and rows beyond the limits of a recording.
 #include <algorithm>
-#include <map>
+#include <limits>
+#include <string_view>
+#include <unordered_map>
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -12,12 +14,6 @@ struct OpenRun {
   std::int64_t run;
   std::string uuid;
   std::int64_t ended;
-};
-
-struct Counted {
-  std::int64_t rows = 0;
-  std::int64_t first_sequence = 0;
-  std::int64_t last_sequence = 0;
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -34,26 +30,10 @@ Result<std::vector<std::string>> tables_of(Database& database, const std::string
   }
 }
 
-/// Rows of the run above the rowid, by origin.
-Result<std::map<std::string, Counted>> count_rows(Database& database, const std::string& table, std::int64_t run, std::int64_t above,
-                                                  std::int64_t& last_time) {
-  auto query = database.prepare("SELECT origin, count(*), min(sequence), max(sequence), max(time) FROM " + quoted(table) +
-                                " WHERE rowid > ? AND run = ? GROUP BY origin");
-  if (!query) return std::move(query).error();
-  query->bind(1, above).bind(2, run);
-  std::map<std::string, Counted> counted;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return counted;
-    counted[std::string(query->text(0))] = {query->integer(1), query->integer(2), query->integer(3)};
-    last_time = std::max(last_time, query->integer(4));
-  }
-}
-
 struct LedgerRow {
   std::string origin;
   std::int64_t slot, offered, stored, dropped, first_sequence, last_sequence, rows_up_to;
+  std::int64_t added = 0;  // rows that came after it was written
 };
 
 Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
@@ -67,8 +47,36 @@ Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, c
     auto row = query->step();
     if (!row) return std::move(row).error();
     if (!*row) return rows;
-    rows.push_back({std::string(query->text(0)), query->integer(1), query->integer(2), query->integer(3), query->integer(4),
-                    query->integer(5), query->integer(6), query->integer(7)});
+    rows.push_back({std::string(query->text(0)), query->integer(1), query->integer(2), query->integer(3),
+                    query->integer(4), query->integer(5), query->integer(6), query->integer(7), 0});
+  }
+}
+
+/// Counts the rows of the run that came after what the ledger says of their origin.
+Result<void> add_later_rows(Database& database, const std::string& table, std::int64_t run,
+                            std::vector<LedgerRow>& ledger, std::int64_t& last_time) {
+  std::unordered_map<std::string_view, LedgerRow*> by_origin;
+  std::int64_t above = std::numeric_limits<std::int64_t>::max();
+  for (LedgerRow& row : ledger) {
+    by_origin[row.origin] = &row;
+    above = std::min(above, row.rows_up_to);
+  }
+  auto query =
+      database.prepare("SELECT rowid, origin, sequence, time FROM " + quoted(table) + " WHERE rowid > ? AND run = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, above).bind(2, run);
+  for (;;) {
+    auto is_row = query->step();
+    if (!is_row) return std::move(is_row).error();
+    if (!*is_row) return {};
+    const auto found = by_origin.find(query->text(1));
+    if (found == by_origin.end() || query->integer(0) <= found->second->rows_up_to) continue;
+    LedgerRow& row = *found->second;
+    const std::int64_t sequence = query->integer(2);
+    ++row.added;
+    if (row.first_sequence == 0) row.first_sequence = sequence;
+    row.last_sequence = std::max(row.last_sequence, sequence);
+    last_time = std::max(last_time, query->integer(3));
   }
 }
 
@@ -77,38 +85,22 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
                         std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);
   if (!rows) return std::move(rows).error();
-  std::int64_t above = rows->empty() ? 0 : std::numeric_limits<std::int64_t>::max();
-  for (const LedgerRow& row : *rows) above = std::min(above, row.rows_up_to);
+  if (rows->empty()) return {};
   auto tables = tables_of(database, topic);
   if (!tables) return std::move(tables).error();
-  std::map<std::string, Counted> counted;
   for (const std::string& table : *tables) {
-    auto some = count_rows(database, table, run.run, above, last_time);
-    if (!some) return std::move(some).error();
-    for (const auto& [origin, count] : *some) {
-      Counted& sum = counted[origin];
-      sum.first_sequence = sum.rows == 0 ? count.first_sequence : std::min(sum.first_sequence, count.first_sequence);
-      sum.last_sequence = std::max(sum.last_sequence, count.last_sequence);
-      sum.rows += count.rows;
-    }
+    if (auto added = add_later_rows(database, table, run.run, *rows, last_time); !added) return added;
   }
+  // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
+  auto update = database.prepare(
+      "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
+      "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = "
+      "dropped_newest + ?3, "
+      "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
+  if (!update) return std::move(update).error();
   for (const LedgerRow& row : *rows) {
-    // Every ledger row of a topic says up to where its count goes; an older one is counted from there.
-    std::int64_t added = 0;
-    std::int64_t first_sequence = row.first_sequence;
     std::int64_t last_sequence = row.last_sequence;
-    for (const std::string& table : *tables) {
-      auto some = row.rows_up_to == above ? Result<std::map<std::string, Counted>>(counted)
-                                          : count_rows(database, table, run.run, row.rows_up_to, last_time);
-      if (!some) return std::move(some).error();
-      if (const auto found = some->find(row.origin); found != some->end()) {
-        added += found->second.rows;
-        if (first_sequence == 0) first_sequence = found->second.first_sequence;
-        last_sequence = std::max(last_sequence, found->second.last_sequence);
-      }
-      if (row.rows_up_to == above) break;
-    }
-    std::int64_t offered = row.stored + added + row.dropped;
+    std::int64_t offered = row.stored + row.added + row.dropped;
     std::int64_t unsaved = 0;
     std::int64_t dropped_more = 0;
     if (live != nullptr && row.slot >= 0) {
@@ -116,17 +108,16 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       const auto refused = row.dropped - std::min(row.dropped, static_cast<std::int64_t>(counts.dropped));
       dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
       offered = std::max(offered + dropped_more, static_cast<std::int64_t>(counts.offered));
-      unsaved = offered - (row.stored + added) - row.dropped - dropped_more;
-      if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
+      unsaved = offered - (row.stored + row.added) - row.dropped - dropped_more;
+      if (row.first_sequence != 0) last_sequence = std::max(last_sequence, row.first_sequence + offered - 1);
       lost += unsaved;
     }
-    // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
-    auto update = database.prepare(
-        "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
-        "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = dropped_newest + ?3, "
-        "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
-    if (!update) return std::move(update).error();
-    update->bind(1, offered).bind(2, row.stored + added).bind(3, dropped_more).bind(4, unsaved).bind(5, first_sequence).bind(6, last_sequence);
+    update->bind(1, offered)
+        .bind(2, row.stored + row.added)
+        .bind(3, dropped_more)
+        .bind(4, unsaved)
+        .bind(5, row.first_sequence)
+        .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
     if (auto done = update->run(); !done) return done;
   }
