@@ -9,7 +9,7 @@
 
 namespace rtdata::detail {
 
-/// Like std::memcpy, which it is for more than 16 bytes. Returns the end.
+/// Like std::memcpy, which it is for more than 64 bytes. Returns the end.
 template <class Byte>
 Byte* copy_short(Byte* to, const void* data, std::size_t size) {
   const auto* from = static_cast<const char*>(data);
@@ -17,8 +17,12 @@ Byte* copy_short(Byte* to, const void* data, std::size_t size) {
     std::memcpy(to, from, part);
     std::memcpy(to + size - part, from + size - part, part);
   };
-  if (size > 16) {
+  if (size > 64) {
     std::memcpy(to, from, size);
+  } else if (size > 32) {
+    both_ends(std::integral_constant<std::size_t, 32>{});
+  } else if (size > 16) {
+    both_ends(std::integral_constant<std::size_t, 16>{});
   } else if (size >= 8) {
     both_ends(std::integral_constant<std::size_t, 8>{});
   } else if (size >= 4) {

@@ -16,11 +16,8 @@ constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uin
 
 }  // namespace
 
-void Channel::send(OriginCore& origin, const EventHeader& header, const void* payload) {
-  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
-  Passage* passage = passages_[origin.index];
-  if (passage != nullptr) bridge_.send(*passage, header, payload, source_.type.size);
-}
+Channel::Channel(Bridge& bridge, TopicCore& source)
+    : bridge_(bridge), source_(source), record_bytes_(rounded(sizeof(Bridge::EventRecord) + source.type.size)) {}
 
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(from), to_(to), ring_(ring_bytes), wants_accounts_(to.runtime.hub == nullptr) {
   from_.runtime.outbound.push_back(this);
@@ -51,7 +48,7 @@ Bridge::~Bridge() {
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
   to_.runtime.announce({this, channel, passage, name, std::move(type)});
-  has_news_ = true;
+  ++unannounced_;
 }
 
 Result<void> Bridge::on_topic(TopicCore& topic) {
@@ -100,22 +97,6 @@ RecordType* Bridge::reserve(Sort sort, Passage& passage, std::size_t spare) noex
   record->passage = &passage;
   record->dropped = passage.dropped;
   return record;
-}
-
-void Bridge::send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes) {
-  std::byte* room = ring_.reserve(rounded(sizeof(EventRecord) + payload_bytes), spare());
-  if (room == nullptr) {
-    ++passage.dropped;
-    return;
-  }
-  auto& record = *reinterpret_cast<EventRecord*>(room);
-  record.sort = Sort::event;
-  record.passage = &passage;
-  record.dropped = passage.dropped;
-  record.time = header.time;
-  record.sequence = header.sequence;
-  std::memcpy(room + sizeof(EventRecord), payload, payload_bytes);
-  commit();
 }
 
 void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
@@ -287,7 +268,6 @@ void Bridge::hear(Announcement& announcement) {
 }
 
 void Bridge::receive() {
-  is_woken_.exchange(false, std::memory_order_acq_rel);  // what was sent before is seen, what comes later wakes again
   if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
   do {
     to_.runtime.hear_announcements();  // it was announced before it was sent
@@ -295,24 +275,19 @@ void Bridge::receive() {
 }
 
 bool Bridge::take_heard() {
-  std::size_t taken = 0;
-  bool are_all_heard = true;
+  ring_.look();
   while (const std::byte* front = ring_.front()) {
     const auto& record = *reinterpret_cast<const Record*>(front);
-    if (record.passage->mirror == nullptr) [[unlikely]] {
-      if (!record.passage->is_heard) {
-        are_all_heard = false;
-        break;
-      }
-      if (record.sort == Sort::event) ++to_.runtime.lost_between_loops;
+    if (record.passage->mirror == nullptr && !record.passage->is_heard) return false;
+    if (record.sort == Sort::event) {
+      take_events(static_cast<const EventRecord&>(record));
     } else {
-      take(record);
+      if (record.passage->mirror != nullptr) take(record);
+      ring_.pop();
     }
-    ring_.pop();
-    if (++taken % 64 == 0) ring_.release();
+    ring_.release();
   }
-  ring_.release();
-  return are_all_heard;
+  return true;
 }
 
 void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence) {
@@ -322,18 +297,33 @@ void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t l
   passage.mirror->topic.miss(*passage.mirror, more, last_sequence);
 }
 
+void Bridge::take_events(const EventRecord& first) {
+  Passage& passage = *first.passage;
+  const std::size_t stride = first.bytes;
+  // Those of the same sensor behind it, so far as nothing was dropped between.
+  const std::size_t most = std::min<std::size_t>(ring_.straight_bytes() / stride, 64);
+  std::size_t count = 1;
+  const auto* at = reinterpret_cast<const std::byte*>(&first);
+  for (; count < most; ++count) {
+    const auto& next = *reinterpret_cast<const EventRecord*>(at + count * stride);
+    if (next.bytes != stride || next.sort != Sort::event || next.passage != &passage || next.dropped != first.dropped) break;
+  }
+  if (passage.mirror == nullptr) [[unlikely]] {
+    to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
+  } else {
+    OriginCore& mirror = *passage.mirror;
+    note_drops(passage, first.dropped, first.event.sequence - 1);
+    mirror.topic.receive(mirror, &first.event, count, stride);
+  }
+  ring_.pop(count * stride);
+}
+
 void Bridge::take(const Record& record) {
   Passage& passage = *record.passage;
   OriginCore& mirror = *passage.mirror;
   switch (record.sort) {
-    case Sort::event: {
-      const auto& event = static_cast<const EventRecord&>(record);
-      note_drops(passage, event.dropped, event.sequence - 1);
-      // Payloads that cross are trivially copyable: nothing is moved out of it.
-      auto* payload = const_cast<std::byte*>(reinterpret_cast<const std::byte*>(&event) + sizeof(EventRecord));
-      mirror.topic.receive(mirror, event.time, event.sequence, payload);
-      break;
-    }
+    case Sort::event:
+      break;  // see above
     case Sort::gap:
       for (Listener* listener : to_.runtime.recorders) listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
       break;

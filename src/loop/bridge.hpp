@@ -7,7 +7,8 @@
 //      the event and counts it with its sensor; the next record of that sensor tells how many there were.
 //   4. A name belongs to one loop at a time, which the hub says at set-up. When another loop has taken it over, the receiving
 //      side first takes what the old one has sent; then that passage is past, and the mirror is fed by the new one.
-//   5. After the sending loop's callbacks, the receiving loop is woken once for all that waits.
+//   5. After the sending loop's callbacks, or earlier when much waits, the receiving loop is woken once for all that waits:
+//      through the kernel only when it sleeps (wake.hpp).
 #pragma once
 
 #include <atomic>
@@ -17,6 +18,7 @@
 #include <string>
 #include <vector>
 
+#include "data/copy.hpp"
 #include "loop/byte_ring.hpp"
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
@@ -58,7 +60,7 @@ struct Passage {
 /// One topic and its mirror.
 class Channel {
  public:
-  Channel(Bridge& bridge, TopicCore& source) : bridge_(bridge), source_(source) {}
+  Channel(Bridge& bridge, TopicCore& source);
 
   // The sending side
   void send(OriginCore& origin, const EventHeader& header, const void* payload);
@@ -70,6 +72,7 @@ class Channel {
   friend class Bridge;
   Bridge& bridge_;
   TopicCore& source_;
+  const std::uint32_t record_bytes_;
   std::vector<Passage*> passages_;  // the sending side's, by the origin's index within the topic
   std::atomic<bool> is_wanted_{true};  // until the other side has heard of it
   TopicCore* mirror_ = nullptr;  // the receiving side's
@@ -94,12 +97,11 @@ class Bridge final : public Listener {
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time time, const HealthChange& change) override;
-  void send(Passage& passage, const EventHeader& header, const void* payload, std::size_t payload_bytes);
   /// Wakes the other side if there is something for it.
   void wake() noexcept {
-    if (!has_news_) return;
-    has_news_ = false;
-    if (!is_woken_.exchange(true, std::memory_order_acq_rel)) to_.wake().send();
+    if (unannounced_ == 0) return;
+    unannounced_ = 0;
+    to_.wake().send();
   }
   // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
@@ -118,6 +120,9 @@ class Bridge final : public Listener {
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
+  friend class Channel;
+  /// The other side is woken before the end of the turn when so much waits: both work at the same time then.
+  static constexpr unsigned most_unannounced = 128;
   enum class Sort : std::uint32_t { event, gap, segment, account, drops };
   struct Record {  // the ring's records begin with it
     std::uint32_t bytes;  // the ring's
@@ -126,8 +131,7 @@ class Bridge final : public Listener {
     std::uint64_t dropped;
   };
   struct EventRecord : Record {
-    Time time;
-    std::uint64_t sequence;
+    TopicCore::Arrival event;
     // the payload
   };
   struct GapRecord : Record {
@@ -161,24 +165,25 @@ class Bridge final : public Listener {
   void send_some_accounts();
   void commit() noexcept {
     ring_.commit();
-    has_news_ = true;
+    if (++unannounced_ == most_unannounced) wake();
   }
   void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
   /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
   bool take_heard();
+  /// The front of the ring, and those alike behind it.
+  void take_events(const EventRecord& first);
   void take(const Record& record);
   void note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence);
 
   LoopCore& from_;
   LoopCore& to_;
   ByteRing ring_;
-  std::atomic<bool> wants_accounts_;   // the other side has sinks, or is the main loop, which shows them
-  std::atomic<bool> is_woken_{false};  // set by the sender, cleared by the receiver before it looks
+  std::atomic<bool> wants_accounts_;  // the other side has sinks, or is the main loop, which shows them
 
   // the sending side
   std::deque<Channel> channels_;
   std::deque<Passage> passages_;
-  bool has_news_ = false;
+  unsigned unannounced_ = 0;  // what was sent since the other side was woken
   /// Accounts are sent some time after something happened, and not while nothing does.
   struct Reminder final : Deadline {
     explicit Reminder(Bridge& bridge_) : bridge(bridge_) {}
@@ -195,5 +200,23 @@ class Bridge final : public Listener {
   // the receiving side
   std::vector<Passage*> received_;  // those that have, or had, a mirror
 };
+
+inline void Channel::send(OriginCore& origin, const EventHeader& header, const void* payload) {
+  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
+  Passage* passage = passages_[origin.index];
+  if (passage == nullptr) return;
+  std::byte* room = bridge_.ring_.reserve(record_bytes_, bridge_.spare());
+  if (room == nullptr) [[unlikely]] {
+    ++passage->dropped;
+    return;
+  }
+  auto& record = *reinterpret_cast<Bridge::EventRecord*>(room);
+  record.sort = Bridge::Sort::event;
+  record.passage = passage;
+  record.dropped = passage->dropped;
+  record.event = {header.time, header.sequence};
+  copy_short(reinterpret_cast<std::byte*>(&record.event + 1), payload, source_.type.size);
+  bridge_.commit();
+}
 
 }  // namespace rtdata::detail

@@ -2,6 +2,7 @@
 // was made.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <bit>
 #include <cstddef>
@@ -25,19 +26,10 @@ class ByteRing {
 
   /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, of which the first 4 are the ring's; null
   /// when there is no room, or when less than `spare` bytes would be left.
-  std::byte* reserve(std::uint32_t bytes, std::size_t spare = 0) noexcept {
-    const std::size_t at = head_ & mask_;
-    const std::size_t to_end = mask_ + 1 - at;
-    const std::size_t skipped = to_end < bytes ? to_end : 0;
-    const std::size_t wanted = skipped + bytes + spare;
-    if (wanted > mask_ + 1 - (head_ - known_tail_)) {
-      known_tail_ = tail_.load(std::memory_order_acquire);
-      if (wanted > mask_ + 1 - (head_ - known_tail_)) return nullptr;
-    }
-    if (skipped != 0) [[unlikely]] {
-      size_at(at) = 0;  // the reader goes on at the beginning
-      head_ += skipped;
-    }
+  std::byte* reserve(std::uint32_t bytes, std::size_t spare) noexcept {
+    const bool is_straight = (head_ & mask_) + bytes <= mask_ + 1 && head_ + bytes + spare <= known_room_to_;
+    if (!is_straight && !find_room(bytes, spare)) [[unlikely]]
+      return nullptr;
     std::byte* record = memory_ + (head_ & mask_);
     size_at(head_ & mask_) = bytes;
     reserved_ = bytes;
@@ -51,27 +43,46 @@ class ByteRing {
 
   // ---- the reader
 
-  /// The oldest record, or null. Valid until `pop`.
+  /// Sees what has been committed up to now. Seldom, since each look costs both sides a line of cache.
+  void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
+  /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {
-    if (own_tail_ == known_head_) {
-      known_head_ = published_head_.load(std::memory_order_acquire);
-      if (own_tail_ == known_head_) return nullptr;
-    }
+    if (own_tail_ == known_head_) return nullptr;
     if (size_at(own_tail_ & mask_) == 0) [[unlikely]] own_tail_ += mask_ + 1 - (own_tail_ & mask_);
     return memory_ + (own_tail_ & mask_);
   }
   void pop() noexcept { own_tail_ += size_at(own_tail_ & mask_); }
+  /// Bytes of those seen that lie behind each other, from the front on.
+  std::size_t straight_bytes() const noexcept {
+    return std::min(known_head_ - own_tail_, mask_ + 1 - (own_tail_ & mask_));
+  }
+  void pop(std::size_t bytes) noexcept { own_tail_ += bytes; }
   /// Gives what was popped back to the writer.
   void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
 
  private:
+  /// Looks how far the reader is, and goes on at the beginning when the end is too near. False when there is no room.
+  bool find_room(std::uint32_t bytes, std::size_t spare) noexcept {
+    const std::size_t at = head_ & mask_;
+    const std::size_t to_end = mask_ + 1 - at;
+    const std::size_t skipped = to_end < bytes ? to_end : 0;
+    if (head_ + skipped + bytes + spare > known_room_to_) {
+      known_room_to_ = tail_.load(std::memory_order_acquire) + mask_ + 1;
+      if (head_ + skipped + bytes + spare > known_room_to_) return false;
+    }
+    if (skipped != 0) {
+      size_at(at) = 0;  // the reader goes on at the beginning
+      head_ += skipped;
+    }
+    return true;
+  }
   std::uint32_t& size_at(std::size_t offset) const noexcept { return *reinterpret_cast<std::uint32_t*>(memory_ + offset); }
 
   const std::size_t mask_;
   std::byte* const memory_;
   // the writer's
   alignas(64) std::size_t head_ = 0;
-  std::size_t known_tail_ = 0;
+  std::size_t known_room_to_ = mask_ + 1;
   std::size_t reserved_ = 0;
   alignas(64) std::atomic<std::size_t> published_head_{0};
   // the reader's

@@ -130,8 +130,7 @@ void LoopCore::make_side() {
   uv_poll_start(&side_->wake_poll, UV_READABLE, [](uv_poll_t* handle, int, int) {
     LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
     core.side_->wake.answer();
-    core.run_posted();
-    if (!core.attached_ && core.stop_requested_.load(std::memory_order_relaxed)) uv_stop(core.uv_loop_);
+    core.take_news();
   });
 }
 
@@ -408,7 +407,14 @@ LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end
 
 void LoopCore::deliver_all() { deliver(Budget::none); }
 
+void LoopCore::take_news() {
+  if (!side_->wake.take_news()) return;
+  run_posted();
+  if (!attached_ && is_stopping()) uv_stop(uv_loop_);
+}
+
 void LoopCore::turn_done() noexcept {
+  take_news();
   turn_is_open_ = false;
   schedule_.begin_waiting();
   start_tiers_in_turn();
@@ -418,7 +424,11 @@ void LoopCore::turn_done() noexcept {
     deliver(Budget::limited);
     runtime.turn_done();  // what handlers have published
   }
-  if (ready_first_ == nullptr && !turn_is_open_) uv_idle_stop(&side_->idle);
+  if (!side_->wake.rest()) {
+    start_idle();
+  } else if (ready_first_ == nullptr && !turn_is_open_) {
+    uv_idle_stop(&side_->idle);
+  }
 }
 
 // ---- posting and running

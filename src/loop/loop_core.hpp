@@ -197,6 +197,8 @@ class LoopCore {
   void arm();
   void spin_until_due() noexcept;
   void run_posted();
+  /// What other threads have sent.
+  void take_news();
   /// The main loop's.
   void start_tiers();
   void start_tiers_in_turn() noexcept;

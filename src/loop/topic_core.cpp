@@ -5,6 +5,7 @@
 #include <cstring>
 #include <new>
 
+#include "data/copy.hpp"
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
@@ -45,7 +46,7 @@ inline void TopicCore::enqueue(const EventHeader& header, void* payload) {
   std::byte* to = slot(head_);
   ::new (to) EventHeader(header);
   if (type.move_construct == nullptr) [[likely]] {
-    std::memcpy(to + payload_offset, payload, type.size);
+    copy_short(to + payload_offset, payload, type.size);
   } else {
     move_payload(to + payload_offset, payload);
   }
@@ -58,12 +59,27 @@ void TopicCore::offer(OriginCore& origin, const EventHeader& header, const void*
   for (Channel* channel : channels_out_) channel->send(origin, header, payload);
 }
 
-void TopicCore::receive(OriginCore& mirror, Time time, std::uint64_t sequence, void* payload) {
-  mirror.sequence = sequence;
-  mirror.last_time = time;
-  const EventHeader header{time, sequence, mirror.name};
-  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(mirror, header, payload);
-  if (!links_.empty()) enqueue(header, payload);
+void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride) {
+  const auto arrival = [&](std::size_t i) {
+    return reinterpret_cast<const Arrival*>(reinterpret_cast<const std::byte*>(first) + i * stride);
+  };
+  mirror.sequence = arrival(count - 1)->sequence;
+  mirror.last_time = arrival(count - 1)->time;
+  for (std::size_t i = 0; i < count && !taps_.empty(); ++i) {
+    const EventHeader header{arrival(i)->time, arrival(i)->sequence, mirror.name};
+    for (std::size_t tap = 0; tap < taps_.size(); ++tap) taps_[tap]->offer(mirror, header, arrival(i) + 1);
+  }
+  if (links_.empty()) return;
+  const std::uint64_t taken = std::min<std::uint64_t>(count, mask_ + 1 - (head_ - tail_));
+  dropped_ += count - taken;
+  for (std::uint64_t i = 0; i < taken; ++i) {
+    const Arrival* from = arrival(i);
+    std::byte* to = slot(head_ + i);
+    ::new (to) EventHeader{from->time, from->sequence, mirror.name};
+    copy_short(to + payload_offset, from + 1, type.size);
+  }
+  head_ += taken;
+  if (taken > 0 && !is_ready) loop_->add_ready(*this);
 }
 
 void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence) {

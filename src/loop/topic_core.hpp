@@ -41,8 +41,14 @@ class TopicCore {
   /// is moved from when its type is not trivially copyable.
   void publish(OriginCore& origin, Time time, void* payload);
 
-  /// One published on another loop: with the time and number that it got there.
-  void receive(OriginCore& mirror, Time time, std::uint64_t sequence, void* payload);
+  /// One published on another loop, as its bridge brings it.
+  struct Arrival {
+    Time time;
+    std::uint64_t sequence;
+    // the payload
+  };
+  /// Arrivals of one origin that lie one `stride` after the other.
+  void receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride);
   /// See Tap::miss.
   void miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence);
 

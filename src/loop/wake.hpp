@@ -10,9 +10,9 @@
 
 namespace rtdata::detail {
 
-/// An eventfd; wake-ups that the loop has not answered yet are one. In place of uv_async_t, whose loop (in libuv 1.44)
-/// spins until the sender has left its call: for good, when the sender waits for the CPU that a real-time loop spins
-/// on.
+/// An eventfd, which is written to only when the loop sleeps, or is about to: a loop that turns looks for news itself.
+/// In place of uv_async_t, whose loop (in libuv 1.44) spins until the sender has left its call: for good, when the
+/// sender waits for the CPU that a real-time loop spins on.
 class Wake {
  public:
   Wake() = default;
@@ -31,22 +31,32 @@ class Wake {
 
   /// Any thread, signal handlers too.
   void send() noexcept {
-    if (is_sent_.exchange(true, std::memory_order_acq_rel)) return;
+    if (state_.exchange(has_news, std::memory_order_acq_rel) != sleeps) return;
     const int before = errno;
     constexpr std::uint64_t one = 1;
     [[maybe_unused]] const auto written = ::write(fd_, &one, sizeof one);
     errno = before;
   }
-  /// The loop's thread, when `fd` is readable: what was sent before is seen from now on, what comes later wakes again.
+
+  // ---- the loop's thread
+
+  /// When `fd` is readable.
   void answer() noexcept {
     std::uint64_t sent = 0;
     [[maybe_unused]] const auto read = ::read(fd_, &sent, sizeof sent);
-    is_sent_.exchange(false, std::memory_order_acq_rel);
+  }
+  /// From here on the loop looks for itself. True when there is news: what was sent before is seen after this.
+  bool take_news() noexcept { return state_.exchange(turns, std::memory_order_acq_rel) == has_news; }
+  /// The loop may sleep from here on. False when there is news, which it has to take before.
+  bool rest() noexcept {
+    State expected = turns;
+    return state_.compare_exchange_strong(expected, sleeps, std::memory_order_acq_rel) || expected == sleeps;
   }
 
  private:
+  enum State : int { sleeps, turns, has_news };
   int fd_ = -1;
-  std::atomic<bool> is_sent_{false};
+  std::atomic<State> state_{sleeps};
 };
 
 }  // namespace rtdata::detail

@@ -1,0 +1,116 @@
+// How loops wake each other.
+#include "loop/wake.hpp"
+
+#include <doctest/doctest.h>
+#include <poll.h>
+
+#include <atomic>
+#include <thread>
+
+#include "loop/byte_ring.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+
+namespace {
+
+struct Number {
+  double value = 0;
+  friend constexpr auto describe(type_tag<Number>) { return record("number", field("value", &Number::value)); }
+};
+
+bool is_readable(const detail::Wake& wake) {
+  pollfd fd{wake.fd(), POLLIN, 0};
+  return ::poll(&fd, 1, 0) == 1;
+}
+
+}  // namespace
+
+TEST_SUITE("loop") {
+  TEST_CASE("a loop that sleeps is woken through the kernel, one that turns finds what is new itself") {
+    detail::Wake wake;
+    REQUIRE(wake.open());
+    CHECK_FALSE(wake.take_news());
+    wake.send();
+    CHECK_FALSE(is_readable(wake));
+    CHECK_FALSE(wake.rest());  // it must not sleep over it
+    CHECK(wake.take_news());
+    CHECK_FALSE(wake.take_news());
+    CHECK(wake.rest());
+    wake.send();
+    wake.send();
+    CHECK(is_readable(wake));
+    wake.answer();
+    CHECK_FALSE(is_readable(wake));
+    CHECK(wake.take_news());
+    CHECK(wake.rest());
+  }
+
+  TEST_CASE("no wake-up is lost between loops that send to each other while they turn and while they sleep") {
+    constexpr unsigned rounds = 20'000;
+    Loop main;
+    Tier fast(main, {});
+    Feed<Number> feed(fast.loop(), {.name = "feed"});
+    unsigned received = 0;
+    std::atomic<unsigned> posted_elsewhere{0};
+    const auto send_one = [&] { fast.loop().post([&] { feed.publish({1}); }); };
+    const auto subscription = main.subscribe<Number>("feed", [&](const Event<Number>& event) {
+      CHECK(event.sequence == ++received);
+      if (received == rounds) return main.stop();
+      send_one();
+    });
+    const Timer limit(main, 60s, [&] { main.stop(); });
+    std::atomic<bool> is_over{false};
+    std::thread other([&] {
+      while (!is_over.load()) {
+        main.post([&] { ++posted_elsewhere; });
+        std::this_thread::yield();
+        if (posted_elsewhere.load() % 100 == 0) std::this_thread::sleep_for(1ms);
+      }
+    });
+    send_one();
+    main.run();
+    is_over = true;
+    other.join();
+    CHECK(received == rounds);
+    CHECK(posted_elsewhere.load() > 0);
+  }
+
+  TEST_CASE("a byte ring keeps records of any size in order, and gives their room back") {
+    detail::ByteRing ring(1024);
+    std::uint32_t sent = 0;
+    std::uint32_t taken = 0;
+    const auto bytes_of = [](std::uint32_t number) { return 16 + number % 7 * 8; };
+    for (int round = 0; round < 1000; ++round) {
+      while (std::byte* room = ring.reserve(bytes_of(sent), round % 3 * 64)) {
+        reinterpret_cast<std::uint32_t*>(room)[1] = sent++;
+        ring.commit();
+      }
+      CHECK(ring.front() == nullptr);  // not looked yet
+      ring.look();
+      const std::uint32_t before = taken;
+      for (int i = 0; i < 5 + round % 20; ++i) {
+        const std::byte* front = ring.front();
+        if (front == nullptr) break;
+        REQUIRE(reinterpret_cast<const std::uint32_t*>(front)[1] == taken);
+        CHECK(ring.straight_bytes() >= bytes_of(taken));
+        if (i % 2 == 0) {
+          ring.pop();
+        } else {
+          ring.pop(bytes_of(taken));
+        }
+        ++taken;
+      }
+      CHECK(taken > before);
+      while (ring.front() != nullptr) {
+        REQUIRE(reinterpret_cast<const std::uint32_t*>(ring.front())[1] == taken++);
+        ring.pop();
+      }
+      ring.release();
+    }
+    CHECK(taken == sent);
+  }
+}
