@@ -1,6 +1,8 @@
 // Orderly shutdown: stop the schedules, let reads under way finish, deliver, then close the sinks.
 #include <algorithm>
 #include <memory>
+#include <utility>
+#include <vector>
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
@@ -36,12 +38,12 @@ class Drain : public std::enable_shared_from_this<Drain> {
   /// Tiers first: what they still send is recorded by this loop's sinks.
   void drain_tiers() {
     if (runtime_.tiers.empty()) return wait_for_reads();
-    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;  // the sinks need time too
+    // The sinks need time too, and a tier that gives up on a read still has to say so.
+    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      // A tier that gives up on a read still has to say so, before it is given up itself.
-      tier->drain(share - share / 4, [self = shared_from_this(), tier] {
+      tier->drain(share * 3 / 4, [self = shared_from_this(), tier] {
         std::erase(self->draining_, tier);
         if (self->draining_.empty()) self->tiers_done();
       });
@@ -57,15 +59,19 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
   void give_up_tiers() {
     runtime_.receive();
-    for (detail::TierCore* tier : copy(draining_)) {
-      const std::string until = last_heard_of(tier->config.name);
-      const Error error{Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
-                        "look at what blocks there; what its sensors did after " + until + " is not known"};
-      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "tier " : "; tier ") + tier->config.name +
-                              " did not come out of " + tier->where() + ": what its sensors did after " + until +
-                              " is not known";
-      runtime_.report(&loop_.core(), "tier " + tier->config.name, error);
+    std::vector<std::pair<std::string, Error>> errors;  // told of at the end, since a report may run user code
+    for (detail::TierCore* tier : runtime_.tiers) {
+      if (std::find(draining_.begin(), draining_.end(), tier) == draining_.end()) continue;
+      const std::string name = "tier " + tier->config.name;
+      const std::string where = tier->where();
+      const std::string unknown = "what its sensors did after " + last_heard_of(tier->config.name) + " is not known";
+      runtime_.unknown_end +=
+          (runtime_.unknown_end.empty() ? "" : "; ") + name + " did not come out of " + where + ": " + unknown;
+      errors.push_back({name,
+                        {Errc::timed_out, "did not stop in time", "", "it has not come out of " + where,
+                         "look at what blocks there; " + unknown}});
     }
+    for (const auto& [name, error] : errors) runtime_.report(&loop_.core(), name, error);
     tiers_done();
   }
 

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <mutex>
 
+#include "loop/priority_mutex.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {
@@ -30,8 +31,8 @@ class Latch {
   }
 
  private:
-  mutable std::mutex mutex_;
-  mutable std::condition_variable signal_;
+  mutable PriorityMutex mutex_;
+  mutable std::condition_variable_any signal_;
   bool is_set_ = false;
 };
 

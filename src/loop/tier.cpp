@@ -191,7 +191,7 @@ void TierCore::run() {
 void TierCore::stop() noexcept {
   constexpr Duration patience = std::chrono::seconds{5};
   if (stop_within(patience)) return;
-  main.core().call_user("handler of log records", [this] {
+  main.core().call_user("handler of log records", [&] {
     main.core().runtime.log(
         LogLevel::error, "tier " + config.name,
         "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",

@@ -26,7 +26,7 @@ class TimerNode final : public Node, public Deadline {
     status.times = times_;
     return true;
   }
-  std::string callback_name() const override { return "timer"; }
+  std::string callback_name() const override { return config_.name; }
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->remove(*this);

@@ -109,7 +109,8 @@ TEST_SUITE("app") {
       return std::string();
     };
     nlohmann::json status = ask(*client);
-    while (loop_of(status, "sensor a").empty() || loop_of(status, "sensor b").empty()) status = ask(*client);
+    const auto is_listed = [&](const char* name) { return !loop_of(status, name).empty(); };
+    while (!is_listed("sensor a") || !is_listed("sensor b") || !is_listed("sensor c")) status = ask(*client);
     CHECK(loop_of(status, "sensor a") == "fast");
     CHECK(loop_of(status, "sensor b") == "slow");
     CHECK(loop_of(status, "sensor c") == "main");
