@@ -19,7 +19,8 @@ constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uin
 Channel::Channel(Bridge& bridge, TopicCore& source)
     : bridge_(bridge), source_(source), record_bytes_(rounded(sizeof(Bridge::EventRecord) + source.type.size)) {}
 
-Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes) : from_(from), to_(to), ring_(ring_bytes), wants_accounts_(to.runtime.hub == nullptr) {
+Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
+    : from_(from), to_(to), ring_(ring_bytes), is_to_main_(to.runtime.hub == nullptr) {
   from_.runtime.outbound.push_back(this);
   to_.runtime.inbound.push_back(this);
   from_.runtime.listeners.push_back(this);
@@ -100,7 +101,7 @@ RecordType* Bridge::reserve(Sort sort, Passage& passage, std::size_t spare) noex
 }
 
 void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
-  Passage* passage = passage_of(origin);
+  Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
   if (auto* record = reserve<GapRecord>(Sort::gap, *passage, 0)) {
     record->gap = gap;
@@ -111,7 +112,7 @@ void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
 }
 
 void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
-  Passage* passage = passage_of(origin);
+  Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
   if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, 0)) {
     record->segment = segment;
@@ -122,12 +123,14 @@ void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
 }
 
 void Bridge::on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) {
+  if (!is_to_main_) return;
   to_.post([&to = to_, time, object = std::string(object), error, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_error(time, object, error, count);
   });
 }
 
 void Bridge::on_health(Time time, const HealthChange& change) {
+  if (!is_to_main_) return;
   to_.post([&to = to_, time, change] {
     for (Listener* listener : to.runtime.recorders) listener->on_health(time, change);
   });
@@ -155,7 +158,7 @@ bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) n
     told.health = sensor->health();
   }
   if (which == Accounts::news && told == passage.told) return true;
-  if (passage.dropped == passage.told_dropped && !wants_accounts_.load(std::memory_order_relaxed)) return true;
+  if (passage.dropped == passage.told_dropped && !is_to_main_) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, spare);
   if (record == nullptr) return false;
   passage.told = told;
@@ -268,7 +271,6 @@ void Bridge::hear(Announcement& announcement) {
 }
 
 void Bridge::receive() {
-  if (!to_.runtime.recorders.empty()) wants_accounts_.store(true, std::memory_order_relaxed);
   do {
     to_.runtime.hear_announcements();  // it was announced before it was sent
   } while (!take_heard());

@@ -178,7 +178,7 @@ class Bridge final : public Listener {
   LoopCore& from_;
   LoopCore& to_;
   ByteRing ring_;
-  std::atomic<bool> wants_accounts_;  // the other side has sinks, or is the main loop, which shows them
+  const bool is_to_main_;  // which has the sinks and shows the sensors
 
   // the sending side
   std::deque<Channel> channels_;

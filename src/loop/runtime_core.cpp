@@ -574,7 +574,8 @@ bool Runtime::balances() const {
   for (const auto& topic : core_->topics()) {
     if (!topic->subscription_counts().balances()) return false;
   }
-  return true;
+  return core_->tiers_were_balanced && std::all_of(core_->tiers.begin(), core_->tiers.end(),
+                                                   [](const detail::TierCore* tier) { return tier->balances(); });
 }
 
 bool Runtime::has_loss() const {
@@ -585,7 +586,13 @@ bool Runtime::has_loss() const {
   for (const SinkStatus& sink : sinks()) {
     if (sink.counts.all_dropped() > 0) return true;
   }
-  return false;
+  if (core_->hub != nullptr) {
+    for (const auto& topic : core_->topics()) {
+      if (topic->subscription_counts().dropped > 0) return true;
+    }
+  }
+  return core_->tiers_had_loss || std::any_of(core_->tiers.begin(), core_->tiers.end(),
+                                              [](const detail::TierCore* tier) { return tier->has_loss(); });
 }
 
 }  // namespace rtdata

@@ -164,6 +164,8 @@ class RuntimeCore {
   // the others through bridges.
   RuntimeCore* hub = nullptr;       ///< of the main loop; null: this is it
   std::vector<TierCore*> tiers;     ///< the hub's
+  bool tiers_were_balanced = true;  ///< those that are gone
+  bool tiers_had_loss = false;
   std::vector<Bridge*> outbound;    ///< from this loop
   std::vector<Bridge*> inbound;     ///< to this loop
   std::uint64_t lost_between_loops =

@@ -103,6 +103,8 @@ TierCore::~TierCore() {
   stop();
   loop.core().close_nodes();
   runtime.core().release_all();
+  main.core().runtime.tiers_were_balanced &= runtime.balances();
+  main.core().runtime.tiers_had_loss |= runtime.has_loss();
   for (Bridge* bridge : runtime.core().outbound) bridge->finish();
   for (const TierCore* tier : tiers) {
     if (tier == this) continue;
@@ -238,6 +240,8 @@ void TierCore::drain(Duration deadline, Callback<void()> done) {
   loop.post([this, deadline, send_all, done = std::move(done)]() mutable {
     loop.drain(deadline, [this, send_all, done = std::move(done)](std::uint64_t) mutable {
       send_all();
+      was_balanced_.store(runtime.balances(), std::memory_order_release);
+      had_loss_.store(runtime.has_loss(), std::memory_order_release);
       main.post(std::move(done));
     });
   });

@@ -40,6 +40,10 @@ class TierCore {
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
   void drain(Duration deadline, Callback<void()> done);
 
+  // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
+  bool balances() const { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }
+  bool has_loss() const { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }
+
   /// Whether it has answered within the limit; asks again when it has. On the main loop.
   bool look_at_turning(Duration limit);
 
@@ -61,6 +65,8 @@ class TierCore {
   bool was_started_ = false;
   std::atomic<bool> quit_{false};
   Latch ended_;              // its thread is about to end
+  std::atomic<bool> was_balanced_{true};
+  std::atomic<bool> had_loss_{false};
   std::uint64_t asked_ = 0;  // questions whether it turns
   std::atomic<std::uint64_t> answered_{0};
   MonotonicTime asked_at_{};

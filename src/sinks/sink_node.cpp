@@ -557,6 +557,11 @@ Node* make_sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name, "a batch has at least one row and 1 ms",
                       "leave the defaults"});
   }
+  if (loop.core().runtime.hub != nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
+                      "loop " + loop.config().name + " is a tier's",
+                      "make it on the main loop, whose sinks record every tier"});
+  }
   auto* node = new SinkNode(loop.core(), std::move(config), std::move(writer));
   try {
     node->attach();

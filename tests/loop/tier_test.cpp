@@ -433,6 +433,29 @@ TEST_SUITE("loop") {
     CHECK(fast.call([&](Loop&) { return there; }) > 0);
   }
 
+  TEST_CASE("what a subscription on a tier drops is a loss to the main loop, also when the tier is gone") {
+    for (const unsigned published : {4U, 5U}) {
+      Runtime runtime({.ring_events = 4});
+      Loop loop(runtime, {});
+      {
+        Tier fast(loop, {});
+        auto subscription = fast.loop().subscribe<Count>("x", [](const Event<Count>&) {});
+        Feed<Count> feed(fast.loop(), {.name = "x"});
+        Timer timer(fast.loop(), 1ms, [&] {
+          for (unsigned i = 0; i < published; ++i) feed.publish({});
+        });
+        loop.run_for(20ms);
+        loop.close();
+        CHECK(fast.is_running());
+        CHECK(runtime.has_loss() == (published > 4));
+        fast.stop();
+        CHECK(runtime.has_loss() == (published > 4));
+      }
+      CHECK(runtime.has_loss() == (published > 4));
+      CHECK(runtime.balances());
+    }
+  }
+
   TEST_CASE("events that another loop cannot take, since the topic is another one there, are a loss") {
     Loop loop;
     std::vector<std::string> errors;

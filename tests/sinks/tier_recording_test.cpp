@@ -58,6 +58,15 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE origin = 'broken' AND kind = 'failed'") >= 1);
   }
 
+  TEST_CASE("a sink on a tier is refused, and says where to make it") {
+    const Folder folder;
+    Loop loop;
+    Tier fast(loop, {.name = "fast"});
+    CHECK_THROWS_WITH_AS(SqliteSink(fast.loop(), {.path = folder / "run.db"}),
+                         doctest::Contains("loop fast is a tier's: make it on the main loop, whose sinks record every tier"), SetupError);
+    CHECK(loop.runtime().sinks().empty());
+  }
+
   TEST_CASE("US-26 what found no room between tiers is dropped in the ledger, and the recording balances") {
     const Folder folder;
     const std::string path = folder / "run.db";

@@ -118,9 +118,11 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The loops of this thread first, then their tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed.
+  /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed. Here and in the next,
+  /// a tier that runs counts as it was when the main loop was drained last.
   bool balances() const;
-  /// Something was missed, failed, lost or dropped by a sink, or could not be taken from a tier, which was reported.
+  /// Something was missed, failed or lost, dropped by a sink or for a subscription on a tier, or could not be taken
+  /// from a tier, which was reported.
   bool has_loss() const;
 
   detail::RuntimeCore& core() noexcept { return *core_; }
