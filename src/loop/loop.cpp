@@ -67,6 +67,11 @@ void check_uv(int status, const char* what) {
 
 LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_loop_t* host, Time time)
     : face(face_), runtime(runtime_), config(std::move(config_)), attached_(host != nullptr) {
+  if (runtime.own_loop != nullptr) {
+    throw SetupError({Errc::busy, "cannot make a loop", config.name,
+                      "its runtime has loop " + runtime.own_loop->config.name + " already",
+                      "give each loop a runtime of its own; for a loop on another thread make a Tier"});
+  }
   if (time == Time::manual) {
     manual_ = dynamic_cast<ManualClock*>(&runtime.clock());
   }
@@ -85,9 +90,9 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
                        reinterpret_cast<uv_handle_t*>(&side_->wake_poll)}) {
     uv_unref(handle);
   }
-  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.loops.empty() && runtime.hub == nullptr) watch_clock();
+  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.hub == nullptr) watch_clock();
   handled_until_ = now();
-  runtime.loops.push_back(this);
+  runtime.own_loop = this;
 }
 
 void LoopCore::make_side() {
@@ -177,8 +182,8 @@ LoopCore::~LoopCore() {
     const auto last = std::move(lanes_.back().second);
     lanes_.pop_back();
   }
-  for (const auto& topic : runtime.topics()) topic->abandon(*this);
-  std::erase(runtime.loops, this);
+  for (const auto& topic : runtime.topics()) topic->abandon();
+  runtime.own_loop = nullptr;
   std::vector<Callback<void()>> unrun;
   {
     const std::lock_guard lock(posted_mutex_);

@@ -175,7 +175,7 @@ Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
                    "say how far the time may be from UTC, or leave it out");
   }
   if (hub != nullptr) {  // the main loop's recordings keep the clock
-    hub->loops.front()->post([main = hub, pair] { [[maybe_unused]] const auto noted = main->note_wall_clock(pair); });
+    hub->own_loop->post([main = hub, pair] { [[maybe_unused]] const auto noted = main->note_wall_clock(pair); });
     return {};
   }
   const auto known = std::find_if(plugged_.begin(), plugged_.end(),
@@ -261,8 +261,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
   topic_by_name_.emplace(made.name, &made);
   for (SubscriptionNode* node : patterns) {
     if (!topic_matches(node->pattern(), made.name)) continue;
-    if (auto linked = made.link(*node->loop(), *node); !linked)
-      keep_report(node->loop(), node->name, std::move(linked).error());
+    if (auto linked = made.link(*node); !linked) keep_report(node->loop(), node->name, std::move(linked).error());
   }
   for (Listener* listener : listeners) {
     if (auto taken = listener->on_topic(made); !taken)
@@ -288,9 +287,8 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     };
     if (claim.holder != nullptr) {
       const bool is_here = claim.holder == this;
-      refuse(
-          "there is one of that name already" + (is_here ? "" : " on loop " + claim.holder->loops.front()->config.name),
-          "give each sensor a `name` of its own");
+      refuse("there is one of that name already" + (is_here ? "" : " on loop " + claim.holder->own_loop->config.name),
+             "give each sensor a `name` of its own");
     }
     if (claim.left != nullptr && claim.left->topic != topic.name) {
       refuse("earlier in this run it published on topic " + claim.left->topic, "choose another name or that topic");
@@ -345,7 +343,7 @@ OriginCore& RuntimeCore::find_or_make_origin(std::string_view name, TopicCore& t
 OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
   // One for each topic and loop: a sequence belongs to one topic.
   if (topic.program_origin == nullptr) {
-    const std::string of_tier = hub != nullptr ? "@" + loops.front()->config.name : "";
+    const std::string of_tier = hub != nullptr ? "@" + own_loop->config.name : "";
     topic.program_origin = &claim_origin("program:" + topic.name + of_tier, topic);
   }
   return *topic.program_origin;
@@ -367,7 +365,7 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
       hub->lines_dropped_.fetch_add(1, std::memory_order_relaxed);
       return;
     }
-    hub->loops.front()->post([hub = hub, level, object = std::string(object), text = std::string(text), id = std::string(error_id)] {
+    hub->own_loop->post([hub = hub, level, object = std::string(object), text = std::string(text), id = std::string(error_id)] {
       hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
       if (const auto dropped = hub->lines_dropped_.exchange(0, std::memory_order_relaxed)) {
         hub->log(LogLevel::warning, "log", std::to_string(dropped) + " lines of tiers were dropped: too many at once");
@@ -494,7 +492,7 @@ void RuntimeCore::flush_repeats(Repeats which) {
 void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept try {
   const Time time = event_time(clock_->monotonic());
   for (Listener* listener : listeners) listener->on_error(time, object, error, count);
-  if (loop == nullptr && !loops.empty()) loop = loops.front();
+  if (loop == nullptr) loop = own_loop;
   if (loop != nullptr && loop->on_error) {
     try {  // an error met in it goes to the log, rather than round in a circle
       loop->on_error({object, error, count});
@@ -553,7 +551,7 @@ std::vector<LoopStatus> Runtime::loops() const {
     return Duration{std::chrono::seconds{spent.tv_sec} + std::chrono::nanoseconds{spent.tv_nsec}};
   };
   std::vector<LoopStatus> all;
-  for (const detail::LoopCore* loop : core_->loops) {
+  if (const detail::LoopCore* loop = core_->own_loop) {
     all.push_back({loop->config.name, core_->hub != nullptr, loop->is_running(), current_scheduling(), processor_time(::pthread_self())});
   }
   for (detail::TierCore* tier : core_->tiers) {

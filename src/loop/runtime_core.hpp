@@ -158,7 +158,7 @@ class RuntimeCore {
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
   std::string unknown_end;               ///< why recordings that close now are not complete; empty: they are
   std::vector<SensorEntry*> sensors;
-  std::vector<LoopCore*> loops;
+  LoopCore* own_loop = nullptr;  ///< while it has one
 
   // Tiers: each has a runtime core of its own, of which this thread touches none but its own; what one publishes comes to
   // the others through bridges.

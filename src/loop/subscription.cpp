@@ -135,7 +135,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
       throw SetupError({Errc::bad_argument, "cannot subscribe", only->name, "the topic belongs to another runtime than the loop",
                         "give both loops one runtime"});
     }
-    if (auto linked = only->link(loop, node); !linked) throw SetupError(linked.error());
+    if (auto linked = only->link(node); !linked) throw SetupError(linked.error());
     runtime.tell_of_cut_off(*only);
     runtime.report_kept();
     return;
@@ -147,7 +147,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   std::vector<Error> refused;  // told of at the end, since a report may run user code
   for (const auto& topic : runtime.topics()) {
     if (!topic_matches(node.pattern(), topic->name)) continue;
-    if (auto linked = topic->link(loop, node); !linked) {
+    if (auto linked = topic->link(node); !linked) {
       if (topic->name == node.pattern()) throw SetupError(linked.error());
       refused.push_back(std::move(linked).error());
     }
@@ -167,7 +167,7 @@ const std::string& topic_name(const TopicCore& topic) noexcept { return topic.na
 
 void publish_from_program(TopicCore& topic, const void* payload) {
   RuntimeCore& runtime = topic.runtime();
-  if (!runtime.loops.empty()) runtime.loops.front()->check_thread("cannot publish", topic.name);
+  if (runtime.own_loop != nullptr) runtime.own_loop->check_thread("cannot publish", topic.name);
   OriginCore& origin = runtime.program_origin(topic);
   ++origin.counts.received;
   ++origin.counts.published;

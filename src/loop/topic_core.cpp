@@ -51,7 +51,7 @@ inline void TopicCore::enqueue(const EventHeader& header, void* payload) {
     move_payload(to + payload_offset, payload);
   }
   ++head_;
-  if (!is_ready) loop_->add_ready(*this);
+  if (!is_ready) runtime_.own_loop->add_ready(*this);
 }
 
 void TopicCore::offer(OriginCore& origin, const EventHeader& header, const void* payload) {
@@ -79,7 +79,7 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
     copy_short(to + payload_offset, from + 1, type.size);
   }
   head_ += taken;
-  if (taken > 0 && !is_ready) loop_->add_ready(*this);
+  if (taken > 0 && !is_ready) runtime_.own_loop->add_ready(*this);
 }
 
 void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence) {
@@ -110,15 +110,10 @@ void TopicCore::make_ring(std::size_t capacity) {
   slots_ = static_cast<std::byte*>(::operator new(slots * stride_, std::align_val_t{64}));
 }
 
-Result<void> TopicCore::link(LoopCore& loop, SubscriptionNode& node) {
-  if (loop_ != nullptr && loop_ != &loop) {
-    return Error{Errc::bad_argument, "cannot subscribe", name, "the topic's deliveries run on another loop",
-                 "subscribe on the loop that publishes"};
-  }
+Result<void> TopicCore::link(SubscriptionNode& node) {
   auto map = node.accept(*this);
   if (!map) return std::move(map).error();
   if (slots_ == nullptr) make_ring(runtime_.config.ring_events);
-  loop_ = &loop;
   links_.push_back({&node, std::move(*map), head_, head_, dropped_});
   tell_sources();
   return {};
@@ -213,11 +208,9 @@ void TopicCore::drop_slots(std::uint64_t first, std::uint64_t last) noexcept {
   for (std::uint64_t i = first; i != last; ++i) type.destroy(slot(i) + payload_offset);
 }
 
-void TopicCore::abandon(const LoopCore& loop) noexcept {
-  if (loop_ != &loop) return;
+void TopicCore::abandon() noexcept {
   drop_slots(tail_, head_);
   tail_ = head_;
-  loop_ = nullptr;
   is_ready = false;
   next_ready = nullptr;
 }

@@ -53,7 +53,7 @@ class TopicCore {
   void miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence);
 
   /// Errors: description-differs.
-  Result<void> link(LoopCore& loop, SubscriptionNode& node);
+  Result<void> link(SubscriptionNode& node);
   void unlink(SubscriptionNode& node) noexcept;
   void add_tap(Tap& tap) {
     taps_.push_back(&tap);
@@ -82,8 +82,8 @@ class TopicCore {
   /// What is queued now belongs to a round of deliveries, what is published from now on does not.
   void begin_round() noexcept { round_end_ = head_; }
   bool is_in_round() const noexcept { return tail_ < round_end_; }
-  /// The loop is gone: if it delivers this topic, what is queued is cancelled.
-  void abandon(const LoopCore& loop) noexcept;
+  /// The loop is gone: what is queued is cancelled.
+  void abandon() noexcept;
 
   const SubscriptionNode* first_subscriber() const noexcept { return links_.empty() ? nullptr : links_.front().node; }
   SubscriptionCounts subscription_counts() const noexcept;
@@ -118,7 +118,6 @@ class TopicCore {
   void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
 
   RuntimeCore& runtime_;
-  LoopCore* loop_ = nullptr;
   std::vector<Tap*> taps_;
   std::vector<Channel*> channels_out_;
   std::vector<Channel*> channels_in_;

@@ -475,6 +475,11 @@ TEST_SUITE("loop") {
       CHECK(orphan.counts().queued == 1);
     }
     Loop other(runtime, {});
+    CHECK_THROWS_WITH_AS(
+        Loop(runtime, {.name = "third"}),
+        "cannot make a loop: third: its runtime has loop main already: give each loop a runtime of its own; for a loop "
+        "on another thread make a Tier",
+        SetupError);
     const auto topic = other.topic<Number>("t");
     topic.publish({});
     int calls = 0;

@@ -1,8 +1,12 @@
 /// Runtime: what spans loops: topics, the ledger, the clock, the run, the log.
 ///
-/// A Loop makes a private one unless it is given one. Nothing is global to the process.
+/// A Loop makes a private one unless it is given one; one loop at a time uses it. Nothing is global to the process.
 ///
-/// Owner: the user, or the loop that made it; it must outlive its loops. Thread: the loop's.
+/// That of the main loop knows of all its tiers: every topic, sensor and loss of theirs, as told over the rings between
+/// them. A tier's own, `tier.loop().runtime()`, holds the tier's sensors and subscriptions and the topics that it has
+/// heard of; no sink, and no other loop. It is for the tier's thread.
+///
+/// Owner: the user, or the loop that made it; it must outlive its loop. Thread: the loop's.
 #pragma once
 
 #include <memory>
@@ -116,7 +120,7 @@ class Runtime {
   /// Those that were closed in this run first.
   std::vector<SinkStatus> sinks() const;
   std::vector<TopicStatus> topics() const;
-  /// The loops of this thread first, then their tiers.
+  /// The runtime's own first, then its tiers.
   std::vector<LoopStatus> loops() const;
   /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed. Here and in the next,
   /// a tier that runs counts as it was when the main loop was drained last.
