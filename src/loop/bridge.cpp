@@ -55,6 +55,7 @@ void Bridge::announce(Channel* channel, Passage* passage, const std::string& nam
 Result<void> Bridge::on_topic(TopicCore& topic) {
   if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
   channels_.emplace_back(*this, topic);
+  channel_by_topic_[&topic] = &channels_.back();
   topic.add_channel_out(channels_.back());
   announce(&channels_.back(), nullptr, topic.name, topic.type);
   return {};
@@ -75,10 +76,8 @@ void Bridge::on_origin(OriginCore& origin) {
 }
 
 Channel* Bridge::channel_of(const TopicCore& topic) noexcept {
-  for (Channel& channel : channels_) {
-    if (&channel.source_ == &topic) return &channel;
-  }
-  return nullptr;
+  const auto found = channel_by_topic_.find(&topic);
+  return found != channel_by_topic_.end() ? found->second : nullptr;
 }
 
 Passage* Bridge::passage_of(const OriginCore& origin) noexcept {

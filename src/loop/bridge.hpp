@@ -16,6 +16,7 @@
 #include <deque>
 #include <memory>
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include "data/copy.hpp"
@@ -182,6 +183,7 @@ class Bridge final : public Listener {
 
   // the sending side
   std::deque<Channel> channels_;
+  std::unordered_map<const TopicCore*, Channel*> channel_by_topic_;
   std::deque<Passage> passages_;
   unsigned unannounced_ = 0;  // what was sent since the other side was woken
   /// Accounts are sent some time after something happened, and not while nothing does.

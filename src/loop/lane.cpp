@@ -274,4 +274,35 @@ void Lane::give_up() {
   }
 }
 
+// ---- the loop's lanes
+
+Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
+  for (auto& [name, lane] : lanes_) {
+    if (name != key) continue;
+    lane->allow(give_up_after);
+    return *lane;
+  }
+  lanes_.emplace_back(key, std::make_unique<Lane>(*this, key, give_up_after));
+  return *lanes_.back().second;
+}
+
+void LoopCore::remove(Lane& lane) noexcept {
+  const auto found = std::find(all_lanes_.begin(), all_lanes_.end(), &lane);
+  if (found == all_lanes_.end()) return;
+  if (collecting_) {
+    *found = nullptr;
+  } else {
+    all_lanes_.erase(found);
+  }
+}
+
+void LoopCore::collect_lanes() {
+  collecting_ = true;
+  for (std::size_t i = 0; i < all_lanes_.size(); ++i) {
+    if (all_lanes_[i] != nullptr) all_lanes_[i]->collect();
+  }
+  collecting_ = false;
+  std::erase(all_lanes_, nullptr);
+}
+
 }  // namespace rtdata::detail

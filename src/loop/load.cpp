@@ -7,6 +7,9 @@
 #include <map>
 #include <utility>
 
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -102,6 +105,15 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
     load.lanes.push_back(std::move(lane));
   }
   return load;
+}
+
+LoopLoad detail::LoopCore::load() const {
+  std::vector<SensorLoad> loads;
+  for (const SensorEntry* sensor : runtime.sensors) {
+    if (sensor->loop() != this) continue;
+    if (auto load = sensor->load()) loads.push_back(std::move(*load));
+  }
+  return estimate_load(config.name, loads);
 }
 
 }  // namespace rtdata

@@ -2,6 +2,7 @@
 #include <cstring>
 #include <exception>
 #include <optional>
+#include <unordered_map>
 
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
@@ -189,6 +190,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     const auto number = static_cast<std::uint32_t>(taps_.size());
     if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
     taps_.push_back(std::make_unique<TopicTap>(*this, topic, number));
+    tap_of_[&topic] = taps_.back().get();
     topic.add_tap(*taps_.back());
     return {};
   }
@@ -313,10 +315,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::string object_name() const { return "sink " + config_.name; }
 
   const TopicTap::Place* find_place(OriginCore& origin) {
-    for (const auto& tap : taps_) {
-      if (&tap->topic == &origin.topic) return &tap->place_of(origin);
-    }
-    return nullptr;
+    const auto tap = tap_of_.find(&origin.topic);
+    return tap != tap_of_.end() ? &tap->second->place_of(origin) : nullptr;
   }
 
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }
@@ -520,6 +520,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::shared_ptr<StoreJob> job_;
   std::unique_ptr<Lane> lane_;
   std::vector<std::unique_ptr<TopicTap>> taps_;
+  std::unordered_map<const TopicCore*, TopicTap*> tap_of_;
   SinkNotes notes_;
   Timer retry_;
   Timer next_part_;  // of an account

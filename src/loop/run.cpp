@@ -1,0 +1,183 @@
+// Running a loop: in real time, in steps, in virtual time; and what other threads ask of it.
+#include <sys/prctl.h>
+
+#include <algorithm>
+#include <exception>
+#include <semaphore>
+#include <utility>
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::detail {
+
+void LoopCore::post(Callback<void()> function) {
+  {
+    const std::lock_guard lock(posted_mutex_);
+    posted_.push_back(std::move(function));
+  }
+  wake().send();
+}
+
+bool LoopCore::has_posted() noexcept {
+  const std::lock_guard lock(posted_mutex_);
+  return !posted_.empty();
+}
+
+void LoopCore::call_there(Callback<void()> function) {
+  std::binary_semaphore is_done{0};
+  std::exception_ptr thrown;
+  post([&] {
+    try {
+      function();
+    } catch (...) {
+      thrown = std::current_exception();
+    }
+    is_done.release();
+  });
+  is_done.acquire();
+  if (thrown) std::rethrow_exception(thrown);
+}
+
+void LoopCore::run_posted() {
+  collect_lanes();
+  runtime.receive();
+  {
+    const std::lock_guard lock(posted_mutex_);
+    running_posted_.swap(posted_);
+  }
+  for (Callback<void()>& function : running_posted_) {
+    CallbackTimes times;
+    const MonotonicTime from = now();
+    begins(nullptr);
+    call_user("posted function", function);
+    account(times, from, now(), [] { return std::string("posted function"); });
+  }
+  running_posted_.clear();
+}
+
+void LoopCore::request_stop() noexcept {
+  if (attached_) return;
+  stop_requested_.store(true, std::memory_order_relaxed);
+  wake().send();
+}
+
+void LoopCore::start_tiers() {
+  for (TierCore* tier : runtime.tiers) tier->start_first();
+}
+
+void LoopCore::start_tiers_in_turn() noexcept {
+  try {
+    start_tiers();
+  } catch (const SetupError& e) {  // not tried again in each turn
+    runtime.report(this, "loop " + config.name, e.error());
+  }
+}
+
+LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
+  if (core.is_running_) {
+    throw SetupError({Errc::busy, what, "loop " + core.config.name, "it is running, and this is one of its callbacks",
+                      "return from the callback; use stop(), post() or drain() there"});
+  }
+  core.is_running_ = true;
+  core.thread_.store(std::this_thread::get_id(), std::memory_order_relaxed);
+}
+
+LoopCore::Running::~Running() {
+  core_.is_running_ = false;
+  core_.thread_.store(std::thread::id{}, std::memory_order_relaxed);
+}
+
+void LoopCore::run() {
+  if (attached_) {
+    throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name, "it is attached to the program's own loop",
+                      "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
+  }
+  const Running running(*this, "cannot run");
+  start_tiers();
+  if (manual_ != nullptr) {
+    if (!is_stopping()) settle();
+    while (!is_stopping() && holds_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
+  } else {
+    const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
+    if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
+    if (!is_stopping()) run_due();
+    while (!is_stopping()) {
+      run_posted();  // libuv does not look at them when nothing else keeps the loop alive
+      if (!is_stopping()) uv_run(uv_loop_, UV_RUN_DEFAULT);
+      if (!has_posted()) break;
+    }
+    if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(slack));
+  }
+  forget_stop();
+}
+
+void LoopCore::run_for(Duration duration) {
+  if (manual_ != nullptr) {
+    advance(duration);
+    return;
+  }
+  const MonotonicTime end = later(now(), duration);
+  bool is_over = false;
+  Timer timer(face, [this, &is_over] {
+    is_over = true;
+    request_stop();
+  });
+  timer.start_at(end);
+  run();
+  if (!is_over) return;  // stopped before
+  const Running running(*this, "cannot run");
+  run_due();
+  deliver_all();
+}
+
+void LoopCore::poll() {
+  if (attached_) {
+    run_due();
+    deliver_all();
+    return;
+  }
+  const Running running(*this, "cannot poll");
+  if (manual_ != nullptr) {
+    settle();
+    return;
+  }
+  run_due();
+  run_posted();
+  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  deliver_all();
+}
+
+void LoopCore::advance(Duration duration) {
+  if (manual_ == nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot advance", "loop " + config.name, "it runs in real time",
+                      "make it with rtdata::Loop::Manual{}"});
+  }
+  const Running running(*this, "cannot advance");
+  const MonotonicTime target = later(now(), duration);
+  if (!is_stopping()) settle();
+  while (!is_stopping() && deadlines_.top() != nullptr && deadlines_.top()->due <= target) advance_to(deadlines_.top()->due);
+  if (!is_stopping()) advance_to(target);
+  forget_stop();
+}
+
+void LoopCore::advance_to(MonotonicTime target) {
+  if (target > now()) manual_->pass(target - now());
+  settle();
+}
+
+void LoopCore::settle() {
+  // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
+  Left left = Left::nothing;
+  do {
+    runtime.look_at_clock();
+    run_due();
+    run_posted();
+    uv_run(uv_loop_, UV_RUN_NOWAIT);
+    left = deliver(Budget::limited);
+  } while (left == Left::later && !is_stopping());
+}
+
+}  // namespace rtdata::detail
