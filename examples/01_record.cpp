@@ -15,8 +15,9 @@ struct Climate {
 int main() {
   rtdata::Loop loop;
   rtdata::SqliteSink recording(loop, {.path = "run.db"});
-  rtdata::Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz},
-                               [t = 20.0]() mutable { return Climate{t += 0.1, 40}; });
+  rtdata::Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz}, [t = 20.0]() mutable {
+    return Climate{t += 0.1, 40};
+  });
   auto print = loop.topic<Climate>("room/climate").subscribe(loop, [](const rtdata::Event<Climate>& e) {
     std::printf("%s  %.1f Cel\n", rtdata::to_iso8601(e.time).c_str(), e->temperature);
   });

@@ -37,7 +37,8 @@ int main() {
   uv_timer_init(&program.loop, &program.timer);
   uv_poll_init(&program.loop, &program.poll, program.fd);
   program.timer.data = program.poll.data = &program;
-  uv_timer_start(&program.timer, [](uv_timer_t* t) { eventfd_write(static_cast<Program*>(t->data)->fd, 1); }, 50, 50);
+  uv_timer_start(
+      &program.timer, [](uv_timer_t* t) { eventfd_write(static_cast<Program*>(t->data)->fd, 1); }, 50, 50);
   uv_poll_start(&program.poll, UV_READABLE, on_poll);
   bool balances = false;
   {

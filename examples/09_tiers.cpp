@@ -23,9 +23,8 @@ int main() {
 
   rtdata::SqliteSink sink(loop, {.path = "tiers.db"});
   double highest = 0;
-  const auto watch = loop.subscribe<Pressure>("chamber", [&](const rtdata::Event<Pressure>& event) {
-    highest = std::fmax(highest, event->bar);
-  });
+  const auto watch = loop.subscribe<Pressure>(
+      "chamber", [&](const rtdata::Event<Pressure>& event) { highest = std::fmax(highest, event->bar); });
 
   loop.run_for(std::chrono::seconds{1});
   loop.close();

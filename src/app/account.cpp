@@ -70,7 +70,9 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
       dropped += " (" + std::string(name_of(static_cast<DropReason>(i))) + ")";
     }
     sinks.add({sink.name, std::to_string(sink.counts.stored), dropped,
-               path == paths.end() || path->second.empty() ? "-" : path->second == "-" ? "standard output" : path->second,
+               path == paths.end() || path->second.empty() ? "-"
+               : path->second == "-"                       ? "standard output"
+                                                           : path->second,
                std::string(name_of(sink.health)) + (sink.reason.empty() ? "" : ": " + fitted(sink.reason, 60))});
   }
   if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text();

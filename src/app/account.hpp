@@ -17,7 +17,7 @@ struct TopicAccount {
   std::uint64_t missed = 0;
   std::uint64_t failed = 0;
   std::uint64_t lost = 0;
-  std::uint64_t dropped = 0;  ///< by sinks
+  std::uint64_t dropped = 0;   ///< by sinks
   Health health = Health::ok;  ///< the worst of its sensors'
   std::string reason;
 };

@@ -2,8 +2,8 @@
 
 #include <poll.h>
 #include <spdlog/async_logger.h>
-#include <spdlog/details/thread_pool.h>
 #include <spdlog/details/null_mutex.h>
+#include <spdlog/details/thread_pool.h>
 #include <spdlog/pattern_formatter.h>
 #include <spdlog/sinks/base_sink.h>
 #include <time.h>

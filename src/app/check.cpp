@@ -8,7 +8,8 @@ namespace rtdata::app {
 int check(const Registry& registry, const std::string& file) {
   const SystemPlan plan = plan_system(registry, load_config(file));
   if (!plan.good()) {
-    std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems") << std::endl;
+    std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems")
+              << std::endl;
     return exit_configuration;
   }
   for (const Problem& warning : plan.warnings) {
@@ -18,8 +19,11 @@ int check(const Registry& registry, const std::string& file) {
     std::cout << load.text() << "\n";
     for (const LaneLoad& lane : load.lanes) std::cout << "  " << lane.text() << "\n";
   }
-  const auto counted = [](std::size_t count, const char* what) { return std::to_string(count) + " " + what + (count == 1 ? "" : "s"); };
-  std::cout << "ok: " << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink") << std::endl;
+  const auto counted = [](std::size_t count, const char* what) {
+    return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+  };
+  std::cout << "ok: " << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink")
+            << std::endl;
   return exit_good;
 }
 

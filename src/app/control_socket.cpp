@@ -195,8 +195,8 @@ ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
 }
 
 void ControlSocket::drop(std::uint64_t number) {
-  const auto found =
-      std::find_if(clients_.begin(), clients_.end(), [&](const auto& client) { return client->number == number; });
+  const auto found = std::find_if(clients_.begin(), clients_.end(),
+                                  [&](const auto& client) { return client->number == number; });
   if (found == clients_.end()) return;
   const std::unique_ptr<Client> client = std::move(*found);
   clients_.erase(found);
@@ -256,8 +256,8 @@ void ControlSocket::answered(std::uint64_t number, std::string text) {
 }
 
 bool ControlSocket::send(Client& client) {
-  const ssize_t size =
-      ::send(client.fd, client.out.data() + client.sent, client.out.size() - client.sent, MSG_NOSIGNAL | MSG_DONTWAIT);
+  const ssize_t size = ::send(client.fd, client.out.data() + client.sent, client.out.size() - client.sent,
+                              MSG_NOSIGNAL | MSG_DONTWAIT);
   if (size < 0 && errno != EAGAIN && errno != EINTR) return false;
   if (size > 0) client.sent += static_cast<std::size_t>(size);
   if (client.sent == client.out.size()) {
@@ -321,8 +321,8 @@ Result<std::string> ControlClient::ask(std::string line, Duration at_most) {
       rest_.erase(0, end + 1);
       return answer;
     }
-    const auto left =
-        std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now())
+                          .count();
     pollfd waits{fd_, static_cast<short>(sent < line.size() ? POLLIN | POLLOUT : POLLIN), 0};
     if (left <= 0 || ::poll(&waits, 1, static_cast<int>(left)) == 0) {
       return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",

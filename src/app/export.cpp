@@ -39,7 +39,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
   config.time = is_utc ? ExportTime::utc : ExportTime::recorded;
   config.time_text = is_utc ? ExportConfig::TimeText::iso8601 : ExportConfig::TimeText::nanoseconds;
-  config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names : ExportConfig::Header::names_and_units;
+  config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
+                                                                 : ExportConfig::Header::names_and_units;
   const auto code_of = [](const Error& error) { return error.code == make_error_code(Errc::damaged) ? 2 : 1; };
   if (options.folder.empty()) {
     auto count = export_rows(*recording, config, out);
@@ -48,7 +49,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   }
   auto counts = export_files(*recording, config, options.folder);
   if (!counts) return fail(err, counts.error(), code_of(counts.error()));
-  for (const ExportCount& count : *counts) out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
+  for (const ExportCount& count : *counts)
+    out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
   return 0;
 }
 

@@ -26,7 +26,8 @@ struct Line {
   void add(std::int64_t number, int digits) noexcept {
     std::array<char, 24> reversed{};
     int count = 0;
-    for (; number > 0 || count < digits; number /= 10) reversed[static_cast<std::size_t>(count++)] = static_cast<char>('0' + number % 10);
+    for (; number > 0 || count < digits; number /= 10)
+      reversed[static_cast<std::size_t>(count++)] = static_cast<char>('0' + number % 10);
     while (count > 0 && size < text.size()) text[size++] = reversed[static_cast<std::size_t>(--count)];
   }
 };
@@ -61,15 +62,24 @@ void add_time(Line& line) noexcept {
 
 const char* name_of_signal(int signal) noexcept {
   switch (signal) {
-    case SIGSEGV: return "SIGSEGV";
-    case SIGBUS: return "SIGBUS";
-    case SIGILL: return "SIGILL";
-    case SIGFPE: return "SIGFPE";
-    case SIGABRT: return "SIGABRT";
-    case SIGSYS: return "SIGSYS";
-    case SIGXCPU: return "SIGXCPU";
-    case SIGXFSZ: return "SIGXFSZ";
-    default: return "unknown";
+    case SIGSEGV:
+      return "SIGSEGV";
+    case SIGBUS:
+      return "SIGBUS";
+    case SIGILL:
+      return "SIGILL";
+    case SIGFPE:
+      return "SIGFPE";
+    case SIGABRT:
+      return "SIGABRT";
+    case SIGSYS:
+      return "SIGSYS";
+    case SIGXCPU:
+      return "SIGXCPU";
+    case SIGXFSZ:
+      return "SIGXFSZ";
+    default:
+      return "unknown";
   }
 }
 

@@ -53,7 +53,9 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
       name.clear();
     }
     name.resize(name_width, ' ');
-    const auto late = [&](Duration duration) { return topic.has_lateness ? short_duration(duration) : std::string("-"); };
+    const auto late = [&](Duration duration) {
+      return topic.has_lateness ? short_duration(duration) : std::string("-");
+    };
     out << name << padded(std::to_string(topic.rows), 9) << padded(hertz(topic.reached_hertz), 7)
         << padded(topic.wanted_hertz > 0 ? hertz(topic.wanted_hertz) : "-", 7) << padded(late(topic.lateness_p50), 9)
         << padded(late(topic.lateness_p99), 8) << padded(late(topic.lateness_max), 8)
@@ -71,7 +73,8 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
 
 void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
   for (const RecordedTopic& topic : topics) {
-    std::string line = "  " + topic.topic + (topic.version > 1 ? " (version " + std::to_string(topic.version) + ")" : "") + ":";
+    std::string line = "  " + topic.topic +
+                       (topic.version > 1 ? " (version " + std::to_string(topic.version) + ")" : "") + ":";
     for (const Field& field : topic.description->fields()) {
       std::string item = " " + field.name + (field.unit.empty() ? "" : " [" + field.unit + "]");
       if (&field != &topic.description->fields().back()) item += ",";
@@ -86,9 +89,14 @@ void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
 }
 
 Json json_of(const RunInfo& run) {
-  Json json{{"run", run.run},         {"uuid", run.uuid},     {"name", run.name},
-            {"notes", run.notes},     {"program", run.program}, {"host", run.host},
-            {"state", name_of(run.state)}, {"started", to_nanoseconds(run.started)}};
+  Json json{{"run", run.run},
+            {"uuid", run.uuid},
+            {"name", run.name},
+            {"notes", run.notes},
+            {"program", run.program},
+            {"host", run.host},
+            {"state", name_of(run.state)},
+            {"started", to_nanoseconds(run.started)}};
   json["ended"] = run.ended ? Json(to_nanoseconds(*run.ended)) : Json();
   json["lost"] = run.lost ? Json(*run.lost) : Json();
   json["remark"] = run.remark;
@@ -96,8 +104,14 @@ Json json_of(const RunInfo& run) {
 }
 
 Json json_of(const TopicSummary& topic) {
-  Json json{{"topic", topic.topic},   {"origins", topic.origins}, {"rows", topic.rows},       {"wanted_hz", topic.wanted_hertz},
-            {"reached_hz", topic.reached_hertz}, {"missed", topic.missed}, {"failed", topic.failed}, {"dropped", topic.dropped},
+  Json json{{"topic", topic.topic},
+            {"origins", topic.origins},
+            {"rows", topic.rows},
+            {"wanted_hz", topic.wanted_hertz},
+            {"reached_hz", topic.reached_hertz},
+            {"missed", topic.missed},
+            {"failed", topic.failed},
+            {"dropped", topic.dropped},
             {"late", topic.late}};
   json["lost"] = topic.lost ? Json(*topic.lost) : Json();
   const auto lateness = [&](Duration value) { return topic.has_lateness ? Json(value.count()) : Json(); };
@@ -170,8 +184,9 @@ void print(const Recording& recording, const Content& content, std::ostream& out
     for (std::size_t i = 0; i < content.errors.size() && i < most; ++i) {
       const RecordedError& error = content.errors[i];
       std::string line;
-      detail::wrap(line, "  ", short_time(error.time) + " " + error.object + ": " + error.text +
-                                   (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : ""));
+      detail::wrap(line, "  ",
+                   short_time(error.time) + " " + error.object + ": " + error.text +
+                       (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : ""));
       out << line;
     }
     if (content.errors.size() > most) out << "  and " << content.errors.size() - most << " more\n";
@@ -203,8 +218,11 @@ void print_json(const Recording& recording, const Content& content, std::ostream
   for (const TopicSummary& topic : content.summaries) json["topics"].push_back(json_of(topic));
   json["errors"] = Json::array();
   for (const RecordedError& error : content.errors) {
-    json["errors"].push_back(
-        Json{{"time", to_nanoseconds(error.time)}, {"object", error.object}, {"id", error.id}, {"text", error.text}, {"count", error.count}});
+    json["errors"].push_back(Json{{"time", to_nanoseconds(error.time)},
+                                  {"object", error.object},
+                                  {"id", error.id},
+                                  {"text", error.text},
+                                  {"count", error.count}});
   }
   json["health"] = Json::array();
   for (const RecordedHealth& change : content.health) {

@@ -97,8 +97,8 @@ std::string LiveView::frame(const RunAccount& account, std::size_t columns, std:
   }
   if (hidden > 0) lines.push_back("and " + std::to_string(hidden) + " more topics");
   const auto elapsed = std::chrono::duration_cast<std::chrono::seconds>(now - started_);
-  lines.push_back(to_string(Duration(elapsed)) + ", " + short_count(account.events) + " events, " + short_count(account.dropped) +
-                  " dropped, " + short_count(account.queued) + " queued; Ctrl-C ends");
+  lines.push_back(to_string(Duration(elapsed)) + ", " + short_count(account.events) + " events, " +
+                  short_count(account.dropped) + " dropped, " + short_count(account.queued) + " queued; Ctrl-C ends");
   if (!note.empty()) lines.push_back(std::string(note));
 
   std::string text = lines_ == 0 ? hide_cursor : "\x1b[" + std::to_string(lines_) + "A";

@@ -10,10 +10,14 @@ namespace rtdata::app {
 
 std::string_view name_of(LogLevel level) noexcept {
   switch (level) {
-    case LogLevel::debug: return "debug";
-    case LogLevel::info: return "info";
-    case LogLevel::warning: return "warning";
-    case LogLevel::error: return "error";
+    case LogLevel::debug:
+      return "debug";
+    case LogLevel::info:
+      return "info";
+    case LogLevel::warning:
+      return "warning";
+    case LogLevel::error:
+      return "error";
   }
   return "error";
 }
@@ -27,7 +31,8 @@ Result<void> Log::open(const std::string& file, LogLevel least) {
   // Not to wait for the reader of a named pipe.
   fd_ = ::open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, 0644);
   if (fd_ < 0) {
-    return system_error(errno, "cannot write the log file", file, "choose another with --log FILE; the program runs on without");
+    return system_error(errno, "cannot write the log file", file,
+                        "choose another with --log FILE; the program runs on without");
   }
   file_ = file;
   least_ = least;

@@ -42,7 +42,8 @@ Action prepare_init(CLI::App& command) {
 std::optional<Duration> span_of(const std::string& option, const std::string& text) {
   const Result<Duration> parsed = parse_duration(text);
   if (parsed && *parsed > Duration{0}) return *parsed;
-  std::cerr << "rtdata: " << option << " " << text << ": " << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
+  std::cerr << "rtdata: " << option << " " << text << ": "
+            << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
   return std::nullopt;
 }
 
@@ -54,9 +55,14 @@ Action prepare_run(CLI::App& command) {
   const auto given = std::make_shared<Given>();
   command.add_option("FILE", given->options.file, "The configuration")->required();
   command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
-  command.add_flag_callback("--fail-on-loss", [given] { given->options.on_loss = app::OnLoss::fail; }, "Exit 3 when anything was missed, failed or dropped");
-  command.add_flag_callback("--quiet,-q", [given] { given->options.talk = app::Talk::quiet; }, "Print warnings and errors only");
-  command.add_option("--log", given->options.log_file, "The log file; default: as the configuration says, or its name with .log, in the working directory")
+  command.add_flag_callback(
+      "--fail-on-loss", [given] { given->options.on_loss = app::OnLoss::fail; },
+      "Exit 3 when anything was missed, failed or dropped");
+  command.add_flag_callback(
+      "--quiet,-q", [given] { given->options.talk = app::Talk::quiet; }, "Print warnings and errors only");
+  command
+      .add_option("--log", given->options.log_file,
+                  "The log file; default: as the configuration says, or its name with .log, in the working directory")
       ->type_name("FILE");
   command.footer("example:\n  rtdata run bench.json --for 10s --fail-on-loss");
   return [given](const Registry& registry) {
@@ -81,7 +87,8 @@ Action prepare_types(CLI::App& command) {
   };
   const auto given = std::make_shared<Given>();
   command.add_option("NAME", given->type, "Only this type");
-  command.add_flag_callback("--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
+  command.add_flag_callback(
+      "--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
   command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
   return [given](const Registry& registry) { return app::types(registry, given->type, given->format); };
 }
@@ -89,11 +96,14 @@ Action prepare_types(CLI::App& command) {
 Action prepare_top(CLI::App& command) {
   const auto options = std::make_shared<app::TopOptions>();
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
-  command.add_flag_callback("--once", [options] { options->how_often = app::HowOften::once; }, "Print once and end");
-  command.add_flag_callback("--json", [options] { options->show_as = app::ShowAs::json; }, "Print the status as JSON, a line each time");
-  command.footer("examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
-                 "  rtdata top bench --once           one look at the instance called bench\n"
-                 "  rtdata top 4711 --once --json     for programs");
+  command.add_flag_callback(
+      "--once", [options] { options->how_often = app::HowOften::once; }, "Print once and end");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = app::ShowAs::json; }, "Print the status as JSON, a line each time");
+  command.footer(
+      "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
+      "  rtdata top bench --once           one look at the instance called bench\n"
+      "  rtdata top 4711 --once --json     for programs");
   return [options](const Registry&) { return app::top(*options); };
 }
 
@@ -103,13 +113,18 @@ Action prepare_bench(CLI::App& command) {
     std::string duration = "60s";
   };
   const auto given = std::make_shared<Given>();
-  command.add_option("--for", given->duration, "How long all of it takes, about")->type_name("DURATION")->capture_default_str();
-  command.add_option("--json", given->options.json_file, "Write the figures to this file as JSON; - is standard output, instead of the text")
+  command.add_option("--for", given->duration, "How long all of it takes, about")
+      ->type_name("DURATION")
+      ->capture_default_str();
+  command
+      .add_option("--json", given->options.json_file,
+                  "Write the figures to this file as JSON; - is standard output, instead of the text")
       ->type_name("FILE");
   command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
-  command.footer("examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
-                 "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
-                 "  rtdata bench --for 10s --json board.json");
+  command.footer(
+      "examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
+      "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
+      "  rtdata bench --for 10s --json board.json");
   return [given](const Registry&) {
     const std::optional<Duration> duration = span_of("--for", given->duration);
     if (!duration) return app::exit_other;
@@ -122,7 +137,8 @@ Action prepare_bench(CLI::App& command) {
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
   command.add_option("DB", options->database, "The recording")->required();
-  command.add_flag_callback("--json", [options] { options->output = app::Output::json; }, "Print JSON");
+  command.add_flag_callback(
+      "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   return [options](const Registry&) { return app::verify(*options, std::cout, std::cerr); };
 }
 
@@ -130,7 +146,8 @@ Action prepare_info(CLI::App& command) {
   const auto options = std::make_shared<app::InfoOptions>();
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
-  command.add_flag_callback("--json", [options] { options->output = app::Output::json; }, "Print JSON");
+  command.add_flag_callback(
+      "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   return [options](const Registry&) { return app::info(*options, std::cout, std::cerr); };
 }
 
@@ -147,8 +164,10 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
   command.add_option("--limit", options->limit, "At most so many rows; 0: all");
   command.add_option("--every", options->every, "Only each n-th row");
-  command.add_flag_callback("--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
-  command.add_flag_callback("--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
+  command.add_flag_callback(
+      "--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
+  command.add_flag_callback(
+      "--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
   command.footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
   return [options](const Registry&) { return app::export_recording(*options, std::cout, std::cerr); };
 }
@@ -182,7 +201,8 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
 
   // A subcommand that comes first is the only one that matters: the others are not even made, so that `run` starts soon.
   const std::string_view first = argc > 1 ? argv[1] : "";
-  const bool is_named = std::any_of(std::begin(commands), std::end(commands), [&](const Command& command) { return command.name == first; });
+  const bool is_named = std::any_of(std::begin(commands), std::end(commands),
+                                    [&](const Command& command) { return command.name == first; });
   std::vector<std::pair<const CLI::App*, Action>> prepared;
   for (const Command& command : commands) {
     if (is_named && command.name != first) continue;

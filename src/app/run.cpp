@@ -74,7 +74,8 @@ class Run {
   }
 
   int refuse(const SystemPlan& plan) {
-    for (const Problem& problem : plan.problems) log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
+    for (const Problem& problem : plan.problems)
+      log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
     messages_.write(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
                     (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
     return exit_configuration;
@@ -141,8 +142,8 @@ class Run {
         continue;
       }
       const std::string where = tier.doing();
-      hanging +=
-          (hanging.empty() ? "tier " : ", tier ") + entry.first + " in " + (where.empty() ? "a callback" : where);
+      hanging += (hanging.empty() ? "tier " : ", tier ") + entry.first + " in " +
+                 (where.empty() ? "a callback" : where);
     }
     return hanging;
   }
@@ -199,7 +200,8 @@ class Run {
   }
 
   void stop(Loop& loop, const char* signal) {
-    say(LogLevel::info, "program", std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+    say(LogLevel::info, "program",
+        std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
     loop.stop();
   }
 

@@ -61,8 +61,8 @@ Result<void> ServiceManager::tell(std::string_view state) {
   address.sun_family = AF_UNIX;
   if (address_.size() > sizeof address.sun_path) return failed(ENAMETOOLONG);
   std::memcpy(address.sun_path, address_.data(), address_.size());
-  const auto length =
-      static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + address_.size() + (address_.front() == '/' ? 1 : 0));
+  const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + address_.size() +
+                                             (address_.front() == '/' ? 1 : 0));
   if (address_.size() == sizeof address.sun_path && address_.front() == '/') return failed(ENAMETOOLONG);
   if (fd_ < 0) fd_ = ::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
   if (fd_ < 0) return failed(errno);

@@ -19,7 +19,8 @@ static constexpr auto parameters(type_tag<SqliteConfig>) {
                 "what a power cut may cost: normal: the last commits, safe: nothing committed, fast: the file",
                 choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
                         value("fast", SqliteProfile::fast))),
-      parameter("max_bytes", &SqliteConfig::max_bytes, "the oldest rows are deleted above this size; 0: no limit", unit("By")),
+      parameter("max_bytes", &SqliteConfig::max_bytes, "the oldest rows are deleted above this size; 0: no limit",
+                unit("By")),
       parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit"),
       include_member(&SqliteConfig::sink));
 }
@@ -29,15 +30,24 @@ namespace {
 
 std::shared_ptr<const Description> host_description(HostQuantity what) {
   switch (what) {
-    case HostQuantity::cpu: return description_of<HostCpu>();
-    case HostQuantity::load: return description_of<HostLoad>();
-    case HostQuantity::memory: return description_of<HostMemory>();
-    case HostQuantity::disk: return description_of<HostDisk>();
-    case HostQuantity::network: return description_of<HostNetwork>();
-    case HostQuantity::scheduler: return description_of<HostScheduler>();
-    case HostQuantity::process: return description_of<HostProcess>();
-    case HostQuantity::temperature: return description_of<HostTemperature>();
-    case HostQuantity::frequency: return description_of<HostFrequency>();
+    case HostQuantity::cpu:
+      return description_of<HostCpu>();
+    case HostQuantity::load:
+      return description_of<HostLoad>();
+    case HostQuantity::memory:
+      return description_of<HostMemory>();
+    case HostQuantity::disk:
+      return description_of<HostDisk>();
+    case HostQuantity::network:
+      return description_of<HostNetwork>();
+    case HostQuantity::scheduler:
+      return description_of<HostScheduler>();
+    case HostQuantity::process:
+      return description_of<HostProcess>();
+    case HostQuantity::temperature:
+      return description_of<HostTemperature>();
+    case HostQuantity::frequency:
+      return description_of<HostFrequency>();
   }
   return nullptr;
 }
@@ -49,18 +59,25 @@ Registry standard_registry() {
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },
-      [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) { return AnalogSensor(loop, common, config); });
+      [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
+        return AnalogSensor(loop, common, config);
+      });
   registry.add_sensor<HostConfig>(
       "host", "what this computer knows of itself: load, memory, temperature and so on",
       [](const HostConfig& config) { return host_description(config.what); },
-      [](Loop& loop, const SensorConfig& common, const HostConfig& config) { return HostSensor(loop, common, config); });
+      [](Loop& loop, const SensorConfig& common, const HostConfig& config) {
+        return HostSensor(loop, common, config);
+      });
   registry.add_sensor<SerialConfig>(
       "serial", "a device that sends lines of CSV or JSON over a serial line",
       [](const SerialConfig& config) { return line_description(config.fields); },
-      [](Loop& loop, const FeedConfig& common, const SerialConfig& config) { return SerialLineSensor(loop, common, config); });
+      [](Loop& loop, const FeedConfig& common, const SerialConfig& config) {
+        return SerialLineSensor(loop, common, config);
+      });
 #ifdef RTDATA_WITH_SQLITE
   registry.add_sink<SqliteConfig>(
-      "sqlite", "a SQLite file that describes itself and can be verified", [](const SqliteConfig& config) { return config.path; },
+      "sqlite", "a SQLite file that describes itself and can be verified",
+      [](const SqliteConfig& config) { return config.path; },
       [](Loop& loop, const SqliteConfig& config) { return SqliteSink(loop, config); });
 #endif
   registry.add_sink<FileConfig>(

@@ -33,8 +33,8 @@ void add_list(std::string& file, const Registry& registry, const char* list, con
 /// What every computer knows of itself, and this one of its temperature.
 std::vector<Entry> host_entries() {
   const auto entry = [](std::string comment, const char* name, const char* rate) {
-    return Entry{std::move(comment), R"({"name": ")" + std::string(name) + R"(", "type": "host", "quantity": ")" + name +
-                                         R"(", "rate": ")" + rate + R"(", "topic": "host/)" + name + R"("})"};
+    return Entry{std::move(comment), R"({"name": ")" + std::string(name) + R"(", "type": "host", "quantity": ")" +
+                                         name + R"(", "rate": ")" + rate + R"(", "topic": "host/)" + name + R"("})"};
   };
   std::vector<Entry> entries{entry("this program, a thousand times a second", "process", "1 kHz"),
                              entry("the computer", "scheduler", "100 Hz"), entry("", "memory", "100 Hz"),
@@ -75,9 +75,12 @@ std::string starter_file(const Registry& registry, const std::string& file) {
   for (Entry& entry : analog_entries()) sensors.push_back(std::move(entry));
   add_list(text, registry, "sensors", sensors);
   text += ",\n";
-  const auto output = [&](const char* extension) { return ConfigItem::of(stem + extension).to_json(ConfigItem::Layout::one_line); };
+  const auto output = [&](const char* extension) {
+    return ConfigItem::of(stem + extension).to_json(ConfigItem::Layout::one_line);
+  };
   add_list(text, registry, "sinks",
-           {{"check it with: rtdata verify " + stem + ".db", R"({"type": "sqlite", "path": )" + output(".db") + R"(, "topics": ["#"]})"},
+           {{"check it with: rtdata verify " + stem + ".db",
+             R"({"type": "sqlite", "path": )" + output(".db") + R"(, "topics": ["#"]})"},
             {"one JSON object a line", R"({"type": "file", "path": )" + output(".jsonl") + R"(, "topics": ["#"]})"}});
   return text + "\n}\n";
 }

@@ -190,8 +190,8 @@ void StatusSource::ask_tiers(Snapshot& shot) {
   });
   for (detail::TierCore* tier : running) {
     if (!tier->is_running()) continue;
-    auto known =
-        std::find_if(tiers_.begin(), tiers_.end(), [&](const AskedTier& one) { return one.name == tier->config.name; });
+    auto known = std::find_if(tiers_.begin(), tiers_.end(),
+                              [&](const AskedTier& one) { return one.name == tier->config.name; });
     if (known == tiers_.end()) known = tiers_.insert(tiers_.end(), AskedTier{tier->config.name, {}, {}, {}});
     if (known->asked != nullptr && known->asked->is_done()) known->answered = std::move(known->asked);
     if (known->asked == nullptr)

@@ -99,7 +99,8 @@ void StopSignals::attach(Loop& loop, Actions actions) {
   const std::lock_guard lock(state_->mutex);
   state_->loop = &loop;
   state_->actions = std::move(actions);
-  if (state_->pending != nullptr) loop.post([state = state_.get(), name = state_->pending] { state->actions.first(name); });
+  if (state_->pending != nullptr)
+    loop.post([state = state_.get(), name = state_->pending] { state->actions.first(name); });
 }
 
 void StopSignals::detach() noexcept {

@@ -194,8 +194,8 @@ class Terminal {
   bool wait(Duration duration) {
     const auto until = std::chrono::steady_clock::now() + duration;
     while (interrupted == 0) {
-      const auto left =
-          std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
+      const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now())
+                            .count();
       if (left <= 0) return true;
       pollfd keys{has_keys_ ? STDIN_FILENO : -1, POLLIN, 0};
       if (::poll(&keys, 1, static_cast<int>(left)) <= 0) continue;
@@ -219,8 +219,8 @@ void print(const std::string& text) { write_fully(STDOUT_FILENO, text.data(), te
 
 int show(Found& found, const TopOptions& options) {
   Terminal terminal;
-  const bool is_live =
-      options.how_often == HowOften::live && options.show_as == ShowAs::text && ::isatty(STDOUT_FILENO) == 1;
+  const bool is_live = options.how_often == HowOften::live && options.show_as == ShowAs::text &&
+                       ::isatty(STDOUT_FILENO) == 1;
   std::string failed;
   if (is_live) print("\x1b[?25l\x1b[2J");
   // Rates are known from the second answer on: the first was the search.

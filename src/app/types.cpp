@@ -50,7 +50,8 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
     std::cout << "formats of events\n\n ";
     for (const std::string& codec : CodecRegistry::standard().names()) std::cout << " " << codec;
     std::cout << "\n\nformats of configuration files\n\n ";
-    for (const std::string& extension : ConfigFormats().extensions()) std::cout << " " << (extension.empty() ? "(none)" : extension);
+    for (const std::string& extension : ConfigFormats().extensions())
+      std::cout << " " << (extension.empty() ? "(none)" : extension);
     std::cout << std::endl;
     return exit_good;
   }
@@ -67,8 +68,9 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
   }
   if (found > 0) return exit_good;
   const std::string nearest = nearest_name(name, names);
-  std::cerr << "rtdata: there is no type \"" << name << "\"" << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)")
-            << "; `rtdata types` lists all" << std::endl;
+  std::cerr << "rtdata: there is no type \"" << name << "\""
+            << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << "; `rtdata types` lists all"
+            << std::endl;
   return exit_other;
 }
 

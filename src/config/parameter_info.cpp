@@ -18,9 +18,9 @@ std::string number_text(double value) {
   std::array<char, 32> buffer{};
   // Whole numbers without an exponent, as people write them.
   const bool whole = value == std::floor(value) && std::fabs(value) < 1e15;
-  const auto end =
-      whole ? std::to_chars(buffer.data(), buffer.data() + buffer.size(), static_cast<std::int64_t>(value)).ptr
-            : std::to_chars(buffer.data(), buffer.data() + buffer.size(), value).ptr;
+  const auto end = whole ? std::to_chars(buffer.data(), buffer.data() + buffer.size(), static_cast<std::int64_t>(value))
+                               .ptr
+                         : std::to_chars(buffer.data(), buffer.data() + buffer.size(), value).ptr;
   return std::string(buffer.data(), end);
 }
 

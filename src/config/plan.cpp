@@ -17,7 +17,8 @@ constexpr std::string_view later_document_keys[] = {"buses"};
 void refuse_later_key(ConfigItem& item, std::string_view key, Problems& problems) {
   for (const ConfigChild& child : item.children()) {
     if (child.key != key) continue;
-    Problem problem = child.item.problem("not-available", "\"" + std::string(key) + "\" is not available in this version");
+    Problem problem = child.item.problem("not-available",
+                                         "\"" + std::string(key) + "\" is not available in this version");
     problem.place = child.item.key_place();
     problems.add(std::move(problem));
     break;
@@ -69,9 +70,11 @@ bool check_names(const SensorPlan& plan, Problems& problems) {
     const ConfigItem& topic = child_or_self(plan.item, "topic");
     std::string message = topic_advice(plan.topic);
     if (topic.path() == plan.item.path()) message += "; give the sensor a `topic`, or another name";
-    problems.add((topic.path() == plan.item.path() ? child_or_self(plan.item, "name") : topic).problem("bad-name", message));
+    problems.add(
+        (topic.path() == plan.item.path() ? child_or_self(plan.item, "name") : topic).problem("bad-name", message));
   } else if (plan.topic.starts_with("$")) {
-    problems.add(child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
+    problems.add(
+        child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
   }
   return problems.size() == before;
 }
@@ -135,7 +138,8 @@ class AcrossItems {
     std::vector<std::string> names;
     for (const auto& [name, tier] : plan_.settings.tiers) names.push_back(name);
     plan_.problems.add(child_or_self(sensor.item, "tier")
-                           .problem("unknown-tier", "there is no tier \"" + sensor.tier + "\" in `tiers`", nearest_name(sensor.tier, names)));
+                           .problem("unknown-tier", "there is no tier \"" + sensor.tier + "\" in `tiers`",
+                                    nearest_name(sensor.tier, names)));
   }
 
   void check_name(const char* what, const std::string& name, const ConfigItem& item, Names& names) {
@@ -143,9 +147,11 @@ class AcrossItems {
     if (is_new) return;
     const ConfigItem& named = child_or_self(item, "name");
     const ConfigItem& first = child_or_self(*known->second, "name");
-    if (named.path() == item.path() && first.path() == known->second->path() && refused_paths_.contains(item.path())) return;
-    plan_.problems.add(named.problem("duplicate-name", std::string("there is a ") + what + " \"" + name + "\" already, at " +
-                                                           place_of(first) + "; give each a `name` of its own"));
+    if (named.path() == item.path() && first.path() == known->second->path() && refused_paths_.contains(item.path()))
+      return;
+    plan_.problems.add(named.problem("duplicate-name", std::string("there is a ") + what + " \"" + name +
+                                                           "\" already, at " + place_of(first) +
+                                                           "; give each a `name` of its own"));
   }
 
   void check_topic(const SensorPlan& sensor) {
@@ -160,23 +166,26 @@ class AcrossItems {
     if (is_new || known->second->description == nullptr || sensor.description == nullptr) return;
     const SensorPlan& first = *known->second;
     if (first.description->same_meaning(*sensor.description)) return;
-    std::string message = "the topic \"" + sensor.topic + "\" carries \"" + first.description->name() + "\" of sensor " +
-                          first.name + ", at " + place_of(topic_item(first)) + ", and \"" + sensor.description->name() +
-                          "\" of this one";
-    for (const std::string& difference : first.description->differences(*sensor.description)) message += "; " + difference;
+    std::string message = "the topic \"" + sensor.topic + "\" carries \"" + first.description->name() +
+                          "\" of sensor " + first.name + ", at " + place_of(topic_item(first)) + ", and \"" +
+                          sensor.description->name() + "\" of this one";
+    for (const std::string& difference : first.description->differences(*sensor.description))
+      message += "; " + difference;
     message += "; give one of them a topic of its own";
     plan_.problems.add(topic_item(sensor).problem("description-differs", std::move(message)));
   }
 
   void check_path(const SinkPlan& sink) {
     std::error_code ignored;
-    const std::string path = std::filesystem::weakly_canonical(std::filesystem::absolute(sink.path, ignored), ignored).string();
+    const std::string path = std::filesystem::weakly_canonical(std::filesystem::absolute(sink.path, ignored), ignored)
+                                 .string();
     const auto [known, is_new] = paths_.try_emplace(path.empty() ? sink.path : path, &sink);
     if (is_new) return;
     refused_paths_.try_emplace(sink.item.path(), &sink.item);
     plan_.problems.add(child_or_self(sink.item, "path")
-                           .problem("duplicate-path", "the sink at " + place_of(known->second->item) +
-                                                          " writes \"" + known->second->path + "\" already; two writers on one file destroy it"));
+                           .problem("duplicate-path", "the sink at " + place_of(known->second->item) + " writes \"" +
+                                                          known->second->path +
+                                                          "\" already; two writers on one file destroy it"));
   }
 
   /// Where a sensor's topic is said: its `topic`, or else its `name`.
@@ -268,8 +277,9 @@ bool plan_sink(const Registry& registry, const ConfigItem& item, SinkPlan& plan,
     if (is_topic_pattern(plan.topics[i])) continue;
     const ConfigItem* element = list.find(i);
     problems.add((element != nullptr ? *element : list)
-                     .problem("bad-name", "\"" + plan.topics[i] + "\" is no topic or pattern: levels joined by /, + for "
-                                                                  "one level, # at the end for all below"));
+                     .problem("bad-name", "\"" + plan.topics[i] +
+                                              "\" is no topic or pattern: levels joined by /, + for "
+                                              "one level, # at the end for all below"));
   }
   return problems.size() == before;
 }
@@ -310,7 +320,8 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
     across.warn_of_tiers(sensors, root);
   }
   if (plan.settings.sensors.empty() && (has_lists || plan.problems.empty())) {
-    plan.warnings.add(child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
+    plan.warnings.add(
+        child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
   }
   plan.sensors = std::move(sensors);
   plan.sinks = std::move(sinks);

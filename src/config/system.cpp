@@ -52,7 +52,8 @@ auto made_at(const ConfigItem& item, const std::string& what, const Make& make) 
 }
 
 void note_place(Loop& loop, std::string object, const ConfigItem& item) {
-  if (std::string place = item.place().text(); !place.empty()) loop.runtime().note_place(std::move(object), std::move(place));
+  if (std::string place = item.place().text(); !place.empty())
+    loop.runtime().note_place(std::move(object), std::move(place));
 }
 
 }  // namespace
@@ -72,9 +73,8 @@ System::~System() = default;
 void System::make_tiers(const SystemPlan& plan) {
   for (const auto& entry : plan.settings.tiers) {
     const std::string& name = entry.first;
-    tiers_.push_back({name, made_at(*plan.document.root.find("tiers")->find(name), "tier " + name, [&] {
-                        return std::make_unique<Tier>(loop_, entry.second.tier_config(name));
-                      })});
+    tiers_.push_back({name, made_at(*plan.document.root.find("tiers")->find(name), "tier " + name,
+                                    [&] { return std::make_unique<Tier>(loop_, entry.second.tier_config(name)); })});
   }
 }
 

@@ -48,8 +48,8 @@ Result<std::vector<Field>> fields_from(const Json& tree, const std::string& wher
 Result<Field> field_from(const Json& node, const std::string& where, int depth) {
   if (!node.is_object())
     return not_usable(where, "a field is an object", R"(write {"name": "temperature", "type": "double"})");
-  if (const auto key =
-          unknown_key(node, {"name", "type", "unit", "array", "optional", "capacity", "base", "values", "fields"});
+  if (const auto key = unknown_key(
+          node, {"name", "type", "unit", "array", "optional", "capacity", "base", "values", "fields"});
       !key.empty()) {
     return not_usable(
         where, "unknown key " + key,

@@ -45,31 +45,54 @@ Errc errc_of(int errno_value) {
 
 std::string_view id(Errc code) noexcept {
   switch (code) {
-    case Errc::ok: return "ok";
-    case Errc::bad_argument: return "bad-argument";
-    case Errc::bad_configuration: return "bad-configuration";
-    case Errc::bad_description: return "bad-description";
-    case Errc::description_differs: return "description-differs";
-    case Errc::bad_name: return "bad-name";
-    case Errc::not_found: return "not-found";
-    case Errc::not_permitted: return "not-permitted";
-    case Errc::busy: return "busy";
-    case Errc::io_failed: return "io-failed";
-    case Errc::disconnected: return "disconnected";
-    case Errc::timed_out: return "timed-out";
-    case Errc::not_a_number: return "not-a-number";
-    case Errc::out_of_range: return "out-of-range";
-    case Errc::bad_data: return "bad-data";
-    case Errc::does_not_fit: return "does-not-fit";
-    case Errc::storage_full: return "storage-full";
-    case Errc::not_a_recording: return "not-a-recording";
-    case Errc::newer_version: return "newer-version";
-    case Errc::damaged: return "damaged";
-    case Errc::handler_threw: return "handler-threw";
-    case Errc::held_too_long: return "held-too-long";
+    case Errc::ok:
+      return "ok";
+    case Errc::bad_argument:
+      return "bad-argument";
+    case Errc::bad_configuration:
+      return "bad-configuration";
+    case Errc::bad_description:
+      return "bad-description";
+    case Errc::description_differs:
+      return "description-differs";
+    case Errc::bad_name:
+      return "bad-name";
+    case Errc::not_found:
+      return "not-found";
+    case Errc::not_permitted:
+      return "not-permitted";
+    case Errc::busy:
+      return "busy";
+    case Errc::io_failed:
+      return "io-failed";
+    case Errc::disconnected:
+      return "disconnected";
+    case Errc::timed_out:
+      return "timed-out";
+    case Errc::not_a_number:
+      return "not-a-number";
+    case Errc::out_of_range:
+      return "out-of-range";
+    case Errc::bad_data:
+      return "bad-data";
+    case Errc::does_not_fit:
+      return "does-not-fit";
+    case Errc::storage_full:
+      return "storage-full";
+    case Errc::not_a_recording:
+      return "not-a-recording";
+    case Errc::newer_version:
+      return "newer-version";
+    case Errc::damaged:
+      return "damaged";
+    case Errc::handler_threw:
+      return "handler-threw";
+    case Errc::held_too_long:
+      return "held-too-long";
     case Errc::not_turning:
       return "not-turning";
-    case Errc::closed: return "closed";
+    case Errc::closed:
+      return "closed";
   }
   return "unknown";
 }

@@ -236,8 +236,8 @@ Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const
   if (!nlohmann::json::sax_parse(text, text + bytes.size(), &builder)) return bad("", builder.error);
   auto found = Reader::find(builder.root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
   if (!found) return std::move(found).error();
-  const auto& [topic, time, origin, data, sequence] =
-      std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3], (*found)[4]};
+  const auto& [topic, time, origin, data, sequence] = std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3],
+                                                                 (*found)[4]};
   DecodedEvent event;
   if (topic->type != Node::Type::string) return bad("topic", "it is no string");
   if (origin->type != Node::Type::string) return bad("origin", "it is no string");

@@ -276,8 +276,8 @@ Result<Duration> parse_duration(std::string_view text) {
 std::string to_string(Duration duration) {
   const std::int64_t count = duration.count();
   if (count == 0) return "0 s";
-  const std::uint64_t value =
-      count < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(count) : static_cast<std::uint64_t>(count);
+  const std::uint64_t value = count < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(count)
+                                        : static_cast<std::uint64_t>(count);
   std::string text = count < 0 ? "-" : "";
   for (const auto& [name, unit] : {Unit{"d", 86400 * second}, Unit{"h", 3600 * second}, Unit{"min", 60 * second}}) {
     if (value % unit == 0) return text + std::to_string(value / unit) + " " + std::string(name);
@@ -289,8 +289,8 @@ std::string to_string(Duration duration) {
 }
 
 Result<Rate> parse_rate(std::string_view text) {
-  constexpr const char* advice =
-      "write a rate such as \"100 Hz\", \"2 kHz\" or \"6 /min\", or a period such as \"10 ms\"";
+  constexpr const char*
+      advice = "write a rate such as \"100 Hz\", \"2 kHz\" or \"6 /min\", or a period such as \"10 ms\"";
   std::string_view rest = trim(text);
   const bool is_period = rest.starts_with("every ");
   if (is_period) rest.remove_prefix(6);
@@ -353,8 +353,8 @@ std::string to_string(Rate rate) {
   // Round: few digits say it, and reading them gives the same period.
   for (int digits = 1; digits <= 4; ++digits) {
     char buffer[32];
-    const auto end =
-        std::to_chars(buffer, buffer + sizeof buffer, hertz / scale, std::chars_format::general, digits).ptr;
+    const auto end = std::to_chars(buffer, buffer + sizeof buffer, hertz / scale, std::chars_format::general, digits)
+                         .ptr;
     double rounded = 0;
     std::from_chars(buffer, end, rounded);
     // Without an exponent, which the general format uses for small and for large numbers.

@@ -22,18 +22,24 @@ Error bad_setting(std::string why, const char* advice) {
   return {Errc::bad_argument, "cannot use these serial settings", "", std::move(why), advice};
 }
 
-std::string fuser_advice(const std::string& path) { return "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)"; }
+std::string fuser_advice(const std::string& path) {
+  return "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)";
+}
 
 Error open_error(int number, const std::string& path) {
   switch (number) {
     case EACCES:
       return system_error(number, cannot_open, path,
                           "add the user to the device's group (`sudo usermod -aG dialout $USER`) and log in again");
-    case EBUSY: return {Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
+    case EBUSY:
+      return {Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
     case ENOENT:
     case ENXIO:
-    case ENODEV: return system_error(number, cannot_open, path, "plug it in, or check `device`; `ls /dev/serial/by-id` lists the lines");
-    default: return system_error(number, cannot_open, path);
+    case ENODEV:
+      return system_error(number, cannot_open, path,
+                          "plug it in, or check `device`; `ls /dev/serial/by-id` lists the lines");
+    default:
+      return system_error(number, cannot_open, path);
   }
 }
 
@@ -58,7 +64,8 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   tty.c_ispeed = tty.c_ospeed = settings.baud_rate;
   tty.c_cc[VMIN] = 1;
   tty.c_cc[VTIME] = 0;
-  if (::ioctl(fd, TCSETS2, &tty) != 0) return system_error(errno, "cannot set up the serial line", path, "check its settings");
+  if (::ioctl(fd, TCSETS2, &tty) != 0)
+    return system_error(errno, "cannot set up the serial line", path, "check its settings");
   struct termios2 now {};
   if (::ioctl(fd, TCGETS2, &now) != 0) return system_error(errno, "cannot set up the serial line", path);
   // A driver sets what it can and says what that is. Pseudo terminals carry characters, not bits.
@@ -66,10 +73,12 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR;
   if (off > 0.03 || off < -0.03) {
     return Error{Errc::out_of_range, "cannot set up the serial line", path,
-                 "it cannot do " + std::to_string(settings.baud_rate) + " Bd, only " + std::to_string(now.c_ospeed), "change `baud_rate`"};
+                 "it cannot do " + std::to_string(settings.baud_rate) + " Bd, only " + std::to_string(now.c_ospeed),
+                 "change `baud_rate`"};
   }
   if ((now.c_cflag & format) != (flags & format) && !is_pseudo_terminal(fd)) {
-    return Error{Errc::out_of_range, "cannot set up the serial line", path, "it cannot do this character size, parity or stop bits",
+    return Error{Errc::out_of_range, "cannot set up the serial line", path,
+                 "it cannot do this character size, parity or stop bits",
                  "change `character_size`, `parity` or `stop_bits`"};
   }
   return {};
@@ -80,16 +89,27 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
 Result<unsigned> control_flags(const SerialSettings& settings) {
   constexpr unsigned sizes[] = {CS5, CS6, CS7, CS8};
   if (settings.baud_rate == 0) return bad_setting("a baud rate of 0", "such as 9600");
-  if (settings.character_size < 5 || settings.character_size > 8) return bad_setting("a character has 5 to 8 bits", "set `character_size`");
-  if (settings.stop_bits < 1 || settings.stop_bits > 2) return bad_setting("there are 1 or 2 stop bits", "set `stop_bits`");
+  if (settings.character_size < 5 || settings.character_size > 8)
+    return bad_setting("a character has 5 to 8 bits", "set `character_size`");
+  if (settings.stop_bits < 1 || settings.stop_bits > 2)
+    return bad_setting("there are 1 or 2 stop bits", "set `stop_bits`");
   unsigned flags = CREAD | CLOCAL | sizes[settings.character_size - 5];
   if (settings.stop_bits == 2) flags |= CSTOPB;
   switch (settings.parity) {
-    case Parity::none: break;
-    case Parity::even: flags |= PARENB; break;
-    case Parity::odd: flags |= PARENB | PARODD; break;
-    case Parity::mark: flags |= PARENB | PARODD | CMSPAR; break;
-    case Parity::space: flags |= PARENB | CMSPAR; break;
+    case Parity::none:
+      break;
+    case Parity::even:
+      flags |= PARENB;
+      break;
+    case Parity::odd:
+      flags |= PARENB | PARODD;
+      break;
+    case Parity::mark:
+      flags |= PARENB | PARODD | CMSPAR;
+      break;
+    case Parity::space:
+      flags |= PARENB | CMSPAR;
+      break;
   }
   return flags;
 }

@@ -307,7 +307,8 @@ void Bridge::take_events(const EventRecord& first) {
   const auto* at = reinterpret_cast<const std::byte*>(&first);
   for (; count < most; ++count) {
     const auto& next = *reinterpret_cast<const EventRecord*>(at + count * stride);
-    if (next.bytes != stride || next.sort != Sort::event || next.passage != &passage || next.dropped != first.dropped) break;
+    if (next.bytes != stride || next.sort != Sort::event || next.passage != &passage || next.dropped != first.dropped)
+      break;
   }
   if (passage.mirror == nullptr) [[unlikely]] {
     to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
@@ -326,7 +327,8 @@ void Bridge::take(const Record& record) {
     case Sort::event:
       break;  // see above
     case Sort::gap:
-      for (Listener* listener : to_.runtime.recorders) listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
+      for (Listener* listener : to_.runtime.recorders)
+        listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
       break;
     case Sort::segment:
       for (Listener* listener : to_.runtime.recorders) {
@@ -354,8 +356,9 @@ void Bridge::take(const Record& record) {
 void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
   for (const Passage* passage : received_) {
     if (!passage->has_sensor || passage->is_past) continue;
-    all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active, passage->health,
-                   passage->reason, passage->mirror->counts, from_.config.name, passage->mirror->first_due()});
+    all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active,
+                   passage->health, passage->reason, passage->mirror->counts, from_.config.name,
+                   passage->mirror->first_due()});
   }
 }
 

@@ -32,9 +32,9 @@ class Bridge;
 
 /// One sensor (origin) and its mirror.
 struct Passage {
-  OriginCore* source;            // the sending side's
+  OriginCore* source;  // the sending side's
   Channel* channel;
-  std::uint64_t dropped = 0;     // the sending side's: for want of room in the ring, counted from the beginning
+  std::uint64_t dropped = 0;  // the sending side's: for want of room in the ring, counted from the beginning
   struct Told {
     std::uint64_t grown = 0;  // sum of counts, each of which only grows
     Duration period{0};
@@ -74,9 +74,9 @@ class Channel {
   Bridge& bridge_;
   TopicCore& source_;
   const std::uint32_t record_bytes_;
-  std::vector<Passage*> passages_;  // the sending side's, by the origin's index within the topic
+  std::vector<Passage*> passages_;     // the sending side's, by the origin's index within the topic
   std::atomic<bool> is_wanted_{true};  // until the other side has heard of it
-  TopicCore* mirror_ = nullptr;  // the receiving side's
+  TopicCore* mirror_ = nullptr;        // the receiving side's
 };
 
 class Bridge final : public Listener {
@@ -125,7 +125,7 @@ class Bridge final : public Listener {
   /// The other side is woken before the end of the turn when so much waits: both work at the same time then.
   static constexpr unsigned most_unannounced = 128;
   enum class Sort : std::uint32_t { event, gap, segment, account, drops };
-  struct Record {  // the ring's records begin with it
+  struct Record {         // the ring's records begin with it
     std::uint32_t bytes;  // the ring's
     Sort sort;
     Passage* passage;
@@ -197,7 +197,7 @@ class Bridge final : public Listener {
   MonotonicTime next_accounts_{};
   std::size_t next_account_ = 0;
   std::size_t accounts_left_ = 0;  // to be looked at since something happened last
-  std::uint64_t notes_lost_ = 0;  // gaps and segments that found no room
+  std::uint64_t notes_lost_ = 0;   // gaps and segments that found no room
 
   // the receiving side
   std::vector<Passage*> received_;  // those that have, or had, a mirror

@@ -15,7 +15,7 @@ class ByteRing {
  public:
   /// `bytes` is rounded up to a power of two.
   explicit ByteRing(std::size_t bytes)
-      : mask_(std::bit_ceil(bytes) - 1), memory_(new(std::align_val_t{64}) std::byte[mask_ + 1]) {}
+      : mask_(std::bit_ceil(bytes) - 1), memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
   ByteRing(const ByteRing&) = delete;
   ByteRing& operator=(const ByteRing&) = delete;
   ~ByteRing() { ::operator delete[](memory_, std::align_val_t{64}); }
@@ -48,7 +48,8 @@ class ByteRing {
   /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {
     if (own_tail_ == known_head_) return nullptr;
-    if (size_at(own_tail_ & mask_) == 0) [[unlikely]] own_tail_ += mask_ + 1 - (own_tail_ & mask_);
+    if (size_at(own_tail_ & mask_) == 0) [[unlikely]]
+      own_tail_ += mask_ + 1 - (own_tail_ & mask_);
     return memory_ + (own_tail_ & mask_);
   }
   void pop() noexcept { own_tail_ += size_at(own_tail_ & mask_); }
@@ -76,7 +77,9 @@ class ByteRing {
     }
     return true;
   }
-  std::uint32_t& size_at(std::size_t offset) const noexcept { return *reinterpret_cast<std::uint32_t*>(memory_ + offset); }
+  std::uint32_t& size_at(std::size_t offset) const noexcept {
+    return *reinterpret_cast<std::uint32_t*>(memory_ + offset);
+  }
 
   const std::size_t mask_;
   std::byte* const memory_;

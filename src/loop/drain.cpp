@@ -15,7 +15,10 @@ namespace {
 class Drain : public std::enable_shared_from_this<Drain> {
  public:
   Drain(Loop& loop, Duration deadline, Callback<void(std::uint64_t)> done)
-      : loop_(loop), runtime_(loop.core().runtime), deadline_(detail::later(loop.now(), deadline)), done_(std::move(done)) {}
+      : loop_(loop),
+        runtime_(loop.core().runtime),
+        deadline_(detail::later(loop.now(), deadline)),
+        done_(std::move(done)) {}
 
   /// Not from within a callback of a deadline or a delivery, whose tick is not fully counted.
   void begin() {
@@ -65,8 +68,8 @@ class Drain : public std::enable_shared_from_this<Drain> {
       const std::string name = "tier " + tier->config.name;
       const std::string where = tier->where();
       const std::string unknown = "what its sensors did after " + last_heard_of(tier->config.name) + " is not known";
-      runtime_.unknown_end +=
-          (runtime_.unknown_end.empty() ? "" : "; ") + name + " did not come out of " + where + ": " + unknown;
+      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + name + " did not come out of " + where +
+                              ": " + unknown;
       errors.push_back({name,
                         {Errc::timed_out, "did not stop in time", "", "it has not come out of " + where,
                          "look at what blocks there; " + unknown}});
@@ -136,11 +139,12 @@ void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
 
 std::uint64_t Loop::close(Duration deadline) {
   if (core_->is_attached()) {
-    throw SetupError({Errc::bad_argument, "cannot close", "loop " + config().name, "it is attached: only the program can run it",
-                      "use drain(deadline, done)"});
+    throw SetupError({Errc::bad_argument, "cannot close", "loop " + config().name,
+                      "it is attached: only the program can run it", "use drain(deadline, done)"});
   }
   if (core_->is_running()) {
-    throw SetupError({Errc::busy, "cannot close", "loop " + config().name, "it is running, and this is one of its callbacks",
+    throw SetupError({Errc::busy, "cannot close", "loop " + config().name,
+                      "it is running, and this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});
   }
   // Shared: when stop() ends the wait, the drain goes on without it.

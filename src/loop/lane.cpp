@@ -121,7 +121,8 @@ Lane::~Lane() {
   if (worker_ != nullptr) {
     worker_->end();
     std::unique_lock lock(worker_->mutex);
-    worker_->ended_signal.wait_for(lock, give_up_after_, [this] { return worker_->ended.load(std::memory_order_relaxed); });
+    worker_->ended_signal.wait_for(lock, give_up_after_,
+                                   [this] { return worker_->ended.load(std::memory_order_relaxed); });
     worker_->loop_wake = nullptr;
   }
   const auto unfinished = std::move(outstanding_);
@@ -161,8 +162,8 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
     job->run();
     outstanding_.push_back(std::move(job));
     loop_.hold();
-    const MonotonicTime from =
-        delayed_->completions.empty() ? loop_.now() : std::max(delayed_->completions.back().at, loop_.now());
+    const MonotonicTime from = delayed_->completions.empty() ? loop_.now()
+                                                             : std::max(delayed_->completions.back().at, loop_.now());
     if (loop_.lane_duration > give_up_after_) {
       delayed_->completions.push_back({from + give_up_after_, LaneJob::Outcome::given_up});
     } else {
@@ -226,7 +227,8 @@ void Lane::wait(Duration at_most) {
   if (worker_ != nullptr) {
     const std::shared_ptr<LaneJob> first = outstanding_.front();
     std::unique_lock lock(worker_->mutex);
-    worker_->job_finished.wait_for(lock, at_most, [&] { return first->state_.load(std::memory_order_acquire) == LaneJob::finished; });
+    worker_->job_finished.wait_for(lock, at_most,
+                                   [&] { return first->state_.load(std::memory_order_acquire) == LaneJob::finished; });
   }
   collect();
 }

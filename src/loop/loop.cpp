@@ -75,9 +75,8 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
     uv_loop_ = &own_loop_;
   }
   make_side();
-  uv_poll_start(&side_->timer, UV_READABLE, [](uv_poll_t* handle, int, int) {
-    static_cast<UvSide*>(handle->data)->core->run_due();
-  });
+  uv_poll_start(&side_->timer, UV_READABLE,
+                [](uv_poll_t* handle, int, int) { static_cast<UvSide*>(handle->data)->core->run_due(); });
   uv_check_start(&side_->check, [](uv_check_t* handle) { static_cast<UvSide*>(handle->data)->core->turn_done(); });
   for (auto* handle : {reinterpret_cast<uv_handle_t*>(&side_->timer), reinterpret_cast<uv_handle_t*>(&side_->check),
                        reinterpret_cast<uv_handle_t*>(&side_->wake_poll)}) {
@@ -146,7 +145,8 @@ void LoopCore::watch_clock() {
   uv_poll_start(&side_->clock, UV_READABLE, [](uv_poll_t* handle, int, int) {
     LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
     std::uint64_t expirations = 0;
-    [[maybe_unused]] const auto got = ::read(core.side_->clock_fd, &expirations, sizeof expirations);  // fails: cancelled
+    [[maybe_unused]] const auto got = ::read(core.side_->clock_fd, &expirations,
+                                             sizeof expirations);  // fails: cancelled
     core.arm_clock();
     core.runtime.look_at_clock();
   });
@@ -220,8 +220,10 @@ void LoopCore::assert_thread() const noexcept {
 
 void LoopCore::check_thread(const char* what, std::string_view object) const {
   const std::thread::id running = thread_.load(std::memory_order_relaxed);
-  if (running == std::thread::id{} || running == std::this_thread::get_id()) [[likely]] return;
-  throw SetupError({Errc::busy, what, std::string(object), "loop " + config.name + ", which it belongs to, runs on another thread",
+  if (running == std::thread::id{} || running == std::this_thread::get_id()) [[likely]]
+    return;
+  throw SetupError({Errc::busy, what, std::string(object),
+                    "loop " + config.name + ", which it belongs to, runs on another thread",
                     "post a function to that loop that does it there, or make one on the loop of this thread"});
 }
 
@@ -270,7 +272,8 @@ void LoopCore::moved(Deadline& deadline) {
 void LoopCore::arm() {
   const Deadline* top = deadlines_.top();
   if (manual_ != nullptr) return;
-  const MonotonicTime due = top == nullptr ? MonotonicTime{} : std::max(top->due - config.spin, MonotonicTime{Duration{1}});
+  const MonotonicTime due = top == nullptr ? MonotonicTime{}
+                                           : std::max(top->due - config.spin, MonotonicTime{Duration{1}});
   itimerspec spec{};
   spec.it_value.tv_sec = due.time_since_epoch().count() / 1'000'000'000;
   spec.it_value.tv_nsec = due.time_since_epoch().count() % 1'000'000'000;
@@ -372,13 +375,15 @@ LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end
       ready_first_ = topic->next_ready;
       if (ready_first_ == nullptr) ready_last_ = nullptr;
       topic->is_ready = false;
-    } else if (topic->next_ready != nullptr) {  // to the back of the row, so that one busy topic does not hold the others
+    } else if (topic->next_ready !=
+               nullptr) {  // to the back of the row, so that one busy topic does not hold the others
       ready_first_ = topic->next_ready;
       ready_last_->next_ready = topic;
       ready_last_ = topic;
       topic->next_ready = nullptr;
     }
-    if (end != MonotonicTime::max() && (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current))) {
+    if (end != MonotonicTime::max() &&
+        (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current))) {
       return Left::later;
     }
   }
@@ -418,16 +423,20 @@ void LoopCore::turn_done() noexcept {
 Loop::Loop() : Loop(Config{}) {}
 Loop::Loop(Config config)
     : own_runtime_(std::make_unique<Runtime>()),
-      core_(std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr, detail::LoopCore::Time::real)) {}
+      core_(std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr,
+                                               detail::LoopCore::Time::real)) {}
 Loop::Loop(uv_loop_t* host) : Loop(host, Config{}) {}
 Loop::Loop(uv_loop_t* host, Config config) : own_runtime_(std::make_unique<Runtime>()) {
-  if (host == nullptr) throw SetupError({Errc::bad_argument, "cannot attach", "loop", "the uv_loop_t is null", "pass the loop"});
-  core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), host, detail::LoopCore::Time::real);
+  if (host == nullptr)
+    throw SetupError({Errc::bad_argument, "cannot attach", "loop", "the uv_loop_t is null", "pass the loop"});
+  core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), host,
+                                             detail::LoopCore::Time::real);
 }
 Loop::Loop(Manual manual) : Loop(manual, Config{}) {}
 Loop::Loop(Manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
   own_runtime_->core().use_manual_clock();
-  core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr, detail::LoopCore::Time::manual);
+  core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr,
+                                             detail::LoopCore::Time::manual);
 }
 Loop::Loop(Runtime& runtime, Config config)
     : core_(std::make_unique<detail::LoopCore>(*this, runtime.core(), std::move(config), nullptr,

@@ -40,14 +40,16 @@ class OriginCore {
     --counts.in_flight;
     ++counts.taken;
     if (lateness > late_after) ++counts.late;
-    if (gap_is_open_) [[unlikely]] close_gap();
+    if (gap_is_open_) [[unlikely]]
+      close_gap();
   }
   /// A read that needs no waiting: begins and ends at once.
   void read_at_once(Duration lateness) noexcept {
     ++counts.scheduled;
     ++counts.taken;
     if (lateness > late_after) ++counts.late;
-    if (gap_is_open_) [[unlikely]] close_gap();
+    if (gap_is_open_) [[unlikely]]
+      close_gap();
   }
   void fail_read(std::string_view reason, MonotonicTime due);
   void fail_tick(std::string_view reason, MonotonicTime due);
@@ -73,7 +75,7 @@ class OriginCore {
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;
   TopicCore& topic;
-  std::uint64_t sequence = 0;  ///< of the last event published
+  std::uint64_t sequence = 0;    ///< of the last event published
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
   const std::uint32_t index;  ///< within its topic
@@ -88,7 +90,8 @@ class OriginCore {
   Passage* passage = nullptr;     ///< a mirror's, while its bridge exists
 
  private:
-  void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last, std::uint64_t count);
+  void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
+                  std::uint64_t count);
 
   MonotonicTime first_due_{};
   Duration period_{0};

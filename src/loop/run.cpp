@@ -92,8 +92,8 @@ LoopCore::Running::~Running() {
 
 void LoopCore::run() {
   if (attached_) {
-    throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name, "it is attached to the program's own loop",
-                      "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
+    throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name,
+                      "it is attached to the program's own loop", "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
   }
   const Running running(*this, "cannot run");
   start_tiers();
@@ -158,7 +158,8 @@ void LoopCore::advance(Duration duration) {
   const Running running(*this, "cannot advance");
   const MonotonicTime target = later(now(), duration);
   if (!is_stopping()) settle();
-  while (!is_stopping() && deadlines_.top() != nullptr && deadlines_.top()->due <= target) advance_to(deadlines_.top()->due);
+  while (!is_stopping() && deadlines_.top() != nullptr && deadlines_.top()->due <= target)
+    advance_to(deadlines_.top()->due);
   if (!is_stopping()) advance_to(target);
   forget_stop();
 }

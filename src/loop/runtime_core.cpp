@@ -15,18 +15,24 @@ namespace rtdata {
 
 std::string_view name_of(DropReason reason) noexcept {
   switch (reason) {
-    case DropReason::queue_full_newest: return "queue full, newest";
-    case DropReason::queue_full_oldest: return "queue full, oldest";
-    case DropReason::refused: return "refused";
+    case DropReason::queue_full_newest:
+      return "queue full, newest";
+    case DropReason::queue_full_oldest:
+      return "queue full, oldest";
+    case DropReason::refused:
+      return "refused";
   }
   return "unknown";
 }
 
 std::string_view name_of(Health health) noexcept {
   switch (health) {
-    case Health::ok: return "ok";
-    case Health::degraded: return "degraded";
-    case Health::faulted: return "faulted";
+    case Health::ok:
+      return "ok";
+    case Health::degraded:
+      return "degraded";
+    case Health::faulted:
+      return "faulted";
   }
   return "unknown";
 }
@@ -230,11 +236,13 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
     if ((have.description != nullptr) != (type.description != nullptr) ||
         (have.description == nullptr && have.type_key != type.type_key)) {
       throw SetupError({Errc::description_differs, "cannot use topic", std::string(name),
-                        "it carries " + payload_name(have) + ", here " + payload_name(type) + " is meant", "use one type a topic"});
+                        "it carries " + payload_name(have) + ", here " + payload_name(type) + " is meant",
+                        "use one type a topic"});
     }
     if (have.description != nullptr && have.description != type.description) {
       if (!have.description->same_meaning(*type.description)) {
-        std::string why = "it carries \"" + have.description->name() + "\", here \"" + type.description->name() + "\" is meant";
+        std::string why = "it carries \"" + have.description->name() + "\", here \"" + type.description->name() +
+                          "\" is meant";
         for (const std::string& difference : have.description->differences(*type.description)) why += "; " + difference;
         throw SetupError({Errc::description_differs, "cannot use topic", std::string(name), why,
                           "give the second one a topic of its own"});
@@ -251,7 +259,8 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
                       "use letters, digits, _ . - in levels joined by /, such as \"room/climate\""});
   }
   std::string lower(name);
-  std::transform(lower.begin(), lower.end(), lower.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  std::transform(lower.begin(), lower.end(), lower.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (const auto [other, is_new] = name_by_lower_case_.try_emplace(lower, name); !is_new) {
     throw SetupError({Errc::bad_name, "cannot make topic", std::string(name),
                       "topic " + other->second + " differs from it in case only", "choose another name"});
@@ -271,7 +280,8 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
 }
 
 OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
-  if (name.empty() || name.size() > 200 || std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' '; })) {
+  if (name.empty() || name.size() > 200 ||
+      std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' '; })) {
     throw SetupError({Errc::bad_name, "cannot make sensor", "\"" + std::string(name) + "\"",
                       "a name has 1 to 200 characters and no control characters", "give it another `name`"});
   }
@@ -335,7 +345,8 @@ OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
 
 OriginCore& RuntimeCore::find_or_make_origin(std::string_view name, TopicCore& topic) {
   if (OriginCore* known = find_origin(name)) return *known;
-  auto& made = const_cast<OriginCore&>(*origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
+  auto& made = const_cast<OriginCore&>(
+      *origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
   topic.origins().push_back(&made);
   return made;
 }
@@ -351,9 +362,15 @@ OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
 
 SensorStatus status_of(const SensorEntry& sensor) {
   const OriginCore& origin = sensor.origin();
-  return {origin.name,     origin.topic.name,            sensor.schedule_period(), sensor.is_active(),
-          sensor.health(), std::string(sensor.reason()), origin.counts,
-          sensor.is_open() ? sensor.loop()->config.name : std::string(), origin.first_due()};
+  return {origin.name,
+          origin.topic.name,
+          sensor.schedule_period(),
+          sensor.is_active(),
+          sensor.health(),
+          std::string(sensor.reason()),
+          origin.counts,
+          sensor.is_open() ? sensor.loop()->config.name : std::string(),
+          origin.first_due()};
 }
 
 constexpr std::uint32_t most_lines_under_way = 1000;  // from tiers to a main loop that does not take them
@@ -365,7 +382,8 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
       hub->lines_dropped_.fetch_add(1, std::memory_order_relaxed);
       return;
     }
-    hub->own_loop->post([hub = hub, level, object = std::string(object), text = std::string(text), id = std::string(error_id)] {
+    hub->own_loop->post([hub = hub, level, object = std::string(object), text = std::string(text),
+                         id = std::string(error_id)] {
       hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
       if (const auto dropped = hub->lines_dropped_.exchange(0, std::memory_order_relaxed)) {
         hub->log(LogLevel::warning, "log", std::to_string(dropped) + " lines of tiers were dropped: too many at once");
@@ -438,7 +456,8 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
   for (Repeat& repeat : repeats_) {
     if (repeat.object != object || repeat.error.code != error.code) continue;
     if (now - repeat.last_written < std::chrono::seconds{1}) {
-      if (repeat.held_back++ == 0 && loop != nullptr) loop->flush_repeats_at(repeat.last_written + std::chrono::seconds{1});
+      if (repeat.held_back++ == 0 && loop != nullptr)
+        loop->flush_repeats_at(repeat.last_written + std::chrono::seconds{1});
       return;
     }
     const std::uint64_t count = repeat.held_back + 1;
@@ -479,7 +498,8 @@ void RuntimeCore::health_changed(std::string_view kind, std::string_view name, H
 void RuntimeCore::flush_repeats(Repeats which) {
   const MonotonicTime now = clock_->monotonic();
   for (std::size_t i = 0; i < repeats_.size(); ++i) {
-    if (repeats_[i].held_back == 0 || (which == Repeats::old && now - repeats_[i].last_written < std::chrono::seconds{1})) {
+    if (repeats_[i].held_back == 0 ||
+        (which == Repeats::old && now - repeats_[i].last_written < std::chrono::seconds{1})) {
       continue;
     }
     const Repeat repeat = repeats_[i];
@@ -552,7 +572,8 @@ std::vector<LoopStatus> Runtime::loops() const {
   };
   std::vector<LoopStatus> all;
   if (const detail::LoopCore* loop = core_->own_loop) {
-    all.push_back({loop->config.name, core_->hub != nullptr, loop->is_running(), current_scheduling(), processor_time(::pthread_self())});
+    all.push_back({loop->config.name, core_->hub != nullptr, loop->is_running(), current_scheduling(),
+                   processor_time(::pthread_self())});
   }
   for (detail::TierCore* tier : core_->tiers) {
     all.push_back({tier->config.name, true, tier->is_running(), tier->scheduling,

@@ -166,10 +166,9 @@ class RuntimeCore {
   std::vector<TierCore*> tiers;     ///< the hub's
   bool tiers_were_balanced = true;  ///< those that are gone
   bool tiers_had_loss = false;
-  std::vector<Bridge*> outbound;    ///< from this loop
-  std::vector<Bridge*> inbound;     ///< to this loop
-  std::uint64_t lost_between_loops =
-      0;  ///< events of topics that cannot be what they are elsewhere; which was reported
+  std::vector<Bridge*> outbound;         ///< from this loop
+  std::vector<Bridge*> inbound;          ///< to this loop
+  std::uint64_t lost_between_loops = 0;  ///< events of topics that cannot be what they are elsewhere; which was reported
   /// Takes what other loops sent before the call. May report, as the next does.
   void receive() {
     receive_all();
@@ -274,7 +273,7 @@ class RuntimeCore {
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};
-  PriorityMutex names_mutex_;                       // taken at set-up only
+  PriorityMutex names_mutex_;                    // taken at set-up only
   std::unordered_map<std::string, Name> names_;  // the hub's: of all its tiers
 };
 

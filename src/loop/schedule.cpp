@@ -21,7 +21,9 @@ void fetch(const RateMember* member) noexcept {
 
 }  // namespace
 
-MonotonicTime RateMember::next_due() const noexcept { return group_ == nullptr ? MonotonicTime::max() : group_->next_due_of(*this); }
+MonotonicTime RateMember::next_due() const noexcept {
+  return group_ == nullptr ? MonotonicTime::max() : group_->next_due_of(*this);
+}
 
 MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
   if (!firing_) return std::max(due, member.first_due_);
@@ -44,7 +46,8 @@ void RateGroup::fire(MonotonicTime now) {
   for (position_ = 0; position_ < end;) {
     RateMember* member = members_[position_++];
     if (position_ + far_ahead < end) fetch(members_[position_ + far_ahead]);
-    if (position_ + near_ahead < end && members_[position_ + near_ahead] != nullptr) members_[position_ + near_ahead]->prefetch();
+    if (position_ + near_ahead < end && members_[position_ + near_ahead] != nullptr)
+      members_[position_ + near_ahead]->prefetch();
     if (member == nullptr || member->first_due_ > firing_due_) continue;
     Tick tick;
     tick.due = firing_due_;
@@ -142,7 +145,8 @@ void Schedule::remove(RateMember& member) noexcept {
 
 void Schedule::discard(RateGroup& group) {
   loop_.remove(group);
-  const auto at = std::find_if(groups_.begin(), groups_.end(), [&](const auto& entry) { return entry.second.get() == &group; });
+  const auto at = std::find_if(groups_.begin(), groups_.end(),
+                               [&](const auto& entry) { return entry.second.get() == &group; });
   groups_.erase(at);
 }
 

@@ -80,9 +80,9 @@ class RateGroup final : public Deadline {
   Duration period_;
   std::vector<RateMember*> members_;  // null: removed while firing
   std::size_t live_ = 0;
-  std::size_t position_ = 0;  // while firing: members before it have had their tick
+  std::size_t position_ = 0;                         // while firing: members before it have had their tick
   MonotonicTime firing_due_ = MonotonicTime::min();  // of the last tick
-  MonotonicTime first_missed_{};  // while firing: first tick not dealt with before
+  MonotonicTime first_missed_{};                     // while firing: first tick not dealt with before
   bool firing_ = false;
 };
 
@@ -103,7 +103,8 @@ class Schedule {
   LoopCore& loop_;
   std::vector<RateMember*> waiting_;
   using Key = std::pair<Duration, Duration>;  // period and phase
-  std::multimap<Key, std::unique_ptr<RateGroup>> groups_;  // several of a key only while one has had a tick the other has not
+  std::multimap<Key, std::unique_ptr<RateGroup>>
+      groups_;  // several of a key only while one has had a tick the other has not
   const RateMember* ticking_ = nullptr;
 };
 

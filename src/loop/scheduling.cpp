@@ -10,9 +10,12 @@ namespace {
 
 int kernel_policy(SchedulingPolicy policy) noexcept {
   switch (policy) {
-    case SchedulingPolicy::other: return SCHED_OTHER;
-    case SchedulingPolicy::fifo: return SCHED_FIFO;
-    case SchedulingPolicy::round_robin: return SCHED_RR;
+    case SchedulingPolicy::other:
+      return SCHED_OTHER;
+    case SchedulingPolicy::fifo:
+      return SCHED_FIFO;
+    case SchedulingPolicy::round_robin:
+      return SCHED_RR;
   }
   return SCHED_OTHER;
 }
@@ -21,9 +24,12 @@ int kernel_policy(SchedulingPolicy policy) noexcept {
 
 std::string_view name_of(SchedulingPolicy policy) noexcept {
   switch (policy) {
-    case SchedulingPolicy::other: return "other";
-    case SchedulingPolicy::fifo: return "fifo";
-    case SchedulingPolicy::round_robin: return "rr";
+    case SchedulingPolicy::other:
+      return "other";
+    case SchedulingPolicy::fifo:
+      return "fifo";
+    case SchedulingPolicy::round_robin:
+      return "rr";
   }
   return "unknown";
 }
@@ -38,9 +44,12 @@ Scheduling current_scheduling() noexcept {
   const int policy = ::sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
   ::sched_getparam(0, &parameters);
   switch (policy) {
-    case SCHED_FIFO: return {SchedulingPolicy::fifo, parameters.sched_priority};
-    case SCHED_RR: return {SchedulingPolicy::round_robin, parameters.sched_priority};
-    default: return {SchedulingPolicy::other, 0};
+    case SCHED_FIFO:
+      return {SchedulingPolicy::fifo, parameters.sched_priority};
+    case SCHED_RR:
+      return {SchedulingPolicy::round_robin, parameters.sched_priority};
+    default:
+      return {SchedulingPolicy::other, 0};
   }
 }
 
@@ -56,8 +65,9 @@ Result<void> set_scheduling(Scheduling scheduling) noexcept {
   if (::sched_setscheduler(0, kernel_policy(scheduling.policy) | SCHED_RESET_ON_FORK, &parameters) == 0) return {};
   if (errno != EPERM) return system_error(errno, "cannot schedule as", wanted);
   return Error{Errc::not_permitted, "cannot schedule as", wanted, "the system does not permit it",
-               "run `setcap cap_sys_nice,cap_ipc_lock+ep` on the program, or set `rtprio " + std::to_string(scheduling.priority) +
-                   "` in /etc/security/limits.conf, or `LimitRTPRIO=" + std::to_string(scheduling.priority) + "` in the systemd unit"};
+               "run `setcap cap_sys_nice,cap_ipc_lock+ep` on the program, or set `rtprio " +
+                   std::to_string(scheduling.priority) + "` in /etc/security/limits.conf, or `LimitRTPRIO=" +
+                   std::to_string(scheduling.priority) + "` in the systemd unit"};
 }
 
 }  // namespace rtdata

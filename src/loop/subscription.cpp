@@ -83,7 +83,8 @@ EventView view_of(const TopicCore& topic, const std::byte* slot) {
 }
 
 void apply_field_map(const void* map, const std::byte* from, std::byte* to) {
-  for (const FieldMap::Copy& copy : static_cast<const FieldMap*>(map)->copies) std::memcpy(to + copy.to, from + copy.from, copy.size);
+  for (const FieldMap::Copy& copy : static_cast<const FieldMap*>(map)->copies)
+    std::memcpy(to + copy.to, from + copy.from, copy.size);
 }
 
 Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const PayloadType& wanted) {
@@ -91,19 +92,25 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
   if (have.description == nullptr || wanted.description == nullptr) {
     if (have.type_key == wanted.type_key) return std::shared_ptr<const void>{};
     return Error{Errc::description_differs, "cannot subscribe", topic.name,
-                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted), "use the type it was made with"};
+                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted),
+                 "use the type it was made with"};
   }
   if (have.description == wanted.description) return std::shared_ptr<const void>{};
   auto map = std::make_shared<FieldMap>();
   std::string why;
-  bool is_identity = have.size == wanted.size && have.description->leaves().size() == wanted.description->leaves().size();
+  bool is_identity = have.size == wanted.size &&
+                     have.description->leaves().size() == wanted.description->leaves().size();
   for (const Leaf& to : wanted.description->leaves()) {
     const auto& leaves = have.description->leaves();
-    const auto from = std::find_if(leaves.begin(), leaves.end(), [&](const Leaf& leaf) { return leaf.path == to.path; });
-    const auto complain = [&](const std::string& text) { why += (why.empty() ? "" : "; ") + ("field " + to.path + ": " + text); };
+    const auto from = std::find_if(leaves.begin(), leaves.end(),
+                                   [&](const Leaf& leaf) { return leaf.path == to.path; });
+    const auto complain = [&](const std::string& text) {
+      why += (why.empty() ? "" : "; ") + ("field " + to.path + ": " + text);
+    };
     if (from == leaves.end()) {
       complain("not in it");
-    } else if (from->kind != to.kind || from->size != to.size || (from->optional == nullptr) != (to.optional == nullptr)) {
+    } else if (from->kind != to.kind || from->size != to.size ||
+               (from->optional == nullptr) != (to.optional == nullptr)) {
       complain(std::string(name_of(from->kind)) + " in it, " + std::string(name_of(to.kind)) + " wanted");
     } else if (from->unit != to.unit) {
       complain("unit \"" + from->unit + "\" in it, \"" + to.unit + "\" wanted");
@@ -127,13 +134,14 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   runtime.receive();  // published before: not for the new one
   if (only != nullptr) {
     const auto hub_of = [](RuntimeCore& core) { return core.hub != nullptr ? core.hub : &core; };
-    if (&only->runtime() != &runtime && hub_of(only->runtime()) == hub_of(runtime)) {  // the topic's mirror on this tier
+    if (&only->runtime() != &runtime &&
+        hub_of(only->runtime()) == hub_of(runtime)) {  // the topic's mirror on this tier
       if (only->type.move_construct != nullptr) throw SetupError(cannot_cross(*only));
       only = &runtime.topic(only->name, only->type);
     }
     if (&only->runtime() != &runtime) {
-      throw SetupError({Errc::bad_argument, "cannot subscribe", only->name, "the topic belongs to another runtime than the loop",
-                        "give both loops one runtime"});
+      throw SetupError({Errc::bad_argument, "cannot subscribe", only->name,
+                        "the topic belongs to another runtime than the loop", "give both loops one runtime"});
     }
     if (auto linked = only->link(node); !linked) throw SetupError(linked.error());
     runtime.tell_of_cut_off(*only);

@@ -43,20 +43,27 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
     throw SetupError({code, "cannot make tier", config.name, std::move(why), std::move(what_to_do)});
   };
   const RuntimeCore& hub = main.core().runtime;
-  if (main.core().is_manual()) refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
+  if (main.core().is_manual())
+    refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
   if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
-  if (config.name.empty() || config.name == main.config().name) refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
+  if (config.name.empty() || config.name == main.config().name)
+    refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
   for (const TierCore* tier : hub.tiers) {
-    if (tier->config.name == config.name) refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");
-    if (tier->is_running()) refuse(Errc::busy, "tier " + tier->config.name + " runs already", "make all tiers before the main loop runs");
+    if (tier->config.name == config.name)
+      refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");
+    if (tier->is_running())
+      refuse(Errc::busy, "tier " + tier->config.name + " runs already", "make all tiers before the main loop runs");
   }
   const PriorityRange range = priority_range(config.policy);
   if (config.priority < range.lowest || config.priority > range.highest) {
-    refuse(Errc::bad_argument, "priority " + std::to_string(config.priority) + " does not go with policy " + std::string(name_of(config.policy)),
+    refuse(Errc::bad_argument,
+           "priority " + std::to_string(config.priority) + " does not go with policy " +
+               std::string(name_of(config.policy)),
            "use " + std::to_string(range.lowest) + " to " + std::to_string(range.highest));
   }
   for (const int cpu : config.cpus) {
-    if (cpu < 0 || cpu >= CPU_SETSIZE) refuse(Errc::bad_argument, "there is no processor " + std::to_string(cpu), "count from 0");
+    if (cpu < 0 || cpu >= CPU_SETSIZE)
+      refuse(Errc::bad_argument, "there is no processor " + std::to_string(cpu), "count from 0");
   }
   return config;
 }
@@ -77,7 +84,10 @@ Runtime& below(Loop& main, Runtime& runtime) {
 }  // namespace
 
 TierCore::TierCore(Loop& main_, Tier::Config config_)
-    : config(checked(main_, config_)), main(main_), runtime(runtime_config(main_)), loop(below(main_, runtime), loop_config(config)) {
+    : config(checked(main_, config_)),
+      main(main_),
+      runtime(runtime_config(main_)),
+      loop(below(main_, runtime), loop_config(config)) {
   make_bridges();
   main.core().runtime.tiers.push_back(this);
 }
@@ -109,7 +119,9 @@ TierCore::~TierCore() {
   for (const TierCore* tier : tiers) {
     if (tier == this) continue;
     auto& theirs = const_cast<TierCore*>(tier)->bridges_;
-    std::erase_if(theirs, [this](const auto& bridge) { return &bridge->from() == &loop.core() || &bridge->to() == &loop.core(); });
+    std::erase_if(theirs, [this](const auto& bridge) {
+      return &bridge->from() == &loop.core() || &bridge->to() == &loop.core();
+    });
   }
   bridges_.clear();
   std::erase(main.core().runtime.tiers, this);
@@ -117,9 +129,8 @@ TierCore::~TierCore() {
 
 void TierCore::warn(const Error& error) {
   warnings.push_back(error.text());
-  main.core().post([&hub = main.core().runtime, name = "tier " + config.name, text = error.text(), id = std::string(error.id())] {
-    hub.log(LogLevel::warning, name, text, id);
-  });
+  main.core().post([&hub = main.core().runtime, name = "tier " + config.name, text = error.text(),
+                    id = std::string(error.id())] { hub.log(LogLevel::warning, name, text, id); });
 }
 
 void TierCore::set_up_thread() {
@@ -143,7 +154,8 @@ void TierCore::set_up_thread() {
     // whole stack at once, which holds up every other thread.
     if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
       warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
-            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it runs unlocked"});
+            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it "
+            "runs unlocked"});
     }
     touch_stack(config.stack);
     if (auto set = set_scheduling({config.policy, config.priority}); !set) warn(set.error());
@@ -182,12 +194,14 @@ void TierCore::start() {
   } catch (const std::system_error& e) {
     loop.core().unhold();
     main.core().unhold();
-    throw SetupError({Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
+    throw SetupError(
+        {Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
   }
 }
 
 void TierCore::run() {
-  while (!quit_.load(std::memory_order_acquire)) loop.run();  // a callback may have stopped it: a tier ends with its main loop
+  while (!quit_.load(std::memory_order_acquire))
+    loop.run();  // a callback may have stopped it: a tier ends with its main loop
 }
 
 void TierCore::stop() noexcept {

@@ -64,7 +64,7 @@ class TierCore {
   std::thread thread_;
   bool was_started_ = false;
   std::atomic<bool> quit_{false};
-  Latch ended_;              // its thread is about to end
+  Latch ended_;  // its thread is about to end
   std::atomic<bool> was_balanced_{true};
   std::atomic<bool> had_loss_{false};
   std::uint64_t asked_ = 0;  // questions whether it turns

@@ -52,10 +52,13 @@ class TimerNode final : public Node, public Deadline {
 class TickerNode final : public Node, public RateMember {
  public:
   TickerNode(LoopCore& loop, Ticker::Config config, Callback<void(const Tick&)> callback)
-      : Node(loop), RateMember(config.period, config.phase), config_(std::move(config)), callback_(std::move(callback)) {
+      : Node(loop),
+        RateMember(config.period, config.phase),
+        config_(std::move(config)),
+        callback_(std::move(callback)) {
     if (config_.period < std::chrono::microseconds{1}) {
-      throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name, "its period is " + to_string(config_.period),
-                        "use at least 1 us"});
+      throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name,
+                        "its period is " + to_string(config_.period), "use at least 1 us"});
     }
   }
 
@@ -72,7 +75,8 @@ class TickerNode final : public Node, public RateMember {
   }
   void change_period(Duration period) {
     if (period < std::chrono::microseconds{1}) {
-      throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period), "use at least 1 us"});
+      throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period),
+                        "use at least 1 us"});
     }
     if (period == this->period()) return;
     const bool was_running = is_scheduled();
@@ -148,6 +152,8 @@ void Ticker::set_period(Duration period) {
 bool Ticker::is_running() const noexcept { return is_open() && static_cast<TickerNode*>(node())->is_scheduled(); }
 std::uint64_t Ticker::fired() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->fired : 0; }
 std::uint64_t Ticker::missed() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->missed : 0; }
-CallbackTimes Ticker::times() const noexcept { return is_open() ? static_cast<TickerNode*>(node())->times : CallbackTimes{}; }
+CallbackTimes Ticker::times() const noexcept {
+  return is_open() ? static_cast<TickerNode*>(node())->times : CallbackTimes{};
+}
 
 }  // namespace rtdata

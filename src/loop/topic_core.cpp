@@ -27,7 +27,7 @@ TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
 
 TopicCore::~TopicCore() {
   drop_slots(tail_, head_);
-  ::operator delete(slots_, std::align_val_t{64});
+  ::operator delete (slots_, std::align_val_t{64});
 }
 
 void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
@@ -107,7 +107,7 @@ void TopicCore::make_ring(std::size_t capacity) {
   const std::size_t slots = std::bit_ceil(std::max<std::size_t>(capacity, 2));
   mask_ = slots - 1;
   is_cancelled_.resize(slots);
-  slots_ = static_cast<std::byte*>(::operator new(slots * stride_, std::align_val_t{64}));
+  slots_ = static_cast<std::byte*>(::operator new (slots* stride_, std::align_val_t{64}));
 }
 
 Result<void> TopicCore::link(SubscriptionNode& node) {
@@ -167,7 +167,8 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     SubscriptionNode* node = links_[i].node;
     if (node == nullptr || links_[i].next >= end) continue;
     const std::uint64_t next = links_[i].next;
-    const EventRun run{*this, slot(next), stride_, next, end - next, is_cancelled_.data() + (next & mask_), cancelled_until_};
+    const EventRun run{*this,           slot(next), stride_, next, end - next, is_cancelled_.data() + (next & mask_),
+                       cancelled_until_};
     const auto map = links_[i].field_map;
     delivering_ = node;
     {

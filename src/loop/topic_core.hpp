@@ -100,8 +100,8 @@ class TopicCore {
   struct Link {
     SubscriptionNode* node;  // null: to be swept
     std::shared_ptr<const void> field_map;
-    std::uint64_t from;        // ring position at subscription
-    std::uint64_t next;        // ring position of the next event to deliver
+    std::uint64_t from;  // ring position at subscription
+    std::uint64_t next;  // ring position of the next event to deliver
     std::uint64_t dropped_before;
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;

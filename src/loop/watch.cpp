@@ -18,7 +18,8 @@ struct UvBox {
   static void close(UvBox* box) {
     box->owner = nullptr;
     box->handle.data = box;
-    uv_close(reinterpret_cast<uv_handle_t*>(&box->handle), [](uv_handle_t* closed) { delete static_cast<UvBox*>(closed->data); });
+    uv_close(reinterpret_cast<uv_handle_t*>(&box->handle),
+             [](uv_handle_t* closed) { delete static_cast<UvBox*>(closed->data); });
   }
 };
 
@@ -61,7 +62,8 @@ class FdWatchNode final : public Node {
     const MonotonicTime from = on.now();
     Call call(*this);
     on.begins(this);
-    const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0, status < 0 || (got & UV_DISCONNECT) != 0};
+    const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0,
+                        status < 0 || (got & UV_DISCONNECT) != 0};
     on.call_user(name_, [&] { callback_(event); });
     on.account(times_, from, on.now(), [&] { return name_; });
   }
@@ -87,9 +89,12 @@ class SignalWatchNode final : public Node {
     uv_signal_init(loop.uv(), &box_->handle);
     box_->owner = this;
     box_->handle.data = box_;
-    failed_ = uv_signal_start(&box_->handle, [](uv_signal_t* handle, int) {
-      if (auto* owner = static_cast<Box*>(handle->data)->owner) owner->call();
-    }, number);
+    failed_ = uv_signal_start(
+        &box_->handle,
+        [](uv_signal_t* handle, int) {
+          if (auto* owner = static_cast<Box*>(handle->data)->owner) owner->call();
+        },
+        number);
     uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal is no work to be done
   }
   int failed() const noexcept { return failed_; }
@@ -131,7 +136,8 @@ FdWatch::FdWatch(Loop& loop, int fd, Events events, std::string name, Callback<v
   if (made->failed() != 0) {
     const std::string why = uv_strerror(made->failed());
     close();
-    throw SetupError({Errc::bad_argument, "cannot watch", name, why, "only open sockets, pipes, ttys and devices can be watched"});
+    throw SetupError(
+        {Errc::bad_argument, "cannot watch", name, why, "only open sockets, pipes, ttys and devices can be watched"});
   }
   made->set_events(events);
 }
@@ -146,7 +152,8 @@ SignalWatch::SignalWatch(Loop& loop, int signal_number, Callback<void()> callbac
   if (made->failed() != 0) {
     const std::string why = uv_strerror(made->failed());
     close();
-    throw SetupError({Errc::bad_argument, "cannot watch signal", std::to_string(signal_number), why, "SIGKILL and SIGSTOP cannot be caught"});
+    throw SetupError({Errc::bad_argument, "cannot watch signal", std::to_string(signal_number), why,
+                      "SIGKILL and SIGSTOP cannot be caught"});
   }
 }
 

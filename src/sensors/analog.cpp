@@ -13,7 +13,9 @@ namespace {
 constexpr const char* cannot_read = "cannot read the ADC file";
 constexpr const char* find_advice = "check `file`; `ls /sys/bus/iio/devices/*/in_voltage*_raw` lists the converters";
 
-double codes(const AnalogConfig& config) noexcept { return std::ldexp(1.0, static_cast<int>(config.quantization_bits)); }
+double codes(const AnalogConfig& config) noexcept {
+  return std::ldexp(1.0, static_cast<int>(config.quantization_bits));
+}
 
 double span_voltage_of_value(const AnalogConfig& config) noexcept {
   return config.span_value_voltage.value_or(config.span_voltage);
@@ -33,7 +35,9 @@ class AnalogDevice final : public detail::LaneDevice {
     lane_key_ = detail::physical_device_of(config_.file);
     return detail::check_readable(config_.file, cannot_read, find_advice);
   }
-  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(config_.file); }
+  std::shared_ptr<detail::Transaction> make_transaction() override {
+    return std::make_shared<detail::ReadFile>(config_.file);
+  }
   std::string lane_key() const override { return lane_key_; }
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
@@ -69,7 +73,8 @@ void check(const AnalogConfig& config, const std::string& name) {
   };
   const double span = span_voltage_of_value(config);
   if (config.file.empty()) refuse("it has no file", find_advice);
-  if (config.quantization_bits < 1 || config.quantization_bits > 62) refuse("quantization_bits is not 1 to 62", "such as 12");
+  if (config.quantization_bits < 1 || config.quantization_bits > 62)
+    refuse("quantization_bits is not 1 to 62", "such as 12");
   if (config.timeout <= Duration{0}) refuse("its timeout is not positive", "such as 1 s");
   for (const double volts : {config.zero_value_voltage, span, config.scale, config.zero_voltage, config.span_voltage}) {
     if (!std::isfinite(volts)) refuse("a voltage or the scale is not finite", "set it to a number");
@@ -134,7 +139,8 @@ std::optional<AnalogReading> analog_reading(const EventView& event) noexcept {
 AnalogSensor::AnalogSensor(Loop& loop, SensorConfig sensor, AnalogConfig config) {
   check(config, sensor.name);
   auto type = detail::described_type(analog_description(config.unit).or_throw());
-  *this = AnalogSensor(detail::make_sensor(loop, std::move(sensor), std::move(type), std::make_unique<AnalogDevice>(std::move(config))));
+  *this = AnalogSensor(
+      detail::make_sensor(loop, std::move(sensor), std::move(type), std::make_unique<AnalogDevice>(std::move(config))));
 }
 
 }  // namespace rtdata

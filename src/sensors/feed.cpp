@@ -20,7 +20,8 @@ class FeedNode final : public SourceNode {
   void stop_schedule(MonotonicTime) override {}
   bool is_reading() const noexcept override { return false; }
   void set_rate(Rate) override {
-    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled", "set the rate at its source"});
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled",
+                      "set the rate at its source"});
   }
   Rate rate() const noexcept override { return {}; }
   bool is_running() const noexcept override { return is_running_; }
@@ -64,7 +65,9 @@ class FeedNode final : public SourceNode {
   bool is_running_ = true;
 };
 
-Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) { return new FeedNode(loop.core(), config, std::move(type)); }
+Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) {
+  return new FeedNode(loop.core(), config, std::move(type));
+}
 
 void feed_publish(Node* feed, const void* payload, const Time* time) {
   if (feed == nullptr || !feed->is_open()) return;

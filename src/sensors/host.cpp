@@ -118,7 +118,8 @@ class SysDevice final : public detail::LaneDevice {
   Duration give_up_after() const override { return timeout_; }
   ReadTime read_time() const override { return time_; }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_), "look at the chip; `timeout` sets how long to wait"};
+    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_),
+            "look at the chip; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
     const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
@@ -170,7 +171,8 @@ std::vector<HostSensorInfo> thermometers(const std::string& root) {
   std::vector<HostSensorInfo> found;
   const std::string zones = root + "/sys/class/thermal/";
   for (const std::string& zone : names_in(zones)) {
-    if (zone.starts_with("thermal_zone")) found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type")});
+    if (zone.starts_with("thermal_zone"))
+      found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type")});
   }
   const std::string chips = root + "/sys/class/hwmon/";
   for (const std::string& chip : names_in(chips)) {
@@ -189,8 +191,9 @@ Result<std::string> thermometer_file(const std::string& root, std::string device
   if (device.empty()) {
     const auto all = thermometers(root);
     if (all.empty()) {
-      return Error{Errc::not_found, "cannot read a temperature", root + "/sys/class/thermal, " + root + "/sys/class/hwmon",
-                   "this machine shows none", "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
+      return Error{Errc::not_found, "cannot read a temperature",
+                   root + "/sys/class/thermal, " + root + "/sys/class/hwmon", "this machine shows none",
+                   "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
     }
     device = all.front().device;
   }
@@ -254,7 +257,8 @@ detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
       return sys_sensor<HostTemperature>(
           loop, std::move(sensor), [root = config.root, device] { return thermometer_file(root, device); }, 1e-3,
           config);
-    case HostQuantity::frequency: break;
+    case HostQuantity::frequency:
+      break;
   }
   return sys_sensor<HostFrequency>(
       loop, std::move(sensor), [path = frequency_file(config.root, device)] { return Result<std::string>(path); }, 1e3,
@@ -292,7 +296,8 @@ ReadTime read_time(const HostConfig& config) {
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
   const bool needs_device = config.what == HostQuantity::disk || config.what == HostQuantity::network;
   if (needs_device && config.device.empty()) {
-    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, "it does not say which device",
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name,
+                      "it does not say which device",
                       config.what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
                                                         : "set `device`, such as eth0; /proc/net/dev lists them"});
   }
@@ -310,7 +315,8 @@ std::vector<HostSensorInfo> available_host_sensors(const std::string& root) {
   for (const std::string& disk : names_in(root + "/sys/block")) {
     if (!disk.starts_with("loop") && !disk.starts_with("ram")) found.push_back({HostQuantity::disk, disk, ""});
   }
-  for (const std::string& interface : names_in(root + "/sys/class/net")) found.push_back({HostQuantity::network, interface, ""});
+  for (const std::string& interface : names_in(root + "/sys/class/net"))
+    found.push_back({HostQuantity::network, interface, ""});
   for (HostSensorInfo& info : thermometers(root)) found.push_back(std::move(info));
   if (::access(frequency_file(root, "").c_str(), R_OK) == 0) found.push_back({HostQuantity::frequency, "cpu0", ""});
   return found;

@@ -42,10 +42,12 @@ class Words {
 };
 
 Error bad(const char* file) {
-  return {Errc::bad_data, "cannot read this computer's counters", file, "its text is not as expected", "tell us which kernel this is"};
+  return {Errc::bad_data, "cannot read this computer's counters", file, "its text is not as expected",
+          "tell us which kernel this is"};
 }
 Error missing(const char* file, std::string_view device) {
-  return {Errc::not_found, "cannot read this computer's counters", file, "there is no \"" + std::string(device) + "\" in it",
+  return {Errc::not_found, "cannot read this computer's counters", file,
+          "there is no \"" + std::string(device) + "\" in it",
           "check `device`; available_host_sensors() lists what there is"};
 }
 
@@ -74,7 +76,8 @@ Reading<HostCpu> cpu_shares(const CpuTicks& before, const CpuTicks& now) {
   }
   if (all == 0) return nothing_new;
   for (double& part : share) part *= 100 / all;
-  return HostCpu{100 - share[3] - share[4], share[0], share[1], share[2], share[3], share[4], share[5], share[6], share[7]};
+  return HostCpu{
+      100 - share[3] - share[4], share[0], share[1], share[2], share[3], share[4], share[5], share[6], share[7]};
 }
 
 Result<HostLoad> parse_load(std::string_view loadavg) {
@@ -96,8 +99,9 @@ Result<HostMemory> parse_memory(std::string_view meminfo) {
     std::string_view key;
     std::uint64_t* to;
     bool found;
-  } wanted[] = {{"MemTotal:", &memory.total, false},      {"MemFree:", &memory.free, false},   {"MemAvailable:", &memory.available, false},
-                {"Buffers:", &memory.buffers, false},     {"Cached:", &memory.cached, false},  {"SwapTotal:", &memory.swap_total, false},
+  } wanted[] = {{"MemTotal:", &memory.total, false},         {"MemFree:", &memory.free, false},
+                {"MemAvailable:", &memory.available, false}, {"Buffers:", &memory.buffers, false},
+                {"Cached:", &memory.cached, false},          {"SwapTotal:", &memory.swap_total, false},
                 {"SwapFree:", &memory.swap_free, false}};
   std::size_t found = 0;
   for (Words words(meminfo); !words.is_at_end() && found < std::size(wanted); words.line()) {
@@ -121,8 +125,8 @@ Result<HostDisk> parse_disk(std::string_view diskstats, std::string_view device)
     if (words.word() != device) continue;
     HostDisk disk;
     std::uint64_t merged = 0, time = 0;
-    if (!words.numbers(disk.reads, merged, disk.read_bytes, time, disk.writes, merged, disk.written_bytes, time, disk.in_flight,
-                       disk.busy_time)) {
+    if (!words.numbers(disk.reads, merged, disk.read_bytes, time, disk.writes, merged, disk.written_bytes, time,
+                       disk.in_flight, disk.busy_time)) {
       return bad("/proc/diskstats");
     }
     disk.read_bytes *= 512;
@@ -140,8 +144,8 @@ Result<HostNetwork> parse_network(std::string_view dev, std::string_view device)
     HostNetwork net;
     std::uint64_t other = 0;
     Words words(line.substr(colon + 1));
-    if (!words.numbers(net.received_bytes, net.received_packets, net.receive_errors, net.receive_drops, other, other, other, other,
-                       net.sent_bytes, net.sent_packets, net.send_errors, net.send_drops)) {
+    if (!words.numbers(net.received_bytes, net.received_packets, net.receive_errors, net.receive_drops, other, other,
+                       other, other, net.sent_bytes, net.sent_packets, net.send_errors, net.send_drops)) {
       return bad("/proc/net/dev");
     }
     return net;
@@ -172,7 +176,8 @@ Result<HostScheduler> parse_scheduler(std::string_view stat) {
 
 Result<HostProcess> parse_process(std::string_view schedstat) {
   HostProcess process;
-  if (!Words(schedstat).numbers(process.run_time, process.wait_time, process.time_slices)) return bad("/proc/thread-self/schedstat");
+  if (!Words(schedstat).numbers(process.run_time, process.wait_time, process.time_slices))
+    return bad("/proc/thread-self/schedstat");
   return process;
 }
 

@@ -29,13 +29,15 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
     if (field.name.empty()) continue;
     ++kept;
     if (field.type == Kind::enumeration || field.type == Kind::record) {
-      return refused("field " + field.name, "a line holds no " + std::string(name_of(field.type)), "choose another `type`");
+      return refused("field " + field.name, "a line holds no " + std::string(name_of(field.type)),
+                     "choose another `type`");
     }
     if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
       return refused("field " + field.name, "only a float or double can be scaled", "make its `type` double");
     }
     if (field.type == Kind::text) {
-      if (field.length < 1 || field.length > 65535) return refused("field " + field.name, "a length of 0", "set `length`");
+      if (field.length < 1 || field.length > 65535)
+        return refused("field " + field.name, "a length of 0", "set `length`");
       builder.text(field.name, field.length);
     } else {
       builder.field(field.name, field.type, field.unit);
@@ -63,16 +65,26 @@ std::errc parse_into(std::string_view text, std::byte* to, double scale) noexcep
 
 std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double scale) noexcept {
   switch (kind) {
-    case Kind::i8: return parse_into<std::int8_t>(text, to, scale);
-    case Kind::i16: return parse_into<std::int16_t>(text, to, scale);
-    case Kind::i32: return parse_into<std::int32_t>(text, to, scale);
-    case Kind::i64: return parse_into<std::int64_t>(text, to, scale);
-    case Kind::u8: return parse_into<std::uint8_t>(text, to, scale);
-    case Kind::u16: return parse_into<std::uint16_t>(text, to, scale);
-    case Kind::u32: return parse_into<std::uint32_t>(text, to, scale);
-    case Kind::u64: return parse_into<std::uint64_t>(text, to, scale);
-    case Kind::f32: return parse_into<float>(text, to, scale);
-    default: return parse_into<double>(text, to, scale);
+    case Kind::i8:
+      return parse_into<std::int8_t>(text, to, scale);
+    case Kind::i16:
+      return parse_into<std::int16_t>(text, to, scale);
+    case Kind::i32:
+      return parse_into<std::int32_t>(text, to, scale);
+    case Kind::i64:
+      return parse_into<std::int64_t>(text, to, scale);
+    case Kind::u8:
+      return parse_into<std::uint8_t>(text, to, scale);
+    case Kind::u16:
+      return parse_into<std::uint16_t>(text, to, scale);
+    case Kind::u32:
+      return parse_into<std::uint32_t>(text, to, scale);
+    case Kind::u64:
+      return parse_into<std::uint64_t>(text, to, scale);
+    case Kind::f32:
+      return parse_into<float>(text, to, scale);
+    default:
+      return parse_into<double>(text, to, scale);
   }
 }
 
@@ -96,7 +108,8 @@ LineDecoder::LineDecoder(const SerialConfig& config)
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
     if (field.key.empty()) field.key = field.name;
     if (format_ == LineFormat::json && field.key.empty()) {
-      throw SetupError(refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
+      throw SetupError(
+          refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
     }
   }
   if (config.sequence_field.empty()) return;
@@ -118,7 +131,8 @@ Result<void> LineDecoder::decode(std::string_view line) {
 
 Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const {
   const std::string& name = fields_[index].name;
-  return {code, bad_line, name.empty() ? "column " + std::to_string(index + 1) : "field " + name, std::move(why), check_fields};
+  return {code, bad_line, name.empty() ? "column " + std::to_string(index + 1) : "field " + name, std::move(why),
+          check_fields};
 }
 
 Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
@@ -129,7 +143,8 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
     case Kind::text: {
       const std::size_t capacity = leaf->size - text_length_bytes;
       if (text.size() > capacity) {
-        return failure(Errc::does_not_fit, index, shown(text) + " is longer than " + std::to_string(capacity) + " bytes");
+        return failure(Errc::does_not_fit, index,
+                       shown(text) + " is longer than " + std::to_string(capacity) + " bytes");
       }
       to[0] = static_cast<std::byte>(text.size() & 0xff);
       to[1] = static_cast<std::byte>(text.size() >> 8);
@@ -152,7 +167,8 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
       const std::errc status = parse_number(leaf->kind, has_plus ? text.substr(1) : text, to, fields_[index].scale);
       if (status == std::errc{}) return {};
       if (status == std::errc::result_out_of_range) {
-        return failure(Errc::out_of_range, index, shown(text) + " does not fit into " + std::string(name_of(leaf->kind)));
+        return failure(Errc::out_of_range, index,
+                       shown(text) + " does not fit into " + std::string(name_of(leaf->kind)));
       }
       return failure(Errc::not_a_number, index, shown(text) + " is no " + std::string(name_of(leaf->kind)));
     }
@@ -181,7 +197,8 @@ std::string_view LineDecoder::next_column(std::string_view& rest) const noexcept
 Result<void> LineDecoder::decode_csv(std::string_view line) {
   const auto count_error = [&](std::string_view what) {
     return Error{Errc::bad_data, bad_line, shown(line),
-                 "it has " + std::string(what) + " than the " + std::to_string(fields_.size()) + " columns expected", check_fields};
+                 "it has " + std::string(what) + " than the " + std::to_string(fields_.size()) + " columns expected",
+                 check_fields};
   };
   std::string_view rest = separator_ == ' ' ? trimmed(line) : line;
   for (std::size_t i = 0; i < fields_.size(); ++i) {
@@ -236,7 +253,8 @@ class LineDecoder::JsonHandler {
     return true;
   }
   bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
-    error_ = Error{Errc::bad_data, bad_line, "", "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
+    error_ = Error{Errc::bad_data, bad_line, "", "it is no JSON from byte " + std::to_string(position) + " on",
+                   check_fields};
     return false;
   }
   Error take_error() {
@@ -269,7 +287,8 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     const bool is_textual = kind == Kind::text || kind == Kind::character;
     if (decoder_.seen_[i]) {
       error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
-    } else if (form == Form::null || is_textual != (form == Form::string) || (kind != Kind::boolean && form == Form::boolean)) {
+    } else if (form == Form::null || is_textual != (form == Form::string) ||
+               (kind != Kind::boolean && form == Form::boolean)) {
       error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
                                 shown(text) + " is no " + std::string(name_of(kind)));
     } else if (Result<void> done = decoder_.put(i, text); !done) {
@@ -300,7 +319,8 @@ LineDecoder::Step LineDecoder::step() noexcept {
   const unsigned bits = 8 * static_cast<unsigned>(sequence_->size);
   const std::uint64_t all = bits == 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << bits) - 1;
   std::uint64_t number = 0;
-  std::memcpy(&number, payload() + sequence_->offset, sequence_->size);  // the machines we run on put the low byte first
+  std::memcpy(&number, payload() + sequence_->offset,
+              sequence_->size);  // the machines we run on put the low byte first
   const std::optional<std::uint64_t> last = std::exchange(last_, number);
   if (!last) return {};
   const std::uint64_t forward = (number - *last) & all;

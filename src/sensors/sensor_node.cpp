@@ -21,11 +21,13 @@ void check_rate(Rate rate, const std::string& name) {
 
 }  // namespace
 
-SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<SensorDevice> device)
+SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type,
+                       std::unique_ptr<SensorDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type)),
       RateMember(config.rate.period(), config.phase),
       device_(std::move(device)) {
-  if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get())) lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
+  if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get()))
+    lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
   const SensorConfig usual;
   if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
@@ -80,7 +82,8 @@ void SensorNode::start() {
 
 void SensorNode::begin_schedule() {
   const Duration late_after = settings().late_after;
-  origin_.late_after = late_after.count() >= 0 ? late_after : std::max(Duration{std::chrono::milliseconds{1}}, period() / 10);
+  origin_.late_after = late_after.count() >= 0 ? late_after
+                                               : std::max(Duration{std::chrono::milliseconds{1}}, period() / 10);
   loop()->hold();
   loop()->schedule().add(*this);
 }
@@ -224,7 +227,8 @@ Error SensorNode::thrown(const char* what) const {
 }
 
 bool SensorNode::is_ready(const Tick& tick) {
-  if (device_is_open_ && health() != Health::faulted) [[likely]] return true;
+  if (device_is_open_ && health() != Health::faulted) [[likely]]
+    return true;
   if (tick.now < settings().retry_at) {
     origin_.fail_tick(settings().fault, tick.due);
     return false;
@@ -321,7 +325,8 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   ++failures_;
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {
-    state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first : std::min(2 * state.retry_delay, state.retry_longest);
+    state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
+                                                       : std::min(2 * state.retry_delay, state.retry_longest);
     state.retry_at = now + with_jitter(state.retry_delay, origin_.name, failures_);
     if (std::exchange(device_is_open_, false)) close_device();
   }
@@ -346,9 +351,10 @@ void SensorNode::submit(const Tick& tick) {
   origin_.begin_read();
   if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
   if (!lane->submit(transaction)) {
-    const Error error = lane->is_stuck() ? device.given_up_error()
-                                         : Error{Errc::busy, "cannot read", object_name(),
-                                                 "its lane is full of reads of sensors that share the device", "lower their rates"};
+    const Error error = lane->is_stuck()
+                            ? device.given_up_error()
+                            : Error{Errc::busy, "cannot read", object_name(),
+                                    "its lane is full of reads of sensors that share the device", "lower their rates"};
     origin_.fail_read(error.id(), tick.due);
     failed(error, tick.now);
   }

@@ -57,7 +57,8 @@ class SerialLineNode final : public SourceNode {
     return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
   }
   void set_rate(Rate) override {
-    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes", "set the rate in the device"});
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes",
+                      "set the rate in the device"});
   }
   Rate rate() const noexcept override { return {}; }
   bool is_running() const noexcept override { return is_running_; }
@@ -78,7 +79,8 @@ class SerialLineNode final : public SourceNode {
     is_overlong_ = false;
     is_first_ = config_.first_line == FirstLine::discard;
     lines_to_skip_ = config_.skip_lines;
-    watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(), [this](const FdEvent& event) { on_ready(event); });
+    watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
+                     [this](const FdEvent& event) { on_ready(event); });
   }
   void drop_device() noexcept {
     watch_.close();  // before the descriptor
@@ -88,7 +90,9 @@ class SerialLineNode final : public SourceNode {
   /// Faulted, and tried again later.
   void lose_device(const Error& error) {
     drop_device();
-    retry_delay_ = retry_delay_ == Duration{0} ? config_.retry_first : std::min(2 * retry_delay_, std::max(config_.retry_longest, config_.retry_first));
+    retry_delay_ = retry_delay_ == Duration{0}
+                       ? config_.retry_first
+                       : std::min(2 * retry_delay_, std::max(config_.retry_longest, config_.retry_first));
     retry_.start(retry_delay_);
     Call call(*this);
     report(error);
@@ -165,7 +169,8 @@ class SerialLineNode final : public SourceNode {
       --lines_to_skip_;
       return;
     }
-    fail({Errc::does_not_fit, "cannot use a line", config_.device, "it is longer than " + std::to_string(config_.max_line) + " bytes",
+    fail({Errc::does_not_fit, "cannot use a line", config_.device,
+          "it is longer than " + std::to_string(config_.max_line) + " bytes",
           "check `baud_rate`; `max_line` sets how long a line may be"});
   }
 
@@ -205,7 +210,8 @@ SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig con
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot use this serial line", "sensor " + feed.name, why, advice});
   };
-  if (config.device.empty()) refuse("it has no device", "set `device`, such as /dev/ttyUSB0; `ls /dev/serial/by-id` lists them");
+  if (config.device.empty())
+    refuse("it has no device", "set `device`, such as /dev/ttyUSB0; `ls /dev/serial/by-id` lists them");
   if (config.max_line == 0) refuse("max_line is 0", "such as 4096");
   if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());

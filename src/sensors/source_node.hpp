@@ -27,7 +27,9 @@ class SourceNode : public SensorEntry {
   Duration schedule_period() const noexcept override { return rate().period(); }
   bool is_active() const noexcept override { return is_running(); }
   Health health() const noexcept override { return health_; }
-  std::string_view reason() const noexcept override { return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view(); }
+  std::string_view reason() const noexcept override {
+    return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view();
+  }
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
   void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error.set(std::move(handler)); }

@@ -36,8 +36,8 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
     : config_(config), writer_(std::move(writer)), chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
   // Pages are the kernel's until they are used: a queue that never fills costs no memory.
   memory_bytes_ = chunks_.size() * chunk_bytes;
-  void* memory =
-      ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1,
+                        0);
   if (memory == MAP_FAILED) {
     throw SetupError(system_error(errno, "cannot set aside the queue", config.name, "make `queue_bytes` smaller"));
   }
@@ -153,8 +153,8 @@ SinkCounts SinkQueue::counts() const noexcept {
   for (int i = 0; i < most_tries; ++i) {
     const std::uint64_t before = revision_.load(std::memory_order_acquire);
     result = sum();
-    const std::uint64_t after =
-        const_cast<std::atomic<std::uint64_t>&>(revision_).fetch_add(0, std::memory_order_acq_rel);
+    const std::uint64_t after = const_cast<std::atomic<std::uint64_t>&>(revision_).fetch_add(0,
+                                                                                             std::memory_order_acq_rel);
     if (before == after && before % 2 == 0) break;
   }
   return result;
@@ -196,9 +196,9 @@ std::vector<TopicDrops> SinkQueue::dropped_by_topic(Queued queued) const {
   for (std::uint32_t i = 0; i < slot_count(); ++i) {
     const Slot& s = slot(i);
     const SlotStored& lane = stored(i);
-    const std::uint64_t dropped =
-        queued == Queued::lost ? s.live->offered - lane.stored.load(std::memory_order_relaxed)
-                               : s.dropped_newest + s.dropped_oldest + lane.refused.load(std::memory_order_relaxed);
+    const std::uint64_t dropped = queued == Queued::lost ? s.live->offered - lane.stored.load(std::memory_order_relaxed)
+                                                         : s.dropped_newest + s.dropped_oldest +
+                                                               lane.refused.load(std::memory_order_relaxed);
     if (all.size() <= s.info.topic_number) all.resize(s.info.topic_number + 1);
     all[s.info.topic_number].topic = s.info.topic;
     all[s.info.topic_number].count += dropped;
@@ -385,8 +385,8 @@ Record Batch::Iterator::operator*() const noexcept {
 
 Batch::Iterator& Batch::Iterator::operator++() noexcept {
   const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
-  offset_ +=
-      detail::record_bytes_of(reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->payload_bytes);
+  offset_ += detail::record_bytes_of(
+      reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->payload_bytes);
   if (offset_ >= chunk.used) {
     offset_ = 0;
     ++chunk_;

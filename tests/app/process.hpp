@@ -52,7 +52,8 @@ class Process {
  public:
   enum class Output { pipes, terminal };
 
-  Process(const Folder& folder, const std::string& program, std::vector<std::string> arguments, Output output = Output::pipes) {
+  Process(const Folder& folder, const std::string& program, std::vector<std::string> arguments,
+          Output output = Output::pipes) {
     int out_child = -1;
     int err_child = -1;
     int fds[2];
@@ -124,7 +125,8 @@ class Process {
   bool collect() {
     pollfd fds[2] = {{out_open_ ? out_ : -1, POLLIN, 0}, {err_open_ ? err_ : -1, POLLIN, 0}};
     if (!out_open_ && !err_open_) return false;
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(limit_ - std::chrono::steady_clock::now()).count();
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(limit_ - std::chrono::steady_clock::now())
+                          .count();
     if (left <= 0 || ::poll(fds, 2, static_cast<int>(left)) <= 0) return false;
     const auto take = [](const pollfd& from, std::string& to, bool& is_open) {
       if (from.revents == 0) return;

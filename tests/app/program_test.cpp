@@ -111,10 +111,13 @@ TEST_SUITE("app") {
 
   TEST_CASE("US-17 check prints every problem with its place, and exits 2") {
     const Folder folder;
-    folder.write("bad.json", "{\n  \"sensors\": [ {\"name\": \"a\", \"type\": \"countr\"},\n    {\"name\": \"b\", \"type\": \"counter\", \"rtae\": \"1 Hz\"} ]\n}\n");
+    folder.write("bad.json",
+                 "{\n  \"sensors\": [ {\"name\": \"a\", \"type\": \"countr\"},\n    {\"name\": \"b\", \"type\": "
+                 "\"counter\", \"rtae\": \"1 Hz\"} ]\n}\n");
     Process check(folder, program, {"check", "bad.json"});
     CHECK(check.end() == 2);
-    CHECK(has(check.out, "bad.json:2:38: sensors[0].type: there is no sensor type \"countr\" (did you mean \"counter\"?)\n"));
+    CHECK(has(check.out,
+              "bad.json:2:38: sensors[0].type: there is no sensor type \"countr\" (did you mean \"counter\"?)\n"));
     CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?)\n"));
     CHECK(has(check.out, "^\n"));
     CHECK(has(check.out, "2 problems"));
@@ -176,7 +179,9 @@ TEST_SUITE("app") {
 
   TEST_CASE("US-17 --fail-on-loss exits 3 when something failed, and 0 without it") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
+    folder.write(
+        "bench.json",
+        R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
     Process strict(folder, program, {"run", "bench.json", "--for", "200ms", "--fail-on-loss"});
     CHECK(strict.end() == 3);
     CHECK(has(strict.out, "ledger balances; something was lost"));
@@ -195,7 +200,9 @@ TEST_SUITE("app") {
     CHECK(run.out.empty());
     CHECK_FALSE(has(run.err, "stopping"));
     const std::string log = folder.read("errors.log");
-    CHECK(has(log, "error sensor a: cannot open the device: /dev/missing_thing: No such file or directory: plug it in [not-found]\n"));
+    CHECK(has(log,
+              "error sensor a: cannot open the device: /dev/missing_thing: No such file or directory: plug it in "
+              "[not-found]\n"));
     CHECK_FALSE(has(log, " info "));
   }
 
@@ -228,7 +235,8 @@ TEST_SUITE("app") {
     CHECK(has(run.out, "ledger balances"));
     std::vector<std::int64_t> times;
     std::istringstream lines(folder.read("bench.jsonl"));
-    for (std::string line; std::getline(lines, line);) times.push_back(nlohmann::json::parse(line).at("time").get<std::int64_t>());
+    for (std::string line; std::getline(lines, line);)
+      times.push_back(nlohmann::json::parse(line).at("time").get<std::int64_t>());
     REQUIRE(times.size() > 2);
     unsigned long_gaps = 0;
     std::size_t after = 0;
@@ -255,10 +263,12 @@ TEST_SUITE("app") {
 
   TEST_CASE("NFR-7 an error that ends the start is in the log file") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "required": true} ]})");
+    folder.write("bench.json",
+                 R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "required": true} ]})");
     Process run(folder, program, {"run", "bench.json"});
     CHECK(run.end() == 1);
-    CHECK(has(folder.read("bench.log"), "bench.json:1:15: sensor a: /dev/absent: No such file or directory: plug it in [not-found]"));
+    CHECK(has(folder.read("bench.log"),
+              "bench.json:1:15: sensor a: /dev/absent: No such file or directory: plug it in [not-found]"));
   }
 
   TEST_CASE("NFR-1 a run whose tier hangs ends by its deadline, names the callback, and verify says what is known") {
@@ -306,7 +316,9 @@ TEST_SUITE("app") {
 
   TEST_CASE("US-5 a reading that holds the loop is missed ticks, not a hung program") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [ {"name": "slow", "type": "counter", "rate": "100 Hz", "hold": "35 ms"} ], "sinks": [{"type": "discard"}]})");
+    folder.write(
+        "bench.json",
+        R"({"sensors": [ {"name": "slow", "type": "counter", "rate": "100 Hz", "hold": "35 ms"} ], "sinks": [{"type": "discard"}]})");
     Process run(folder, program, {"run", "bench.json", "--for", "400ms", "--fail-on-loss"});
     CHECK(run.end() == 3);
     CHECK(has(run.err, "held the loop"));
@@ -317,7 +329,8 @@ TEST_SUITE("app") {
     const Folder folder;
     Process all(folder, program, {"types"});
     CHECK(all.end() == 0);
-    for (const char* type : {"\nanalog  ", "\nhost  ", "\nserial  ", "\ncounter  ", "\nfile  ", "\nconsole  ", "quantization_bits", "batch_rows"})
+    for (const char* type : {"\nanalog  ", "\nhost  ", "\nserial  ", "\ncounter  ", "\nfile  ", "\nconsole  ",
+                             "quantization_bits", "batch_rows"})
       CHECK_MESSAGE(has(all.out, type), type);
     Process one(folder, program, {"types", "counter"});
     CHECK(one.end() == 0);
@@ -357,8 +370,12 @@ TEST_SUITE("app") {
     Process version(folder, shipped, {"--version"});
     CHECK(version.end() == 0);
     CHECK(version.out.starts_with("rtdata "));
-    for (const auto& arguments : std::vector<std::vector<std::string>>{
-             {}, {"rnu"}, {"run"}, {"run", "x.json", "--for", "10"}, {"run", "x.json", "--for", "0s"}, {"run", "x.json", "--fro", "1s"}}) {
+    for (const auto& arguments : std::vector<std::vector<std::string>>{{},
+                                                                       {"rnu"},
+                                                                       {"run"},
+                                                                       {"run", "x.json", "--for", "10"},
+                                                                       {"run", "x.json", "--for", "0s"},
+                                                                       {"run", "x.json", "--fro", "1s"}}) {
       Process wrong(folder, shipped, arguments);
       CHECK(wrong.end() == 1);
       CHECK_FALSE(wrong.err.empty());

@@ -107,9 +107,9 @@ void bench_drift(Report& report) {
   Figure figure{.name = "tick_drift", .unit = "ns", .reach = 1};
   figure.value = static_cast<double>(drift);
   figure.ratio = drift == 0 && is_right ? 1 : 1 + std::abs(static_cast<double>(drift)) + (is_right ? 0 : 1);
-  figure.note =
-      std::to_string(counted + 1) + " ticks, " + std::to_string(ticker.missed()) + " of them missed, " +
-      (is_right ? "as the independent clock counts" : "the independent clock counts " + std::to_string(elapsed + 1));
+  figure.note = std::to_string(counted + 1) + " ticks, " + std::to_string(ticker.missed()) + " of them missed, " +
+                (is_right ? "as the independent clock counts"
+                          : "the independent clock counts " + std::to_string(elapsed + 1));
   report.add(figure);
 }
 

@@ -112,8 +112,8 @@ void bench_program(Report& report) {
     return;
   }
   const std::string program = std::filesystem::absolute(name).string();
-  const std::string bare =
-      (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare").string();
+  const std::string bare = (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare")
+                               .string();
   const Folder folder(report.options().memory);
   if (wait_for(start({program, "init", "demo.json"})) != 0 ||
       wait_for(start({program, "run", "demo.json", "--for", "100ms"})) != 0) {

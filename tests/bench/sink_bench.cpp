@@ -141,8 +141,8 @@ double bare_sqlite_row(const std::string& folder) {
       " sequence INTEGER NOT NULL, a REAL, b REAL, c REAL, d REAL, e REAL, f REAL, g REAL, h REAL)");
   constexpr unsigned most = 16;
   const auto prepare = [&](unsigned count) {
-    std::string sql =
-        "INSERT OR ROLLBACK INTO \"test/climate\"(run, time, origin, sequence, a, b, c, d, e, f, g, h) VALUES ";
+    std::string
+        sql = "INSERT OR ROLLBACK INTO \"test/climate\"(run, time, origin, sequence, a, b, c, d, e, f, g, h) VALUES ";
     for (unsigned i = 0; i < count; ++i) sql += i == 0 ? "(?,?,?,?,?,?,?,?,?,?,?,?)" : ",(?,?,?,?,?,?,?,?,?,?,?,?)";
     sqlite3_stmt* statement = nullptr;
     sqlite3_prepare_v3(database, sql.c_str(), -1, SQLITE_PREPARE_PERSISTENT, &statement, nullptr);

@@ -51,8 +51,8 @@ TEST_SUITE("config") {
   }
 
   TEST_CASE("US-20 children are reached by keys, indexes and paths") {
-    const ConfigItem root =
-        parse(R"({"sensors": [{}, {"rate": 5}, {"rate": 7, "a.b": [[1, 2]]}], "x/y": {"z": true}})");
+    const ConfigItem root = parse(
+        R"({"sensors": [{}, {"rate": 5}, {"rate": 7, "a.b": [[1, 2]]}], "x/y": {"z": true}})");
     CHECK(root.at("sensors", 2, "rate").get<int>() == 7);
     CHECK(root.at("sensors[2].rate").get<int>() == 7);
     CHECK(root.at("sensors", "[1].rate").get<int>() == 5);

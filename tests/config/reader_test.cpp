@@ -105,8 +105,8 @@ TEST_SUITE("config") {
     CHECK(mistake("[\"\xc3\xa9\xe2\x82\xac\xf0\x9f\x98\x80\", x]").starts_with("1:9: "));
     CHECK(mistake("/* \xc3\xa9 */ [\t?]").starts_with("1:11: "));
     CHECK(mistake("[1,\r\n 2,\r\n ?]").starts_with("3:2: "));
-    const ConfigItem root =
-        parse_config("// \xc3\xa9\n/* a\n b */ {\"k\": /* c */ \"v\", // d \"e\n \"l\": [1]}").or_throw();
+    const ConfigItem root = parse_config("// \xc3\xa9\n/* a\n b */ {\"k\": /* c */ \"v\", // d \"e\n \"l\": [1]}")
+                                .or_throw();
     CHECK(root.place().text() == "configuration.json:3:7");
     CHECK(root.at("k").place().text() == "configuration.json:3:21");
     CHECK(root.at("k").key_place().text() == "configuration.json:3:8");
@@ -114,8 +114,8 @@ TEST_SUITE("config") {
   }
 
   TEST_CASE("US-19 a key that is there twice is an error that names both places") {
-    const ConfigDocument document =
-        parse_config("{\"a\": 1, \"b\": {\"c\": 1,\n \"c\": {}, \"c\": 3},\n \"a\": 2}", "f");
+    const ConfigDocument document = parse_config("{\"a\": 1, \"b\": {\"c\": 1,\n \"c\": {}, \"c\": 3},\n \"a\": 2}",
+                                                 "f");
     CHECK(document.problems.text() ==
           "f:2:2: b.c: this key is already at f:1:16\n"
           "f:2:11: b.c: this key is already at f:1:16\n"
@@ -195,8 +195,8 @@ TEST_SUITE("config") {
           "f.json:2:7: expected a value, found 'tru'; text needs \"quotes\" (did you mean \"true\"?)\n"
           "  \t\"\xc3\xa9\": tru\n"
           "  \t     ^\n");
-    const ConfigDocument wide =
-        parse_config(std::string("[").append(3000, ' ').append("?").append(3000, ' ').append("]"), "f.json");
+    const ConfigDocument wide = parse_config(
+        std::string("[").append(3000, ' ').append("?").append(3000, ' ').append("]"), "f.json");
     const std::string excerpt = wide.excerpt(wide.problems[0]);
     CHECK(excerpt.size() < 250);
     const std::size_t line_end = excerpt.find('\n');

@@ -102,7 +102,8 @@ TEST_SUITE("config") {
   TEST_CASE("US-7 a sensor added to a running system starts at once") {
     Running run;
     run.loop.advance(1s);
-    run.system.add_sensor(item(R"({"name": "d", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 500})"));
+    run.system.add_sensor(
+        item(R"({"name": "d", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 500})"));
     CHECK(run.system.sensor("d").is_running());
     run.loop.advance(150ms);
     CHECK(run.seen_b == std::vector<std::uint64_t>{500, 501});
@@ -119,10 +120,12 @@ TEST_SUITE("config") {
       return "";
     };
     CHECK(message(R"({"name": "d", "type": "countr", "rate": "10 Hz"})").find("\"counter\"") != std::string::npos);
-    CHECK(message(R"({"name": "a", "type": "counter", "rate": "10 Hz", "topic": "count/a"})").find("there is one of that name already") !=
+    CHECK(message(R"({"name": "a", "type": "counter", "rate": "10 Hz", "topic": "count/a"})")
+              .find("there is one of that name already") != std::string::npos);
+    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "topic": "count/a"})").find("\"level\"") !=
           std::string::npos);
-    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "topic": "count/a"})").find("\"level\"") != std::string::npos);
-    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "required": true})").find("plug it in") != std::string::npos);
+    CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "required": true})").find("plug it in") !=
+          std::string::npos);
     CHECK(run.system.sensor_names().size() == 3);
     run.loop.advance(95ms);
     CHECK(run.seen_a.size() == 10);
@@ -135,7 +138,8 @@ TEST_SUITE("config") {
     run.loop.advance(1s);
     CHECK(run.seen_a.size() == 10);
     CHECK_THROWS_WITH_AS((void)run.system.sensor("a"), doctest::Contains("no such sensor"), SetupError);
-    run.system.add_sensor(item(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a", "first": 70})"));
+    run.system.add_sensor(
+        item(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a", "first": 70})"));
     run.loop.advance(5ms);
     CHECK(run.seen_a.back() == 70);
     run.loop.close();
@@ -155,7 +159,8 @@ TEST_SUITE("config") {
     Running run;
     run.loop.advance(95ms);
     run.system.add_sink(item(R"({"type": "discard", "name": "second", "topics": ["count/a"]})"));
-    CHECK_THROWS_WITH_AS(run.system.add_sink(item(R"({"type": "discard", "name": "second"})")), doctest::Contains("already"), ConfigError);
+    CHECK_THROWS_WITH_AS(run.system.add_sink(item(R"({"type": "discard", "name": "second"})")),
+                         doctest::Contains("already"), ConfigError);
     run.loop.advance(100ms);
     CHECK(run.system.sink("second").counts().offered == 10);
     run.system.remove_sink("second");
@@ -217,10 +222,12 @@ f.json:16:38: sinks[2].when_full
   {"type": "discard", "path": "out"},
   {"type": "discard", "path": "./out"},
   {"type": "discard"}, {"type": "discard"}]})");
-    CHECK(text ==
-          "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its own\n"
-          "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy it\n"
-          "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
+    CHECK(
+        text ==
+        "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its own\n"
+        "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy "
+        "it\n"
+        "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
   }
 
   TEST_CASE("US-17 two payloads on one topic are told with both places before anything starts") {
@@ -229,23 +236,27 @@ f.json:16:38: sinks[2].when_full
   {"name": "b", "type": "absent", "rate": "1 Hz", "topic": "x"},
   {"name": "c", "type": "counter", "rate": "1 Hz", "topic": "X"},
   {"name": "d", "type": "fed", "topic": "x"}]})");
-    CHECK(text.starts_with("f.json:3:60: sensors[1].topic: the topic \"x\" carries \"count\" of sensor a, at f.json:2:61, and "
-                           "\"level\" of this one; "));
-    CHECK(text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61\n") !=
-          std::string::npos);
+    CHECK(text.starts_with(
+        "f.json:3:60: sensors[1].topic: the topic \"x\" carries \"count\" of sensor a, at f.json:2:61, and "
+        "\"level\" of this one; "));
+    CHECK(
+        text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61\n") !=
+        std::string::npos);
     CHECK(text.find("sensors[3]") == std::string::npos);  // the same payload may share a topic
   }
 
   TEST_CASE("US-17 keys of later versions are refused as such") {
     const std::string text = problems_of(R"({"tiers": {}, "buses": {},
  "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "bus": "i2c1"}]})");
-    CHECK(text == "f.json:1:15: buses: \"buses\" is not available in this version\n"
-                  "f.json:2:63: sensors[0].bus: \"bus\" is not available in this version\n");
+    CHECK(text ==
+          "f.json:1:15: buses: \"buses\" is not available in this version\n"
+          "f.json:2:63: sensors[0].bus: \"bus\" is not available in this version\n");
   }
 
   TEST_CASE("US-33 tiers are made from a file, with sensors on them") {
     Loop loop;
-    const SystemPlan plan = planned(R"({"tiers": {"fast": {"policy": "fifo", "priority": 10, "cpu": 0, "spin": "50 us"}, "slow": {}},
+    const SystemPlan plan = planned(
+        R"({"tiers": {"fast": {"policy": "fifo", "priority": 10, "cpu": 0, "spin": "50 us"}, "slow": {}},
       "sensors": [{"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast"},
                   {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow"},
                   {"name": "c", "type": "counter", "rate": "100 Hz"}]})");
@@ -282,8 +293,8 @@ f.json:16:38: sinks[2].when_full
           "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
           "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
-    CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})").warnings.text() ==
-          "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
+    CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})")
+              .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
   }
 
   TEST_CASE(
@@ -340,8 +351,10 @@ f.json:16:38: sinks[2].when_full
 
   TEST_CASE("US-17 what is probably not meant is a warning") {
     CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "counter", "rate": "1 Hz"}],
-  "sinks": [{"type": "discard", "topics": ["presure", "pressure"]}]})").warnings.text() ==
-          "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean \"pressure\"?)\n");
+  "sinks": [{"type": "discard", "topics": ["presure", "pressure"]}]})")
+              .warnings.text() ==
+          "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean "
+          "\"pressure\"?)\n");
     const SystemPlan empty = planned(R"({"sensors": []})");
     CHECK(empty.good());
     CHECK(empty.warnings.text() == "f.json:1:13: sensors: there are no sensors: nothing will be recorded\n");
@@ -370,15 +383,17 @@ f.json:16:38: sinks[2].when_full
     Loop loop{Loop::Manual{}};
     const SystemPlan plan = planned(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"},
   {"name": "b", "type": "absent", "rate": "1 Hz", "required": true}], "sinks": [{"type": "discard"}]})");
-    CHECK_THROWS_WITH_AS(System(loop, types, plan),
-                         "cannot open the device: f.json:2:3: sensor b: /dev/absent: No such file or directory: plug it in", SetupError);
+    CHECK_THROWS_WITH_AS(
+        System(loop, types, plan),
+        "cannot open the device: f.json:2:3: sensor b: /dev/absent: No such file or directory: plug it in", SetupError);
     CHECK(loop.runtime().sensors().empty());
   }
 
   TEST_CASE("US-22 the schema covers the whole document") {
     const auto schema = nlohmann::json::parse(registry().schema());
     CHECK(schema["properties"]["log"]["properties"].contains("level"));
-    CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"] == nlohmann::json{"counter", "absent", "fed"});
+    CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"] ==
+          nlohmann::json{"counter", "absent", "fed"});
     CHECK(schema["properties"]["sinks"]["items"]["allOf"][0]["then"]["properties"].contains("queue_bytes"));
     CHECK_FALSE(schema["properties"]["sensors"]["items"]["allOf"][2]["then"]["properties"].contains("rate"));
     CHECK(schema["additionalProperties"] == false);

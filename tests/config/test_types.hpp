@@ -69,7 +69,9 @@ struct AbsentConfig {
 };
 struct Absent {
   std::string device;
-  Result<void> open() { return Error{Errc::not_found, "cannot open the device", device, "No such file or directory", "plug it in"}; }
+  Result<void> open() {
+    return Error{Errc::not_found, "cannot open the device", device, "No such file or directory", "plug it in"};
+  }
   Level read() { return {}; }
 };
 

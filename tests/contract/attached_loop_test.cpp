@@ -45,8 +45,10 @@ struct Host {
     poll.data = this;
     signal.data = &marks[4];
     async.data = &marks[5];
-    uv_poll_start(&poll, UV_READABLE, [](uv_poll_t* handle, int, int) { ++static_cast<Host*>(handle->data)->poll_calls; });
-    uv_signal_start(&signal, [](uv_signal_t*, int) {}, SIGUSR2);
+    uv_poll_start(&poll, UV_READABLE,
+                  [](uv_poll_t* handle, int, int) { ++static_cast<Host*>(handle->data)->poll_calls; });
+    uv_signal_start(
+        &signal, [](uv_signal_t*, int) {}, SIGUSR2);
     for (auto* handle : {reinterpret_cast<uv_handle_t*>(&poll), reinterpret_cast<uv_handle_t*>(&signal),
                          reinterpret_cast<uv_handle_t*>(&async)}) {
       uv_unref(handle);
@@ -55,7 +57,8 @@ struct Host {
   ~Host() {
     uv_timer_stop(&timer);
     uv_run(&loop, UV_RUN_DEFAULT);  // once more after our objects are gone, as Loop asks for
-    uv_walk(&loop, [](uv_handle_t* handle, void*) { uv_close(handle, nullptr); }, nullptr);
+    uv_walk(
+        &loop, [](uv_handle_t* handle, void*) { uv_close(handle, nullptr); }, nullptr);
     uv_run(&loop, UV_RUN_DEFAULT);
     CHECK(uv_loop_close(&loop) == 0);
     ::close(pipe_fds[0]);
@@ -70,14 +73,18 @@ struct Host {
   };
   std::map<uv_handle_t*, Seen> walk() {
     std::map<uv_handle_t*, Seen> seen;
-    uv_walk(&loop, [](uv_handle_t* handle, void* to) {
-      static_cast<std::map<uv_handle_t*, Seen>*>(to)->insert(
-          {handle, {handle->data, uv_is_active(handle) != 0, uv_is_closing(handle) != 0, uv_has_ref(handle) != 0}});
-    }, &seen);
+    uv_walk(
+        &loop,
+        [](uv_handle_t* handle, void* to) {
+          static_cast<std::map<uv_handle_t*, Seen>*>(to)->insert(
+              {handle, {handle->data, uv_is_active(handle) != 0, uv_is_closing(handle) != 0, uv_has_ref(handle) != 0}});
+        },
+        &seen);
     return seen;
   }
   void work_for(unsigned milliseconds) {
-    uv_timer_start(&timer, [](uv_timer_t* handle) { ++static_cast<Host*>(handle->data)->timer_calls; }, milliseconds, 0);
+    uv_timer_start(
+        &timer, [](uv_timer_t* handle) { ++static_cast<Host*>(handle->data)->timer_calls; }, milliseconds, 0);
   }
 };
 
@@ -114,7 +121,8 @@ TEST_SUITE("contract") {
       loop.stop();  // nothing, on an attached loop
       REQUIRE(::write(host.pipe_fds[1], "x", 1) == 1);
       host.work_for(10);
-      while (host.timer_calls == 0 || host.poll_calls == 0 || ready == 0 || ticks == 0 || delivered < 2) uv_run(&host.loop, UV_RUN_ONCE);
+      while (host.timer_calls == 0 || host.poll_calls == 0 || ready == 0 || ticks == 0 || delivered < 2)
+        uv_run(&host.loop, UV_RUN_ONCE);
       for (const auto& [handle, seen] : before) {
         auto now = host.walk();
         REQUIRE(now.count(handle) == 1);
@@ -139,7 +147,8 @@ TEST_SUITE("contract") {
     ::close(fds[1]);
   }
 
-  TEST_CASE("handle rule 7: the host's uv_run returns when only its own work is done and nothing of ours is left to do") {
+  TEST_CASE(
+      "handle rule 7: the host's uv_run returns when only its own work is done and nothing of ours is left to do") {
     Host host;
     Loop loop(&host.loop);
     CHECK(uv_loop_alive(&host.loop) == 0);

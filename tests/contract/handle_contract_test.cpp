@@ -84,7 +84,8 @@ struct OfSignalWatch {
 struct OfTypedSubscription {
   using Type = Subscription;
   Type make(Loop& loop, Probe& probe) {
-    auto made = loop.topic<Climate>("t").subscribe(loop, [f = probe.callback()](const Event<Climate>&) mutable { f(); });
+    auto made = loop.topic<Climate>("t").subscribe(loop,
+                                                   [f = probe.callback()](const Event<Climate>&) mutable { f(); });
     provoke(loop, made);
     return made;
   }
@@ -164,7 +165,8 @@ TEST_SUITE("contract") {
     CHECK(turn(quiet.loop, [&] { return probe.calls > 0; }));
   }
 
-  TEST_CASE_TEMPLATE("handle rule 2: after close the callback never runs again and its captures are gone", Of, HANDLES) {
+  TEST_CASE_TEMPLATE("handle rule 2: after close the callback never runs again and its captures are gone", Of,
+                     HANDLES) {
     Quiet quiet;
     Of of;
     Probe probe;

@@ -43,8 +43,7 @@ DescriptionBuilder everything_by_hand() {
   builder.field("f32", Kind::f32, "V").field("f64", Kind::f64, "Cel").text("name", 7);
   builder.enumeration("state", states, Kind::i16);
   builder.field("maybe", Kind::f64, "K", P::optional).text("maybe_name", 5, P::optional);
-  builder.enumeration("maybe_state", states, Kind::i16, P::optional)
-      .field("maybe_flag", Kind::boolean, "", P::optional);
+  builder.enumeration("maybe_state", states, Kind::i16, P::optional).field("maybe_flag", Kind::boolean, "", P::optional);
   builder.array("numbers", Kind::f32, 3, "m/s2")
       .text_array("names", 3, 2)
       .enumeration_array("states", states, 2, Kind::i16);

@@ -32,7 +32,8 @@ void* allocate(std::size_t size, std::size_t alignment) {
   allocations.fetch_add(1, std::memory_order_relaxed);
   ++own_allocations;
   void* memory = nullptr;
-  if (::posix_memalign(&memory, std::max(alignment, sizeof(void*)), std::max<std::size_t>(size, 1)) != 0) throw std::bad_alloc();
+  if (::posix_memalign(&memory, std::max(alignment, sizeof(void*)), std::max<std::size_t>(size, 1)) != 0)
+    throw std::bad_alloc();
   return memory;
 }
 
@@ -40,8 +41,12 @@ void* allocate(std::size_t size, std::size_t alignment) {
 
 void* operator new(std::size_t size) { return allocate(size, alignof(std::max_align_t)); }
 void* operator new[](std::size_t size) { return allocate(size, alignof(std::max_align_t)); }
-void* operator new(std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
-void* operator new[](std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
+void* operator new(std::size_t size, std::align_val_t alignment) {
+  return allocate(size, static_cast<std::size_t>(alignment));
+}
+void* operator new[](std::size_t size, std::align_val_t alignment) {
+  return allocate(size, static_cast<std::size_t>(alignment));
+}
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete[](void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
@@ -112,16 +117,21 @@ const std::vector<Stage>& stages() {
        }},
       {"deliver to a typed handler",
        [](Loop& loop) {
-         return std::function<std::uint64_t()>(count_events(loop.subscribe<Number>("sensor", [](const Event<Number>&) {})));
+         return std::function<std::uint64_t()>(
+             count_events(loop.subscribe<Number>("sensor", [](const Event<Number>&) {})));
        }},
       {"deliver to a handler of views",
-       [](Loop& loop) { return std::function<std::uint64_t()>(count_events(loop.subscribe("#", [](const EventView&) {}))); }},
+       [](Loop& loop) {
+         return std::function<std::uint64_t()>(count_events(loop.subscribe("#", [](const EventView&) {})));
+       }},
       {"deliver with the fields mapped",
        [](Loop& loop) {
          auto feed = keep(Feed<Reordered>(loop, {.name = "reordered"}));
          auto ticker = keep(Ticker(loop, 10ms, [feed](const Tick&) { feed->publish({}); }));
-         return std::function<std::uint64_t()>([ticker, count = count_events(loop.subscribe<Number>(
-                                                            "reordered", [](const Event<Number>&) {}))] { return count(); });
+         return std::function<std::uint64_t()>(
+             [ticker, count = count_events(loop.subscribe<Number>("reordered", [](const Event<Number>&) {}))] {
+               return count();
+             });
        }},
       {"copy for a sink, and hand over batches",
        [](Loop& loop) {

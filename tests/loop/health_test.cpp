@@ -28,8 +28,8 @@ struct Number {
 
 /// "sensor s faulted: cannot read"
 std::string text_of(const HealthChange& change) {
-  std::string text =
-      std::string(change.kind) + " " + std::string(change.name) + " " + std::string(name_of(change.state));
+  std::string text = std::string(change.kind) + " " + std::string(change.name) + " " +
+                     std::string(name_of(change.state));
   return change.reason.empty() ? text : text + ": " + std::string(change.reason);
 }
 

@@ -71,10 +71,11 @@ TEST_SUITE("loop") {
     std::vector<int> told;
     std::vector<std::shared_ptr<Job>> jobs;
     for (int i = 0; i < 20; ++i) {
-      jobs.push_back(job([&ran, i] { ran.push_back(i); }, [&told, i](Outcome outcome) {
-        CHECK(outcome == Outcome::finished);
-        told.push_back(i);
-      }));
+      jobs.push_back(job([&ran, i] { ran.push_back(i); },
+                         [&told, i](Outcome outcome) {
+                           CHECK(outcome == Outcome::finished);
+                           told.push_back(i);
+                         }));
       CHECK(lane.submit(jobs.back()));
     }
     CHECK(told.empty());
@@ -172,10 +173,11 @@ TEST_SUITE("loop") {
       Lane& lane = loop.core().lane("device", 10ms);
       CHECK(lane.submit(job(stuck->work(), [&](Outcome outcome) { told.push_back(outcome); })));
       for (int i = 0; i < 3; ++i) {
-        CHECK(lane.submit(job([] {}, [&](Outcome outcome) {
-          told.push_back(outcome);
-          loop.core().lane("another", 10ms);  // asked for while the lanes go
-        })));
+        CHECK(lane.submit(job([] {},
+                              [&](Outcome outcome) {
+                                told.push_back(outcome);
+                                loop.core().lane("another", 10ms);  // asked for while the lanes go
+                              })));
       }
     }
     CHECK(told == std::vector<Outcome>(4, Outcome::cancelled));

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "loop/runtime_core.hpp"
 #include "loop/observed.hpp"
+#include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/sensor.hpp"
@@ -59,8 +59,9 @@ TEST_SUITE("loop") {
     sensor.filtered = 1;
     CHECK(sensor.balances());
     CHECK(sensor.has_loss());
-    for (auto term : {&SensorCounts::scheduled, &SensorCounts::taken, &SensorCounts::missed, &SensorCounts::failed,
-                      &SensorCounts::in_flight, &SensorCounts::published, &SensorCounts::repeated, &SensorCounts::filtered}) {
+    for (auto term :
+         {&SensorCounts::scheduled, &SensorCounts::taken, &SensorCounts::missed, &SensorCounts::failed,
+          &SensorCounts::in_flight, &SensorCounts::published, &SensorCounts::repeated, &SensorCounts::filtered}) {
       SensorCounts off = sensor;
       ++(off.*term);
       CHECK_FALSE(off.balances());

@@ -13,7 +13,8 @@ struct Number {
   double value = 0;
   std::int32_t index = 0;
   friend constexpr auto describe(rtdata::type_tag<Number>) {
-    return rtdata::record("number", rtdata::field("value", &Number::value, "m"), rtdata::field("index", &Number::index));
+    return rtdata::record("number", rtdata::field("value", &Number::value, "m"),
+                          rtdata::field("index", &Number::index));
   }
 };
 
@@ -23,8 +24,8 @@ struct Reordered {
   std::int32_t index = 0;
   double value = 0;
   friend constexpr auto describe(rtdata::type_tag<Reordered>) {
-    return rtdata::record("reordered", rtdata::field("extra", &Reordered::extra), rtdata::field("index", &Reordered::index),
-                          rtdata::field("value", &Reordered::value, "m"));
+    return rtdata::record("reordered", rtdata::field("extra", &Reordered::extra),
+                          rtdata::field("index", &Reordered::index), rtdata::field("value", &Reordered::value, "m"));
   }
 };
 
@@ -32,7 +33,8 @@ struct WrongUnit {
   double value = 0;
   std::int32_t index = 0;
   friend constexpr auto describe(rtdata::type_tag<WrongUnit>) {
-    return rtdata::record("wrong_unit", rtdata::field("value", &WrongUnit::value, "s"), rtdata::field("index", &WrongUnit::index));
+    return rtdata::record("wrong_unit", rtdata::field("value", &WrongUnit::value, "s"),
+                          rtdata::field("index", &WrongUnit::index));
   }
 };
 

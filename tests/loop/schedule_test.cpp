@@ -28,7 +28,8 @@ TEST_SUITE("loop") {
     bool exact = true;
     std::uint64_t count = 0;
     Ticker ticker(loop, 3ms, [&](const Tick& tick) {
-      exact = exact && tick.due.time_since_epoch() == static_cast<std::int64_t>(count) * Duration{3ms} && tick.lateness() == 0ns;
+      exact = exact && tick.due.time_since_epoch() == static_cast<std::int64_t>(count) * Duration{3ms} &&
+              tick.lateness() == 0ns;
       ++count;
       last = tick.due;
     });
@@ -183,7 +184,9 @@ TEST_SUITE("loop") {
 
   TEST_CASE("US-43 a period changed at every tick goes on forever") {
     Loop loop(Loop::Manual{});
-    Ticker ticker(loop, 1ms, [&](const Tick& tick) { ticker.set_period(tick.index % 2 == 0 && at(tick) % 5ms != 0ns ? 2ms : 3ms); });
+    Ticker ticker(loop, 1ms, [&](const Tick& tick) {
+      ticker.set_period(tick.index % 2 == 0 && at(tick) % 5ms != 0ns ? 2ms : 3ms);
+    });
     loop.advance(1s);
     CHECK(ticker.fired() > 300);
     CHECK(ticker.fired() < 1000);
@@ -195,14 +198,15 @@ TEST_SUITE("loop") {
     std::vector<Sensor<Number>> sensors(3);
     int reads = 0;
     for (int i = 0; i < 3; ++i) {
-      sensors[static_cast<std::size_t>(i)] = Sensor<Number>(loop, {.name = "s" + std::to_string(i), .rate = 100_Hz}, [&, i] {
-        ++reads;
-        if (i == 0 && loop.now().time_since_epoch() >= 40ms) {
-          sensors[2].stop();
-          sensors[0].stop();
-        }
-        return Number{1};
-      });
+      sensors[static_cast<std::size_t>(i)] = Sensor<Number>(loop, {.name = "s" + std::to_string(i), .rate = 100_Hz},
+                                                            [&, i] {
+                                                              ++reads;
+                                                              if (i == 0 && loop.now().time_since_epoch() >= 40ms) {
+                                                                sensors[2].stop();
+                                                                sensors[0].stop();
+                                                              }
+                                                              return Number{1};
+                                                            });
     }
     loop.advance(20ms);
     CHECK(reads == 9);

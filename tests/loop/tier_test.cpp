@@ -118,7 +118,8 @@ TEST_SUITE("loop") {
     const auto main_thread = std::this_thread::get_id();
     auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>& event) {
       seen.push_back(event->number);
-      if (std::this_thread::get_id() != main_thread || event.origin != "count" || event.sequence != event->number + 1) ++elsewhere;
+      if (std::this_thread::get_id() != main_thread || event.origin != "count" || event.sequence != event->number + 1)
+        ++elsewhere;
     });
     CHECK(run_until(loop, [&] { return burst.is_done && seen.size() + subscription.counts().dropped == 5000; }));
     const auto counts = subscription.counts();
@@ -158,7 +159,9 @@ TEST_SUITE("loop") {
     auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
       if (delivered++ == 0) std::this_thread::sleep_for(50ms);
     });
-    CHECK(run_until(loop, [&] { return burst.is_done && subscription.counts().offered == 20'000 && subscription.counts().queued == 0; }));
+    CHECK(run_until(loop, [&] {
+      return burst.is_done && subscription.counts().offered == 20'000 && subscription.counts().queued == 0;
+    }));
     const auto counts = subscription.counts();
     CHECK(counts.offered == 20'000);
     CHECK(counts.delivered == delivered);
@@ -246,13 +249,16 @@ TEST_SUITE("loop") {
       Loop loop;
       std::vector<std::string> logged;
       loop.runtime().on_log([&](const LogRecord& record) { logged.emplace_back(record.text); });
-      Tier fast(loop, {.policy = SchedulingPolicy::fifo, .priority = 80, .cpus = {4000 % CPU_SETSIZE}, .keep_cpu_awake = true});
+      Tier fast(
+          loop,
+          {.policy = SchedulingPolicy::fifo, .priority = 80, .cpus = {4000 % CPU_SETSIZE}, .keep_cpu_awake = true});
       Burst burst(fast.loop(), 100, 10);
       std::uint64_t seen = 0;
       auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) { ++seen; });
       const bool all = run_until(loop, [&] { return seen == 100; });
       bool says_limits = false;
-      for (const std::string& warning : fast.warnings()) says_limits = says_limits || warning.find("limits.conf") != std::string::npos;
+      for (const std::string& warning : fast.warnings())
+        says_limits = says_limits || warning.find("limits.conf") != std::string::npos;
       return all && says_limits && fast.warnings().size() >= 3 && logged.size() >= 3 &&
              fast.scheduling().policy == SchedulingPolicy::other;
     }));
@@ -260,7 +266,9 @@ TEST_SUITE("loop") {
 
   TEST_CASE("US-33 a tier has the policy, priority, name and processor that it was given, its lanes have not") {
     Loop loop;
-    Tier fast(loop, {.name = "pressure-loop-of-the-bench", .policy = SchedulingPolicy::round_robin, .priority = 7, .cpus = {0}});
+    Tier fast(
+        loop,
+        {.name = "pressure-loop-of-the-bench", .policy = SchedulingPolicy::round_robin, .priority = 7, .cpus = {0}});
     fast.start();
     if (fast.scheduling().policy != SchedulingPolicy::round_robin) {
       MESSAGE("skipped: no permission: " << (fast.warnings().empty() ? "" : fast.warnings().front()));
@@ -471,17 +479,20 @@ TEST_SUITE("loop") {
   TEST_CASE("errors and log lines of a tier come out on the main loop") {
     Loop loop;
     std::vector<std::string> told;
-    loop.runtime().on_log([&](const LogRecord& record) { told.push_back(std::string(record.object) + ": " + std::string(record.text)); });
+    loop.runtime().on_log(
+        [&](const LogRecord& record) { told.push_back(std::string(record.object) + ": " + std::string(record.text)); });
     Tier fast(loop, {});
     Sensor<Count> sensor(fast.loop(), {.name = "broken", .rate = 100_Hz}, []() -> Result<Count> {
       return Error{Errc::disconnected, "cannot read", "the device", "it is gone", ""};
     });
     CHECK(run_until(loop, [&] {
-      return std::any_of(told.begin(), told.end(), [](const std::string& line) { return line.find("it is gone") != std::string::npos; });
+      return std::any_of(told.begin(), told.end(),
+                         [](const std::string& line) { return line.find("it is gone") != std::string::npos; });
     }));
     CHECK(run_until(loop, [&] {
       const auto sensors = loop.runtime().sensors();
-      return sensors.size() == 1 && sensors[0].health == Health::faulted && sensors[0].reason.find("it is gone") != std::string::npos;
+      return sensors.size() == 1 && sensors[0].health == Health::faulted &&
+             sensors[0].reason.find("it is gone") != std::string::npos;
     }));
   }
 
@@ -601,7 +612,9 @@ TEST_SUITE("loop") {
     fast.start();
     const auto pairs = [&] { return loop.runtime().core().clock_pairs(); };
     const auto noted = fast.call([](Loop& on) {
-      return on.runtime().note_wall_clock({.monotonic = on.now(), .realtime = Time{1h}, .source = "gps", .accuracy = 1us}).has_value();
+      return on.runtime()
+          .note_wall_clock({.monotonic = on.now(), .realtime = Time{1h}, .source = "gps", .accuracy = 1us})
+          .has_value();
     });
     CHECK(noted);
     CHECK(run_until(loop, [&] {
@@ -746,7 +759,9 @@ TEST_SUITE("loop") {
       Tier fast(loop, {.policy = SchedulingPolicy::fifo, .priority = 10});
       Burst burst(fast.loop(), 2000, 10);
       auto subscription = loop.subscribe<Count>("count", [](const Event<Count>&) {});
-      const bool all = run_until(loop, [&] { return burst.is_done && subscription.counts().offered == 2000 && subscription.counts().queued == 0; });
+      const bool all = run_until(loop, [&] {
+        return burst.is_done && subscription.counts().offered == 2000 && subscription.counts().queued == 0;
+      });
       return all && subscription.counts().balances();
     }));
   }

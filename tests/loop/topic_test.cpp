@@ -192,7 +192,8 @@ TEST_SUITE("loop") {
     for (std::size_t i = 0; i <= length; ++i) topics.push_back(loop.topic<Number>("t" + std::to_string(i)));
     int arrived = 0;
     for (std::size_t i = 0; i < length; ++i) {
-      handlers.push_back(topics[i].subscribe(loop, [next = topics[i + 1]](const Event<Number>& e) { next.publish(e.data); }));
+      handlers.push_back(
+          topics[i].subscribe(loop, [next = topics[i + 1]](const Event<Number>& e) { next.publish(e.data); }));
     }
     handlers.push_back(topics[length].subscribe(loop, [&](const Event<Number>&) { ++arrived; }));
     topics[0].publish({});
@@ -317,7 +318,8 @@ TEST_SUITE("loop") {
   TEST_CASE("US-25 a handler that throws is reported, others go on, and it goes on being called") {
     Loop loop(Loop::Manual{});
     std::vector<std::string> errors;
-    loop.on_error([&](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.why); });
+    loop.on_error(
+        [&](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.why); });
     const auto topic = loop.topic<Number>("t");
     int bad = 0;
     int good = 0;
@@ -343,7 +345,8 @@ TEST_SUITE("loop") {
     const auto one = loop.subscribe("room/+", [&](const EventView&) { ++plus; });
     const auto two = loop.subscribe("#", [&](const EventView&) { ++all; });
     const auto three = loop.subscribe("$rtdata/#", [&](const EventView&) { ++own; });
-    for (const char* name : {"room", "room/a", "room/b", "room/a/deep", "$rtdata/health"}) loop.topic<Number>(name).publish({});
+    for (const char* name : {"room", "room/a", "room/b", "room/a/deep", "$rtdata/health"})
+      loop.topic<Number>(name).publish({});
     loop.poll();
     CHECK(plus == 2);
     CHECK(all == 4);
@@ -353,7 +356,8 @@ TEST_SUITE("loop") {
 
   TEST_CASE("names and patterns of topics") {
     for (const char* good : {"a", "a/b", "A.b-c_9/x", "$rtdata/x"}) CHECK(is_topic_name(good));
-    for (const char* bad : {"", "/", "a/", "/a", "a//b", "a b", "+", "a/#", "a/$b", "$"}) CHECK_FALSE(is_topic_name(bad));
+    for (const char* bad : {"", "/", "a/", "/a", "a//b", "a b", "+", "a/#", "a/$b", "$"})
+      CHECK_FALSE(is_topic_name(bad));
     CHECK(is_topic_name(std::string(200, 'a')));
     CHECK_FALSE(is_topic_name(std::string(201, 'a')));
     for (const char* good : {"#", "+", "a/#", "+/b", "a/+/c", "$rtdata/#", "+/#"}) CHECK(is_topic_pattern(good));
@@ -385,7 +389,9 @@ TEST_SUITE("loop") {
       }
       return std::string("nothing was thrown");
     };
-    const auto contains = [](const std::string& text, const char* part) { return text.find(part) != std::string::npos; };
+    const auto contains = [](const std::string& text, const char* part) {
+      return text.find(part) != std::string::npos;
+    };
     std::string text = text_of([&] { loop.topic<WrongUnit>("t"); });
     CHECK_MESSAGE((contains(text, "\"number\"") && contains(text, "\"wrong_unit\"")), text);
     text = text_of([&] { loop.topic<std::string>("moved"); });

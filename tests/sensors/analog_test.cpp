@@ -44,14 +44,20 @@ TEST_CASE("US-10 the default conversion is the documented formula") {
   CHECK(convert(config, 0) == 0);
   CHECK(convert(config, 2048) == doctest::Approx(50));
   CHECK(convert(config, 4095) == doctest::Approx(100.0 * 4095 / 4096));
-  config = {.zero_value_voltage = 0.5, .span_value_voltage = 4.5, .scale = 10, .quantization_bits = 10, .zero_voltage = 0.25, .span_voltage = 5};
+  config = {.zero_value_voltage = 0.5,
+            .span_value_voltage = 4.5,
+            .scale = 10,
+            .quantization_bits = 10,
+            .zero_voltage = 0.25,
+            .span_voltage = 5};
   const double zero = 1024 * (0.5 - 0.25) / 5;
   const double span = 1024 * 4.5 / 5;
   for (const int adc : {0, 1, 51, 512, 1023}) CHECK(convert(config, adc) == doctest::Approx((adc - zero) * 10 / span));
 }
 
 TEST_CASE("US-10 the two-point conversion differs exactly when the value does not begin at 0 V") {
-  AnalogConfig config{.zero_value_voltage = 0.5, .span_value_voltage = 4.5, .scale = 10, .quantization_bits = 10, .span_voltage = 5};
+  AnalogConfig config{
+      .zero_value_voltage = 0.5, .span_value_voltage = 4.5, .scale = 10, .quantization_bits = 10, .span_voltage = 5};
   AnalogConfig two_point = config;
   two_point.conversion = AnalogConversion::two_point;
   // 4.5 V is code 921.6, 0.5 V is 102.4; scaled by 10 bits more to be whole
@@ -81,7 +87,8 @@ TEST_CASE("US-10 any text that is no code in the converter's range is an error")
     CAPTURE(bad);
     CHECK(parse_adc(config, bad).error().code == Errc::out_of_range);
   }
-  for (const std::string& bad : {std::string(), std::string("\n"), std::string(200, '1'), std::string("1") + std::string(300, ' ')}) {
+  for (const std::string& bad :
+       {std::string(), std::string("\n"), std::string(200, '1'), std::string("1") + std::string(300, ' ')}) {
     CAPTURE(bad);
     CHECK(parse_adc(config, bad).error().code == Errc::bad_data);
   }
@@ -99,7 +106,8 @@ TEST_CASE("US-10 a sensor publishes the value in the user's unit, and each bad r
   be_quiet(loop);
   Heard heard(loop);
   std::vector<std::string> errors;
-  AnalogSensor sensor(loop, {.name = "chamber", .rate = 10_Hz, .faulted_after = 100}, {.file = file, .scale = 100, .unit = "bar"});
+  AnalogSensor sensor(loop, {.name = "chamber", .rate = 10_Hz, .faulted_after = 100},
+                      {.file = file, .scale = 100, .unit = "bar"});
   sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
   loop.advance(250ms);  // ticks at 0, 100, 200
   REQUIRE(heard.readings.size() == 3);
@@ -113,7 +121,8 @@ TEST_CASE("US-10 a sensor publishes the value in the user's unit, and each bad r
   }
   ::unlink(file.c_str());
   loop.advance(100ms);
-  CHECK(errors == std::vector<std::string>{"bad-data", "not-a-number", "out-of-range", "out-of-range", "not-a-number", "not-found"});
+  CHECK(errors == std::vector<std::string>{"bad-data", "not-a-number", "out-of-range", "out-of-range", "not-a-number",
+                                           "not-found"});
   CHECK(heard.readings.size() == 3);
   CHECK(sensor.health() == Health::degraded);
   CHECK(sensor.counts().failed == 6);
@@ -133,7 +142,8 @@ TEST_CASE("US-10 a file that is missing at the start is retried, and throws when
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
   CHECK_THROWS_AS(AnalogSensor(loop, {.name = "must", .rate = 10_Hz, .required = true}, {.file = file}), SetupError);
-  CHECK_THROWS_AS(AnalogSensor(loop, {.name = "must", .rate = 10_Hz, .required = true}, {.file = directory.path()}), SetupError);
+  CHECK_THROWS_AS(AnalogSensor(loop, {.name = "must", .rate = 10_Hz, .required = true}, {.file = directory.path()}),
+                  SetupError);
   Heard heard(loop);
   AnalogSensor sensor(loop, {.name = "may", .rate = 10_Hz}, {.file = file});
   CHECK(sensor.health() == Health::faulted);
@@ -192,7 +202,8 @@ TEST_CASE("NFR-1 a FIFO without a writer is given up in time, and costs no other
     std::uint64_t other_read = 0;
     std::vector<std::string> errors;
     Sensor<Number> other;
-    AnalogSensor stuck(loop, {.name = "stuck", .rate = 100_Hz, .retry_first = 1ms, .retry_longest = 1ms}, {.file = fifo, .timeout = 20ms});
+    AnalogSensor stuck(loop, {.name = "stuck", .rate = 100_Hz, .retry_first = 1ms, .retry_longest = 1ms},
+                       {.file = fifo, .timeout = 20ms});
     stuck.on_error([&](const ErrorReport& report) {
       errors.emplace_back(report.error.id());
       if (errors.size() == 6) loop.stop();
@@ -232,7 +243,8 @@ TEST_CASE("NFR-1 a FIFO without a writer is given up in time, and costs no other
 TEST_CASE("US-17 every parameter of an analog sensor can be set from a file") {
   const ConfigItem item = parse_config(R"({
     "file": "adc0", "zero_value_voltage": 0.5, "span_value_voltage": 4.5, "scale": 10, "quantization_bits": 16,
-    "zero_voltage": 0.1, "span_voltage": 5, "unit": "bar", "conversion": "two_point", "signed_adc": true, "timeout": "200 ms"})").root;
+    "zero_voltage": 0.1, "span_voltage": 5, "unit": "bar", "conversion": "two_point", "signed_adc": true, "timeout": "200 ms"})")
+                              .root;
   const auto config = read_config<AnalogConfig>(item);
   CHECK(config.file == "adc0");
   CHECK(config.zero_value_voltage == 0.5);

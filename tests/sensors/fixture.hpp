@@ -41,7 +41,9 @@ class ScratchDirectory {
     write(path, content);
     return path;
   }
-  static void write(const std::string& path, const std::string& content) { std::ofstream(path, std::ios::trunc) << content; }
+  static void write(const std::string& path, const std::string& content) {
+    std::ofstream(path, std::ios::trunc) << content;
+  }
 
  private:
   std::string path_;

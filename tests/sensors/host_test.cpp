@@ -23,13 +23,19 @@ constexpr const char* stat =
     "softirq 333 1 2 3\n";
 constexpr const char* net =
     "Inter-|   Receive                                                |  Transmit\n"
-    " face |bytes    packets errs drop fifo frame compressed multicast|bytes    packets errs drop fifo colls carrier compressed\n"
-    "    lo:    3267      29    0    0    0     0          0         0     3267      29    0    0    0     0       0          0\n"
-    "  eth0:18685000     442    1    2    0     0          0         0    28163     345    3    4    0     0       0          0\n";
-constexpr const char* disks = "   7       0 loop0 0 0 0 0 0 0 0 0 0 0 0\n   8       0 sda 10 1 20 5 30 2 40 6 3 77 88 0 0 0 0\n";
+    " face |bytes    packets errs drop fifo frame compressed multicast|bytes    packets errs drop fifo colls carrier "
+    "compressed\n"
+    "    lo:    3267      29    0    0    0     0          0         0     3267      29    0    0    0     0       0   "
+    "       0\n"
+    "  eth0:18685000     442    1    2    0     0          0         0    28163     345    3    4    0     0       0   "
+    "       0\n";
+constexpr const char*
+    disks = "   7       0 loop0 0 0 0 0 0 0 0 0 0 0 0\n   8       0 sda 10 1 20 5 30 2 40 6 3 77 88 0 0 0 0\n";
 constexpr const char* meminfo =
-    "MemTotal:       24684084 kB\nMemFree:        23430916 kB\nMemAvailable:   23794084 kB\nBuffers:            1868 kB\n"
-    "Cached:           546652 kB\nSwapCached:            0 kB\nSwapTotal:             4 kB\nSwapFree:              3 kB\n";
+    "MemTotal:       24684084 kB\nMemFree:        23430916 kB\nMemAvailable:   23794084 kB\nBuffers:            1868 "
+    "kB\n"
+    "Cached:           546652 kB\nSwapCached:            0 kB\nSwapTotal:             4 kB\nSwapFree:              3 "
+    "kB\n";
 
 }  // namespace
 
@@ -81,7 +87,8 @@ TEST_CASE("FW-2 garbage in place of the kernel's texts is an error, whatever it 
     (void)detail::parse_process(text);
     (void)detail::parse_number(text);
   };
-  for (const std::string_view text : {std::string_view(stat), std::string_view(net), std::string_view(disks), std::string_view(meminfo)}) {
+  for (const std::string_view text :
+       {std::string_view(stat), std::string_view(net), std::string_view(disks), std::string_view(meminfo)}) {
     for (std::size_t i = 0; i <= text.size(); ++i) looks_at(text.substr(0, i));
   }
   CHECK(detail::parse_cpu("cpu 1 2 x", "").error().code == Errc::bad_data);
@@ -123,14 +130,19 @@ TEST_CASE("FW-2 a quantity that the machine does not have is faulted until it ha
   ScratchDirectory root;
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
-  for (const HostQuantity what : {HostQuantity::cpu, HostQuantity::process, HostQuantity::temperature, HostQuantity::frequency}) {
-    CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz, .required = true}, {.what = what, .root = root.path()}), SetupError);
+  for (const HostQuantity what :
+       {HostQuantity::cpu, HostQuantity::process, HostQuantity::temperature, HostQuantity::frequency}) {
+    CHECK_THROWS_AS(
+        HostSensor(loop, {.name = "x", .rate = 1_Hz, .required = true}, {.what = what, .root = root.path()}),
+        SetupError);
   }
   CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.what = HostQuantity::disk}), SetupError);
   CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.what = HostQuantity::network}), SetupError);
   std::vector<double> values;
-  auto s = loop.topic<HostTemperature>("t").subscribe(loop, [&](const Event<HostTemperature>& e) { values.push_back(e->temperature); });
-  HostSensor sensor(loop, {.name = "t", .rate = 10_Hz, .retry_longest = 100ms}, {.what = HostQuantity::temperature, .root = root.path()});
+  auto s = loop.topic<HostTemperature>("t").subscribe(
+      loop, [&](const Event<HostTemperature>& e) { values.push_back(e->temperature); });
+  HostSensor sensor(loop, {.name = "t", .rate = 10_Hz, .retry_longest = 100ms},
+                    {.what = HostQuantity::temperature, .root = root.path()});
   loop.advance(1s);
   CHECK(sensor.health() == Health::faulted);
   root.file("sys/class/hwmon/hwmon0/name", "coretemp\n");
@@ -158,14 +170,16 @@ TEST_CASE("FW-2 everything that this machine says it has can be read") {
   const auto found = available_host_sensors();
   CHECK(!found.empty());
   for (const HostSensorInfo& info : found) {
-    sensors.emplace_back(loop, SensorConfig{.name = "s" + std::to_string(sensors.size()), .rate = 10_Hz}, HostConfig{.what = info.what, .device = info.device});
+    sensors.emplace_back(loop, SensorConfig{.name = "s" + std::to_string(sensors.size()), .rate = 10_Hz},
+                         HostConfig{.what = info.what, .device = info.device});
   }
   loop.advance(450ms);
   for (std::size_t i = 0; i < sensors.size(); ++i) {
     CAPTURE(found[i].device);
     CHECK(sensors[i].counts().scheduled == 5);
     CHECK(sensors[i].counts().balances());
-    if (found[i].what != HostQuantity::temperature) CHECK(sensors[i].counts().taken == 5);  // a chip may answer with an error
+    if (found[i].what != HostQuantity::temperature)
+      CHECK(sensors[i].counts().taken == 5);  // a chip may answer with an error
   }
   if (!errors.empty()) MESSAGE(errors[0]);
 }
@@ -188,7 +202,8 @@ TEST_CASE("NFR-4 the program's own times change at every read of 1 kHz") {
 }
 
 TEST_CASE("US-17 every parameter of a host sensor can be set from a file") {
-  const auto config = read_config<HostConfig>(parse_config(R"({"quantity": "temperature", "device": "thermal_zone0", "root": "/host", "timeout": "2 s"})").root);
+  const auto config = read_config<HostConfig>(
+      parse_config(R"({"quantity": "temperature", "device": "thermal_zone0", "root": "/host", "timeout": "2 s"})").root);
   CHECK(config.what == HostQuantity::temperature);
   CHECK(config.device == "thermal_zone0");
   CHECK(config.root == "/host");

@@ -58,7 +58,9 @@ class FakeAdc final : public FakeFile {
  public:
   FakeAdc() : FakeFile("adc0", "12\n") {}
   const char* kind() const override { return "analog"; }
-  AnySensor make(Loop& loop, bool is_required) override { return AnalogSensor(loop, common(is_required), {.file = path_}); }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return AnalogSensor(loop, common(is_required), {.file = path_});
+  }
 };
 
 class FakeThermometer final : public FakeFile {
@@ -97,8 +99,12 @@ class FakeLine final : public Fake {
   }
   bool has_rate() const override { return false; }
   AnySensor make(Loop& loop, bool is_required) override {
-    return SerialLineSensor(loop, {.name = "s", .topic = "t"}, {.device = pty_.path(), .fields = {{.name = "v"}}, .retry_first = 2ms,
-                                                               .retry_longest = 4ms, .required = is_required});
+    return SerialLineSensor(loop, {.name = "s", .topic = "t"},
+                            {.device = pty_.path(),
+                             .fields = {{.name = "v"}},
+                             .retry_first = 2ms,
+                             .retry_longest = 4ms,
+                             .required = is_required});
   }
 
  private:
@@ -149,7 +155,8 @@ struct Stage {
 
 }  // namespace
 
-TEST_CASE("US-7 US-9 US-8 every kind of sensor starts at once, stops for good, starts again, and is silent once closed") {
+TEST_CASE(
+    "US-7 US-9 US-8 every kind of sensor starts at once, stops for good, starts again, and is silent once closed") {
   for (const auto& fake : every_kind()) {
     CAPTURE(fake->kind());
     Stage stage(*fake);

@@ -58,7 +58,8 @@ TEST_CASE("US-27 a faulty sensor is tried again after delays that double, and is
       return Number{1};
     }
   };
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 1_kHz, .retry_first = 100ms, .retry_longest = 400ms}, Device{loop, is_broken, tried});
+  Sensor<Number> sensor(loop, {.name = "s", .rate = 1_kHz, .retry_first = 100ms, .retry_longest = 400ms},
+                        Device{loop, is_broken, tried});
   CHECK(sensor.health() == Health::faulted);
   loop.advance(2s - 1us);
   REQUIRE(tried.size() >= 5);
@@ -144,7 +145,8 @@ TEST_CASE("US-5 ticks that pass while the loop is held are missed, not caught up
 }
 
 TEST_CASE("US-5 a reading is late beyond the larger of 1 ms and a tenth of the period, or beyond what is set") {
-  for (const auto& [late_after, expected] : {std::pair<std::optional<Duration>, std::uint64_t>{std::nullopt, 0}, {1ms, 1}}) {
+  for (const auto& [late_after, expected] :
+       {std::pair<std::optional<Duration>, std::uint64_t>{std::nullopt, 0}, {1ms, 1}}) {
     Loop loop{Loop::Manual{}};
     be_quiet(loop);
     Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .late_after = late_after}, [] { return Number{1}; });
@@ -265,7 +267,8 @@ TEST_CASE("US-9 a device may stop, close or re-rate its sensor while it is opene
       if (act == Act::close) sensor.close();
       if (act == Act::rate) sensor.set_rate(100_Hz);
     };
-    sensor = Sensor<Number>(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 150ms, .start = false},
+    sensor = Sensor<Number>(loop,
+                            {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 150ms, .start = false},
                             Moody{is_bad, when_opened, &closed});
     if (at_start) {
       acts = true;

@@ -37,7 +37,8 @@ struct Bench {
     config.retry_first = config.retry_longest = 2ms;
     heard = loop.subscribe("line", [this](const EventView& event) {
       std::string text;
-      for (const Leaf& leaf : event.description().leaves()) text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+      for (const Leaf& leaf : event.description().leaves())
+        text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
       events.push_back(text);
       times.push_back(event.time());
     });
@@ -85,10 +86,15 @@ std::string id_of(detail::LineDecoder& decoder, std::string_view line) {
 }  // namespace
 
 TEST_CASE("US-17 a CSV line is decoded by its fields, and says what is wrong with it") {
-  detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::i16}, {}, {.name = "b", .scale = 0.5}, {.name = "t", .type = Kind::text, .length = 4},
+  detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::i16},
+                                          {},
+                                          {.name = "b", .scale = 0.5},
+                                          {.name = "t", .type = Kind::text, .length = 4},
                                           {.name = "on", .type = Kind::boolean}}});
   REQUIRE(decoder.decode("-5, ignored ,+3, \"a,b\",1"));
-  const auto value = [&](const char* path) { return to_string(read(*decoder.description()->find(path), decoder.payload())); };
+  const auto value = [&](const char* path) {
+    return to_string(read(*decoder.description()->find(path), decoder.payload()));
+  };
   CHECK(value("a") == "-5");
   CHECK(value("b") == "1.5");
   CHECK(value("t") == "a,b");
@@ -116,15 +122,23 @@ TEST_CASE("US-17 columns may be separated by blanks") {
 
 TEST_CASE("US-17 a JSON line is decoded by keys, nested ones too, and says what is wrong with it") {
   detail::LineDecoder decoder({.format = LineFormat::json,
-                               .fields = {{.name = "ax", .key = "imu.ax"}, {.name = "n", .type = Kind::u8}, {.name = "s", .type = Kind::text}, {.name = "on", .type = Kind::boolean}}});
-  REQUIRE(decoder.decode(R"({"x":[1,{"n":9},[2]],"s":"h\u00e9","imu":{"ay":1,"ax":-1.25e1},"n":255,"on":true,"more":{"n":3}})"));
-  const auto value = [&](const char* path) { return to_string(read(*decoder.description()->find(path), decoder.payload())); };
+                               .fields = {{.name = "ax", .key = "imu.ax"},
+                                          {.name = "n", .type = Kind::u8},
+                                          {.name = "s", .type = Kind::text},
+                                          {.name = "on", .type = Kind::boolean}}});
+  REQUIRE(decoder.decode(
+      R"({"x":[1,{"n":9},[2]],"s":"h\u00e9","imu":{"ay":1,"ax":-1.25e1},"n":255,"on":true,"more":{"n":3}})"));
+  const auto value = [&](const char* path) {
+    return to_string(read(*decoder.description()->find(path), decoder.payload()));
+  };
   CHECK(value("ax") == "-12.5");
   CHECK(value("n") == "255");
   CHECK(value("s") == "h\u00e9");
   CHECK(value("on") == "true");
-  for (const char* bad : {"", "5", "null", "[1]", "{", "{}", "{]", R"({"imu":1,"n":1,"s":"","on":true})", R"({"imu":{"ax":1},"n":1,"s":"","on":true} x)",
-                          R"({"imu":{"ax":1},"n":1,"n":1,"s":"","on":true})", R"({"imu":{"ax":1},"n":1,"s":5,"on":true})"}) {
+  for (const char* bad :
+       {"", "5", "null", "[1]", "{", "{}", "{]", R"({"imu":1,"n":1,"s":"","on":true})",
+        R"({"imu":{"ax":1},"n":1,"s":"","on":true} x)", R"({"imu":{"ax":1},"n":1,"n":1,"s":"","on":true})",
+        R"({"imu":{"ax":1},"n":1,"s":5,"on":true})"}) {
     CAPTURE(bad);
     CHECK(id_of(decoder, bad) == "bad-data");
   }
@@ -148,7 +162,7 @@ TEST_CASE("US-17 numbers of lines tell what was lost and what was repeated") {
   };
   CHECK(steps(Kind::u32, {"7", "8", "8", "12", "13"}) == "0 0 r 3 0 ");
   CHECK(steps(Kind::u8, {"254", "255", "0", "2"}) == "0 0 0 1 ");
-  CHECK(steps(Kind::u32, {"5000000", "0", "1"}) == "0 0 0 ");      // started again
+  CHECK(steps(Kind::u32, {"5000000", "0", "1"}) == "0 0 0 ");  // started again
   CHECK(steps(Kind::u32, {"4294967290", "0", "1"}) == "0 5 0 ");
   CHECK(steps(Kind::i32, {"-2", "-1", "0", "3"}) == "0 0 0 2 ");
   CHECK(steps(Kind::i32, {"100", "0"}) == "0 0 ");
@@ -157,7 +171,9 @@ TEST_CASE("US-17 numbers of lines tell what was lost and what was repeated") {
 
 TEST_CASE("US-17 fields and settings that cannot work are refused") {
   Loop loop{Loop::Manual{}};
-  const auto refuses = [&](SerialConfig config) { CHECK_THROWS_AS(SerialLineSensor(loop, {.name = "bad"}, std::move(config)), SetupError); };
+  const auto refuses = [&](SerialConfig config) {
+    CHECK_THROWS_AS(SerialLineSensor(loop, {.name = "bad"}, std::move(config)), SetupError);
+  };
   refuses({.fields = {{.name = "a"}}});
   refuses({.device = "/dev/x"});
   refuses({.device = "/dev/x", .fields = {{}}});
@@ -234,7 +250,9 @@ TEST_CASE("US-5 a line of a megabyte is one error") {
 }
 
 TEST_CASE("US-5 the device's own numbers say what was lost") {
-  Bench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}}, .first_line = FirstLine::keep, .sequence_field = "n"});
+  Bench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
+               .first_line = FirstLine::keep,
+               .sequence_field = "n"});
   bench.run("1,1\n2,2\n2,2\n6,6\n", 4);
   CHECK(bench.events == Texts{"1 1", "2 2", "6 6"});
   CHECK(bench.sensor.counts().lost == 3);
@@ -297,7 +315,8 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
     "device": "/dev/ttyUSB0", "baud_rate": 250000, "character_size": 7, "parity": "mark", "stop_bits": 2, "format": "json",
     "fields": [{"name": "a", "type": "uint32", "key": "x.a"}, {"name": "b", "unit": "V", "scale": 0.1}, {"name": "c", "type": "text", "length": 9}],
     "separator": ";", "comment": "//", "skip_lines": 3, "first_line": "keep", "max_line": 128, "sequence_field": "a",
-    "retry_first": "1 s", "retry_longest": "1 min", "required": true, "start": false})").root;
+    "retry_first": "1 s", "retry_longest": "1 min", "required": true, "start": false})")
+                              .root;
   const auto config = read_config<SerialConfig>(item);
   CHECK(config.device == "/dev/ttyUSB0");
   CHECK(config.serial.baud_rate == 250000);
@@ -336,8 +355,11 @@ TEST_CASE("US-5 every row of a real flight comes out of the line") {
   for (std::string line; std::getline(file, line); text += line + "\n") rows.push_back(line);
   rows.erase(rows.begin());  // the heading, thrown away as the half line that it could be
   Bench bench({.serial = {.baud_rate = 115200},
-               .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"}, {.name = "has_data", .type = Kind::boolean},
-                          {.name = "temperature", .unit = "Cel"}, {.name = "altitude", .unit = "m"}, {.name = "pressure", .unit = "hPa"}}});
+               .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"},
+                          {.name = "has_data", .type = Kind::boolean},
+                          {.name = "temperature", .unit = "Cel"},
+                          {.name = "altitude", .unit = "m"},
+                          {.name = "pressure", .unit = "hPa"}}});
   bench.run(text, rows.size());
   REQUIRE(bench.events.size() == rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {

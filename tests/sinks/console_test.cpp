@@ -32,7 +32,8 @@ struct Pipe {
   std::string read_all() {
     std::string text;
     char buffer[4096];
-    for (ssize_t got; (got = ::read(ends[0], buffer, sizeof buffer)) > 0;) text.append(buffer, static_cast<std::size_t>(got));
+    for (ssize_t got; (got = ::read(ends[0], buffer, sizeof buffer)) > 0;)
+      text.append(buffer, static_cast<std::size_t>(got));
     return text;
   }
   int ends[2];
@@ -80,7 +81,8 @@ TEST_SUITE("sinks") {
     CHECK(sink.health() == Health::faulted);
     CHECK(sink.counts().stored == 1);
     CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 5);
-    CHECK(errors == std::vector<std::string>{"printing has ended: descriptor " + std::to_string(pipe.ends[1]) + ": its reader has gone"});
+    CHECK(errors == std::vector<std::string>{"printing has ended: descriptor " + std::to_string(pipe.ends[1]) +
+                                             ": its reader has gone"});
     CHECK(loop.close() == 0);
   }
 

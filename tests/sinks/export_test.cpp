@@ -62,7 +62,8 @@ TEST_CASE("FW-5 several topics do not fit one CSV text; JSON lines take them, an
   CHECK(export_rows(recording, {.format = "jsonl"}, out).or_throw().rows == 1001);
   const auto lines = lines_of(out.str());
   REQUIRE(lines.size() == 1001);
-  const auto line = std::find_if(lines.begin(), lines.end(), [](const std::string& l) { return l.find("every/thing") != std::string::npos; });
+  const auto line = std::find_if(lines.begin(), lines.end(),
+                                 [](const std::string& l) { return l.find("every/thing") != std::string::npos; });
   REQUIRE(line != lines.end());
   const auto codec = make_json_codec();
   const auto same = decode<Everything>(*codec, std::as_bytes(std::span(*line))).or_throw();
@@ -117,7 +118,10 @@ TEST_CASE("FW-5 --utc gives rows from before the clock was set the right time") 
     loop.close();
   }
   std::ostringstream out, err;
-  CHECK(app::export_recording({.database = path, .times = app::ExportOptions::Times::utc, .header = app::ExportOptions::Header::names_and_units}, out, err) == 0);
+  CHECK(app::export_recording({.database = path,
+                               .times = app::ExportOptions::Times::utc,
+                               .header = app::ExportOptions::Header::names_and_units},
+                              out, err) == 0);
   const auto lines = lines_of(out.str());
   REQUIRE(lines.size() == 9);
   CHECK(lines[0] == "time [ns],origin,sequence,temperature [Cel],humidity [%RH]");

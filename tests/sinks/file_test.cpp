@@ -95,7 +95,8 @@ TEST_SUITE("sinks") {
         loop.advance(2s);
         CHECK(sink.counts().stored == 2);
       }
-      const auto codec = CodecRegistry::standard().make(std::string_view(format) == "jsonl" ? "json" : format).or_throw();
+      const auto
+          codec = CodecRegistry::standard().make(std::string_view(format) == "jsonl" ? "json" : format).or_throw();
       const auto events = read_back<payloads::Everything>(bench.directory / "run", *codec);
       CHECK(events == std::vector<payloads::Everything>{first, second});
     }
@@ -143,18 +144,23 @@ TEST_SUITE("sinks") {
     };
     starts({.path = ""}, "cannot make file sink: `path` is empty");
     starts({.path = directory}, "cannot open the file: " + directory + ": it is a directory");
-    starts({.path = directory + "/no/run.jsonl"}, "cannot open the file: " + directory + "/no/run.jsonl: No such file or directory");
-    starts({.path = directory + "/no/{topic}"}, "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
-    starts({.path = directory + "/{topic}/run"}, "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
+    starts({.path = directory + "/no/run.jsonl"},
+           "cannot open the file: " + directory + "/no/run.jsonl: No such file or directory");
+    starts({.path = directory + "/no/{topic}"},
+           "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
+    starts({.path = directory + "/{topic}/run"},
+           "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
     starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is no regular file");
     starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
     starts({.path = directory + "/run.csv", .format = "csv"},
-           "cannot record topic b/c: " + directory + "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
+           "cannot record topic b/c: " + directory +
+               "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
     std::ofstream(directory + "/other.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
     starts({.path = directory + "/other.csv", .format = "csv", .sink = {.topics = {"a"}}},
            "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
     std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
-    starts({.path = directory + "/text", .format = "raw"}, "cannot append to: " + directory + "/text: what it holds is no raw");
+    starts({.path = directory + "/text", .format = "raw"},
+           "cannot append to: " + directory + "/text: what it holds is no raw");
     CHECK(content(directory + "/text") == "this is a text and not raw bytes\n");
     if (::geteuid() == 0) {
       MESSAGE("skipped: a directory without permission, since root may write everywhere");
@@ -177,7 +183,8 @@ TEST_SUITE("sinks") {
       ::close(release[1]);
       const int fd = ::open(path.c_str(), O_RDWR | O_CREAT, 0644);
       char byte = ::flock(fd, LOCK_EX) == 0 ? 'y' : 'n';
-      if (::write(ready[1], &byte, 1) == 1) [[maybe_unused]] const auto got = ::read(release[0], &byte, 1);
+      if (::write(ready[1], &byte, 1) == 1) [[maybe_unused]]
+        const auto got = ::read(release[0], &byte, 1);
       ::_exit(0);
     }
     char byte = 0;
@@ -301,7 +308,9 @@ TEST_SUITE("sinks") {
         Loop loop{Loop::Manual{}};
         std::vector<std::string> errors;
         loop.on_error([&](const ErrorReport& report) { errors.push_back(std::string(report.error.id())); });
-        FileSink sink(loop, {.path = path, .format = format, .sync = FileSync::batch, .sink = {.name = "run", .batch_rows = 300}});
+        FileSink sink(
+            loop,
+            {.path = path, .format = format, .sync = FileSync::batch, .sink = {.name = "run", .batch_rows = 300}});
         const auto topic = loop.topic<Number>("a");
         for (int i = 1; i <= 600; ++i) {
           topic.publish({static_cast<double>(i)});
@@ -349,7 +358,8 @@ TEST_SUITE("sinks") {
     class Bare final : public Codec {
       std::string_view name() const noexcept override { return "bare"; }
       Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-        for (const char c : to_string(event.value(event.description().leaves().front())) + "\n") out.push_back(static_cast<std::byte>(c));
+        for (const char c : to_string(event.value(event.description().leaves().front())) + "\n")
+          out.push_back(static_cast<std::byte>(c));
         return {};
       }
       Result<DecodedEvent> decode(std::span<const std::byte>, const Description&) override {

@@ -45,7 +45,9 @@ Error refusal(const std::string& path) {
   return report.error();
 }
 
-void write_file(const std::string& path, const std::string& content) { std::ofstream(path, std::ios::binary) << content; }
+void write_file(const std::string& path, const std::string& content) {
+  std::ofstream(path, std::ios::binary) << content;
+}
 
 }  // namespace
 
@@ -133,7 +135,8 @@ TEST_CASE("FW-5 rows come in order of time across topics, and can be chosen") {
   CHECK(sequences(recording, {.run = 2}).empty());
   CHECK(sequences(recording, {.origin = "program feed"}).size() == 2);
   const Time start = recording.runs().or_throw()[0].started;
-  CHECK(sequences(recording, {.topic = "room/#", .from = start + 10ms, .until = start + 40ms}) == std::vector<std::uint64_t>{2, 3, 4});
+  CHECK(sequences(recording, {.topic = "room/#", .from = start + 10ms, .until = start + 40ms}) ==
+        std::vector<std::uint64_t>{2, 3, 4});
   CHECK(recording.rows({.topic = "room/#/x"}).error().id() == "bad-name");
   CHECK(recording.rows({.every = 0}).error().id() == "bad-argument");
 }
@@ -199,7 +202,8 @@ TEST_CASE("FW-5 what cannot be read is refused with a clear error") {
   CHECK(refusal(missing).id() == "damaged");
   for (const double part : {0.05, 0.5, 0.95}) {
     const std::string cut = make(folder, {}, "cut" + std::to_string(part) + ".db");
-    std::filesystem::resize_file(cut, static_cast<std::uintmax_t>(static_cast<double>(std::filesystem::file_size(cut)) * part));
+    std::filesystem::resize_file(
+        cut, static_cast<std::uintmax_t>(static_cast<double>(std::filesystem::file_size(cut)) * part));
     CHECK(refusal(cut).id() == "damaged");
   }
   const std::string scribbled = make(folder, {}, "scribbled.db");
@@ -246,7 +250,8 @@ TEST_CASE("FW-5 a value that does not fit its field is damage, named with its pl
   const auto bad = rows.next();
   REQUIRE_FALSE(bad);
   CHECK(bad.error().id() == "damaged");
-  CHECK(bad.error().where.find("topic every/thing, run 1, origin program feed, sequence 2, field u8") != std::string::npos);
+  CHECK(bad.error().where.find("topic every/thing, run 1, origin program feed, sequence 2, field u8") !=
+        std::string::npos);
 }
 
 TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {
@@ -261,7 +266,8 @@ TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {
     CHECK(UtcLine({}, std::chrono::seconds{now - 100}).utc(at(now + 50)) == at(now + 50));
   }
   SUBCASE("started in 1970 and set right later: before and after the step") {
-    const std::vector<RecordedClock> clock{pair(10, 15, "start"), pair(60, now + 50, "step"), pair(100, now + 90, "end")};
+    const std::vector<RecordedClock> clock{pair(10, 15, "start"), pair(60, now + 50, "step"),
+                                           pair(100, now + 90, "end")};
     CHECK(UtcLine(clock, 5s).utc(at(15)) == at(now));
     CHECK(UtcLine(clock, 5s).utc(at(64)) == at(now + 49));
     CHECK(UtcLine(clock, 5s).utc(at(105)) == at(now + 90));

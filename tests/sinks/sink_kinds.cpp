@@ -99,7 +99,8 @@ class SqliteStore final : public Store {
     const auto database = sqlite::Database::open(directory_ / "run.db", sqlite::Database::Mode::read).or_throw();
     auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic").or_throw();
     while (topics.step().or_throw()) {
-      auto rows = database.prepare("SELECT sequence, value FROM " + sqlite::quoted(topics.text(1)) + " ORDER BY rowid").or_throw();
+      auto rows = database.prepare("SELECT sequence, value FROM " + sqlite::quoted(topics.text(1)) + " ORDER BY rowid")
+                      .or_throw();
       while (rows.step().or_throw()) {
         all.push_back({std::string(topics.text(0)), static_cast<std::uint64_t>(rows.integer(0)), rows.real(1)});
       }

@@ -42,7 +42,8 @@ Verdict verdict_of(const std::string& path) {
   const auto recording = Recording::open(path).or_throw();
   const auto report = verify(recording).or_throw();
   INFO(report.text());
-  CHECK(report.exit_code() == (report.verdict() == Verdict::not_balanced || report.verdict() == Verdict::unsealed ? 1 : 0));
+  CHECK(report.exit_code() ==
+        (report.verdict() == Verdict::not_balanced || report.verdict() == Verdict::unsealed ? 1 : 0));
   return report.verdict();
 }
 
@@ -64,7 +65,8 @@ void record(const std::string& path, int ticks, std::vector<std::string>* log = 
   });
   SqliteSink sink(loop, {.path = path});
   int n = 0;
-  Sensor<Number> sensor(loop, {.name = "room", .topic = "room/climate", .rate = 100_Hz}, [&n] { return Number{0.5 * n++}; });
+  Sensor<Number> sensor(loop, {.name = "room", .topic = "room/climate", .rate = 100_Hz},
+                        [&n] { return Number{0.5 * n++}; });
   loop.advance(10ms * (ticks - 1));
   loop.close();
 }
@@ -89,24 +91,38 @@ class StallingDisk {
     };
     methods_.iVersion = 2;
     methods_.xClose = [](sqlite3_file* f) { return real(f)->pMethods->xClose(real(f)); };
-    methods_.xRead = [](sqlite3_file* f, void* to, int n, sqlite3_int64 at) { return real(f)->pMethods->xRead(real(f), to, n, at); };
+    methods_.xRead = [](sqlite3_file* f, void* to, int n, sqlite3_int64 at) {
+      return real(f)->pMethods->xRead(real(f), to, n, at);
+    };
     methods_.xWrite = [](sqlite3_file* f, const void* from, int n, sqlite3_int64 at) {
       reinterpret_cast<File*>(f)->disk->stall();
       return real(f)->pMethods->xWrite(real(f), from, n, at);
     };
-    methods_.xTruncate = [](sqlite3_file* f, sqlite3_int64 size) { return real(f)->pMethods->xTruncate(real(f), size); };
+    methods_.xTruncate = [](sqlite3_file* f, sqlite3_int64 size) {
+      return real(f)->pMethods->xTruncate(real(f), size);
+    };
     methods_.xSync = [](sqlite3_file* f, int flags) { return real(f)->pMethods->xSync(real(f), flags); };
-    methods_.xFileSize = [](sqlite3_file* f, sqlite3_int64* size) { return real(f)->pMethods->xFileSize(real(f), size); };
+    methods_.xFileSize = [](sqlite3_file* f, sqlite3_int64* size) {
+      return real(f)->pMethods->xFileSize(real(f), size);
+    };
     methods_.xLock = [](sqlite3_file* f, int level) { return real(f)->pMethods->xLock(real(f), level); };
     methods_.xUnlock = [](sqlite3_file* f, int level) { return real(f)->pMethods->xUnlock(real(f), level); };
-    methods_.xCheckReservedLock = [](sqlite3_file* f, int* out) { return real(f)->pMethods->xCheckReservedLock(real(f), out); };
-    methods_.xFileControl = [](sqlite3_file* f, int op, void* arg) { return real(f)->pMethods->xFileControl(real(f), op, arg); };
+    methods_.xCheckReservedLock = [](sqlite3_file* f, int* out) {
+      return real(f)->pMethods->xCheckReservedLock(real(f), out);
+    };
+    methods_.xFileControl = [](sqlite3_file* f, int op, void* arg) {
+      return real(f)->pMethods->xFileControl(real(f), op, arg);
+    };
     methods_.xSectorSize = [](sqlite3_file* f) { return real(f)->pMethods->xSectorSize(real(f)); };
-    methods_.xDeviceCharacteristics = [](sqlite3_file* f) { return real(f)->pMethods->xDeviceCharacteristics(real(f)); };
+    methods_.xDeviceCharacteristics = [](sqlite3_file* f) {
+      return real(f)->pMethods->xDeviceCharacteristics(real(f));
+    };
     methods_.xShmMap = [](sqlite3_file* f, int page, int size, int extend, void volatile** to) {
       return real(f)->pMethods->xShmMap(real(f), page, size, extend, to);
     };
-    methods_.xShmLock = [](sqlite3_file* f, int at, int n, int flags) { return real(f)->pMethods->xShmLock(real(f), at, n, flags); };
+    methods_.xShmLock = [](sqlite3_file* f, int at, int n, int flags) {
+      return real(f)->pMethods->xShmLock(real(f), at, n, flags);
+    };
     methods_.xShmBarrier = [](sqlite3_file* f) { real(f)->pMethods->xShmBarrier(real(f)); };
     methods_.xShmUnmap = [](sqlite3_file* f, int remove) { return real(f)->pMethods->xShmUnmap(real(f), remove); };
     sqlite3_vfs_register(&vfs_, 1);
@@ -149,7 +165,9 @@ struct Wider {
 
 struct Kelvin {
   double value = 0;
-  friend constexpr auto describe(type_tag<Kelvin>) { return rtdata::record("number", field("value", &Kelvin::value, "K")); }
+  friend constexpr auto describe(type_tag<Kelvin>) {
+    return rtdata::record("number", field("value", &Kelvin::value, "K"));
+  }
 };
 
 }  // namespace
@@ -174,7 +192,10 @@ TEST_SUITE("sinks") {
     Directory directory;
     const std::string path = directory / "run.db";
     record(path, 200);
-    Database::open(path, Database::Mode::write).or_throw().execute("DELETE FROM \"room/climate\" WHERE sequence = 77").or_throw();
+    Database::open(path, Database::Mode::write)
+        .or_throw()
+        .execute("DELETE FROM \"room/climate\" WHERE sequence = 77")
+        .or_throw();
     CHECK(verdict_of(path) == Verdict::not_balanced);
   }
 
@@ -228,7 +249,8 @@ TEST_SUITE("sinks") {
     CHECK(refusal({.path = ""}).starts_with("bad-argument: "));
     CHECK(refusal({.path = directory / "no/such/run.db"}).starts_with("not-found: "));
     CHECK(refusal({.path = directory.path}).find("Is a directory") != std::string::npos);
-    std::ofstream(directory / "text.db") << "this is a text and no database, whatever it is called; it has to be long enough";
+    std::ofstream(directory / "text.db")
+        << "this is a text and no database, whatever it is called; it has to be long enough";
     CHECK(refusal({.path = directory / "text.db"}).starts_with("not-a-recording: "));
     Database::open(directory / "other.db", Database::Mode::write).or_throw().execute("CREATE TABLE t(x)").or_throw();
     CHECK(refusal({.path = directory / "other.db"}).find("another program's SQLite database") != std::string::npos);
@@ -258,7 +280,8 @@ TEST_SUITE("sinks") {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path});
         char byte = 'y';
-        if (::write(ready[1], &byte, 1) == 1) [[maybe_unused]] const auto got = ::read(release[0], &byte, 1);
+        if (::write(ready[1], &byte, 1) == 1) [[maybe_unused]]
+          const auto got = ::read(release[0], &byte, 1);
       }
       ::_exit(0);
     }
@@ -353,7 +376,10 @@ TEST_SUITE("sinks") {
     const std::string path = directory / "run.db";
     record(path, 20);
     // As the cut leaves it: the run is open, and the counts in memory are gone.
-    Database::open(path, Database::Mode::write).or_throw().execute("UPDATE rtdata_run SET state = 'recording'").or_throw();
+    Database::open(path, Database::Mode::write)
+        .or_throw()
+        .execute("UPDATE rtdata_run SET state = 'recording'")
+        .or_throw();
     std::vector<std::string> log;
     record(path, 10, &log);
     REQUIRE(log.size() == 1);
@@ -501,7 +527,8 @@ TEST_SUITE("sinks") {
     }
     CHECK(query(path, "SELECT missed FROM rtdata_ledger") == 4);
     CHECK(query(path, "SELECT sum(count) FROM rtdata_gap WHERE kind = 'missed'") == 4);
-    CHECK(query(path, "SELECT sum(count) FROM rtdata_gap WHERE kind = 'failed'") == query(path, "SELECT failed FROM rtdata_ledger"));
+    CHECK(query(path, "SELECT sum(count) FROM rtdata_gap WHERE kind = 'failed'") ==
+          query(path, "SELECT failed FROM rtdata_ledger"));
     CHECK(query(path, "SELECT count(*) FROM rtdata_error WHERE id = 'bad-data'") >= 1);
     CHECK(query(path, "SELECT count(*) FROM rtdata_error WHERE id = 'held-too-long'") == 1);
     CHECK(verdict_of(path) == Verdict::balanced);

@@ -34,7 +34,9 @@ TEST_SUITE("sinks") {
       Tier slow(loop, {.name = "slow"});
       SqliteSink sink(loop, {.path = path});
       std::atomic<unsigned> reads{0};
-      Sensor<Climate> a(fast.loop(), {.name = "a", .topic = "shared", .rate = 1_kHz}, [&] { return Climate{1.0 * ++reads, 0}; });
+      Sensor<Climate> a(fast.loop(), {.name = "a", .topic = "shared", .rate = 1_kHz}, [&] {
+        return Climate{1.0 * ++reads, 0};
+      });
       Sensor<Climate> b(slow.loop(), {.name = "b", .topic = "shared", .rate = 200_Hz}, [] { return Climate{2, 0}; });
       Sensor<Climate> c(loop, {.name = "c", .topic = "shared", .rate = 50_Hz}, [] { return Climate{3, 0}; });
       Sensor<Climate> broken(fast.loop(), {.name = "broken", .rate = 100_Hz}, []() -> Result<Climate> {
@@ -54,7 +56,8 @@ TEST_SUITE("sinks") {
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM shared") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 4);
-    CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") == number(path, "SELECT sum(scheduled) FROM rtdata_ledger"));
+    CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") ==
+          number(path, "SELECT sum(scheduled) FROM rtdata_ledger"));
     CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE origin = 'broken' AND kind = 'failed'") >= 1);
   }
 
@@ -62,8 +65,10 @@ TEST_SUITE("sinks") {
     const Folder folder;
     Loop loop;
     Tier fast(loop, {.name = "fast"});
-    CHECK_THROWS_WITH_AS(SqliteSink(fast.loop(), {.path = folder / "run.db"}),
-                         doctest::Contains("loop fast is a tier's: make it on the main loop, whose sinks record every tier"), SetupError);
+    CHECK_THROWS_WITH_AS(
+        SqliteSink(fast.loop(), {.path = folder / "run.db"}),
+        doctest::Contains("loop fast is a tier's: make it on the main loop, whose sinks record every tier"),
+        SetupError);
     CHECK(loop.runtime().sinks().empty());
   }
 
@@ -92,7 +97,8 @@ TEST_SUITE("sinks") {
     const VerifyReport report = verified(path);
     INFO(text_of(report));
     CHECK(report.verdict() == Verdict::balanced);
-    CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") == static_cast<std::int64_t>(dropped));
+    CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") ==
+          static_cast<std::int64_t>(dropped));
     CHECK(number(path, "SELECT count(*) FROM feed") == static_cast<std::int64_t>(20 * 500 - dropped));
   }
 

@@ -48,7 +48,8 @@ bool has(const std::string& text, const std::string& part) {
 
 }  // namespace
 
-TEST_CASE("US-26 a recording is balanced when a sensor is stopped or re-rated by the handler of the error at its opening") {
+TEST_CASE(
+    "US-26 a recording is balanced when a sensor is stopped or re-rated by the handler of the error at its opening") {
   const Folder folder;
   const std::string path = folder / "run.db";
   bool stops = false;
@@ -70,7 +71,8 @@ TEST_CASE("US-26 a recording is balanced when a sensor is stopped or re-rated by
         return Climate{1, 2};
       }
     };
-    Sensor<Climate> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 200ms}, Device{is_bad});
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1, .retry_first = 200ms},
+                           Device{is_bad});
     sensor.on_error([&](const ErrorReport& report) {
       if (report.error.code != Errc::not_found) return;
       if (stops) {
@@ -113,32 +115,46 @@ TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
             "room/climate, origin room: 998 rows, the ledger says 999 stored; sequence 417 is missing."));
   CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 1"), "sequence 1 is missing"));
   CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 999"), "sequence 999 is missing"));
-  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence BETWEEN 10 AND 12 OR sequence = 20"), "sequences 10 to 12 and 20 are missing"));
-  CHECK(has(after("DELETE FROM \"room/climate\""), "0 rows, the ledger says 999 stored; sequences 1 to 999 are missing"));
-  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time + 1000, origin, sequence + 1, temperature, humidity FROM \"room/climate\" WHERE "
+  CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence BETWEEN 10 AND 12 OR sequence = 20"),
+            "sequences 10 to 12 and 20 are missing"));
+  CHECK(
+      has(after("DELETE FROM \"room/climate\""), "0 rows, the ledger says 999 stored; sequences 1 to 999 are missing"));
+  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time + 1000, origin, sequence + 1, temperature, humidity "
+                  "FROM \"room/climate\" WHERE "
                   "sequence = 999"),
             "1000 rows, the ledger says 999 stored; sequence 1000 was never offered, the last was 999"));
-  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time, origin, sequence, temperature, humidity FROM \"room/climate\" WHERE "
+  CHECK(has(after("INSERT INTO \"room/climate\" SELECT run, time, origin, sequence, temperature, humidity FROM "
+                  "\"room/climate\" WHERE "
                   "sequence = 50"),
             "1000 rows, the ledger says 999 stored"));
-  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 2000 WHERE sequence = 999"), "its last sequence is 2000, the ledger says 999"));
-  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 499 WHERE sequence = 500"), "sequence 499 follows 499: it is there twice"));
-  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 600 WHERE sequence = 500"), "sequence 501 follows 600, but sequences ascend"));
-  CHECK(has(after("UPDATE \"room/climate\" SET time = time - 20000000 WHERE sequence = 500"), "the time of sequence 500"));
-  CHECK(has(after("UPDATE \"room/climate\" SET time = time + 3600000000000 WHERE sequence = 999"), "lies outside of the run"));
-  CHECK(has(after("UPDATE \"room/climate\" SET origin = 'rooms' WHERE sequence = 500"), "origin rooms: 1 row, but the ledger does not know it"));
-  CHECK(has(after("UPDATE \"room/climate\" SET run = 7 WHERE sequence = 500"), "1 row of run 7, which is not in the list of runs"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 2000 WHERE sequence = 999"),
+            "its last sequence is 2000, the ledger says 999"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 499 WHERE sequence = 500"),
+            "sequence 499 follows 499: it is there twice"));
+  CHECK(has(after("UPDATE \"room/climate\" SET sequence = 600 WHERE sequence = 500"),
+            "sequence 501 follows 600, but sequences ascend"));
+  CHECK(has(after("UPDATE \"room/climate\" SET time = time - 20000000 WHERE sequence = 500"),
+            "the time of sequence 500"));
+  CHECK(has(after("UPDATE \"room/climate\" SET time = time + 3600000000000 WHERE sequence = 999"),
+            "lies outside of the run"));
+  CHECK(has(after("UPDATE \"room/climate\" SET origin = 'rooms' WHERE sequence = 500"),
+            "origin rooms: 1 row, but the ledger does not know it"));
+  CHECK(has(after("UPDATE \"room/climate\" SET run = 7 WHERE sequence = 500"),
+            "1 row of run 7, which is not in the list of runs"));
 }
 
 TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule and the gaps") {
-  for (const char* column : {"scheduled", "taken", "missed", "failed", "in_flight", "published", "repeated", "filtered", "offered", "stored",
-                             "dropped_newest", "dropped_oldest", "dropped_refused", "dropped_unsaved", "first_sequence", "last_sequence", "pruned"}) {
+  for (const char* column : {"scheduled", "taken", "missed", "failed", "in_flight", "published", "repeated", "filtered",
+                             "offered", "stored", "dropped_newest", "dropped_oldest", "dropped_refused",
+                             "dropped_unsaved", "first_sequence", "last_sequence", "pruned"}) {
     INFO(column);
-    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column + " + 1 WHERE origin = 'room'") != "");
+    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column + " + 1 WHERE origin = 'room'") !=
+          "");
   }
   for (const char* column : {"received", "published", "repeated", "filtered", "failed"}) {
     INFO(column);
-    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column + " + 1 WHERE origin = 'program feed'") != "");
+    CHECK(after(std::string("UPDATE rtdata_ledger SET ") + column + " = " + column +
+                " + 1 WHERE origin = 'program feed'") != "");
   }
   CHECK(has(after("DELETE FROM rtdata_gap WHERE kind = 'missed'"), "the gaps have 0 missed, the ledger says 4"));
   CHECK(has(after("DELETE FROM rtdata_gap WHERE kind = 'failed'"), "the gaps have 0 failed, the ledger says 2"));
@@ -148,7 +164,8 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
   CHECK(has(after("DELETE FROM rtdata_schedule"), "the schedule has 0 ticks"));
   CHECK(has(after("UPDATE rtdata_schedule SET scheduled = scheduled + 1"), "makes 1005"));
   CHECK(has(after("UPDATE rtdata_schedule SET period = period * 2"), "every 20 ms"));
-  CHECK(has(after("INSERT INTO rtdata_schedule SELECT run, origin, topic, first_due + 1000000000, period, end, scheduled FROM rtdata_schedule"),
+  CHECK(has(after("INSERT INTO rtdata_schedule SELECT run, origin, topic, first_due + 1000000000, period, end, "
+                  "scheduled FROM rtdata_schedule"),
             "overlaps the one before"));
   CHECK(has(after("DELETE FROM rtdata_ledger WHERE origin = 'room'"), "999 rows, but the ledger does not know it"));
 }
@@ -229,11 +246,16 @@ TEST_CASE("US-26 a million rows are verified in one pass") {
   const Folder folder;
   const std::string path = make(folder);
   sql(path,
-      "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) INSERT INTO \"room/climate\" SELECT r.run, "
-      "(SELECT max(time) FROM \"room/climate\") - 2000000 + i, CASE i % 2 WHEN 0 THEN 'even' ELSE 'odd' END, (i + 1) / 2, i, 40 FROM n, rtdata_run r;"
-      "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
-      "repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, last_sequence) "
-      "SELECT run, 'room/climate', o.column1, 9, 0, 0, 0, 0, 0, 0, 0, 500000, 500000, 0, 0, 500000, 500000, 0, 0, 0, 1, 500000 "
+      "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) INSERT INTO \"room/climate\" "
+      "SELECT r.run, "
+      "(SELECT max(time) FROM \"room/climate\") - 2000000 + i, CASE i % 2 WHEN 0 THEN 'even' ELSE 'odd' END, (i + 1) / "
+      "2, i, 40 FROM n, rtdata_run r;"
+      "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, "
+      "late, received, published, "
+      "repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, first_sequence, "
+      "last_sequence) "
+      "SELECT run, 'room/climate', o.column1, 9, 0, 0, 0, 0, 0, 0, 0, 500000, 500000, 0, 0, 500000, 500000, 0, 0, 0, "
+      "1, 500000 "
       "FROM rtdata_run, (VALUES('even'), ('odd')) o;");
   const auto began = std::chrono::steady_clock::now();
   const VerifyReport report = report_of(path);

@@ -43,8 +43,7 @@ class Owned {
   Owned() noexcept = default;
   template <std::derived_from<Base> T>
   Owned(T object) : holder_(std::make_unique<HolderOf<T>>(std::move(object))), object_(holder_->object()) {}
-  Owned(Owned&& other) noexcept
-      : holder_(std::move(other.holder_)), object_(std::exchange(other.object_, nullptr)) {}
+  Owned(Owned&& other) noexcept : holder_(std::move(other.holder_)), object_(std::exchange(other.object_, nullptr)) {}
   Owned& operator=(Owned&& other) noexcept {
     object_ = std::exchange(other.object_, nullptr);
     holder_ = std::move(other.holder_);
@@ -110,7 +109,8 @@ struct Joined {
   Placement placement{};
   Own own{};
   friend constexpr auto parameters(type_tag<Joined>) {
-    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement), include_member(&Joined::own));
+    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement),
+                          include_member(&Joined::own));
   }
   friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
@@ -174,8 +174,9 @@ class Registry {
   /// for none. `make(Loop&, const C&)`.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
-    static_assert(requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
-                  "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
+    static_assert(
+        requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
+        "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
     sinks_.add<C>(type, std::move(doc), [type, path, make](const C& config) {
       SinkPlan plan = config_detail::sink_plan(type, path(config), config.sink);
       C named = config;

@@ -160,8 +160,8 @@ bool read_object(const ConfigItem& item, T& out, UnknownKeys unknown, const std:
   bool good = check_keys(item, known, unknown, problems);
   const auto children = item.children();
   for_each_parameter(out, [&](auto& object, const auto& parameter) {
-    const auto child =
-        std::find_if(children.begin(), children.end(), [&](const auto& c) { return c.key == parameter.key; });
+    const auto child = std::find_if(children.begin(), children.end(),
+                                    [&](const auto& c) { return c.key == parameter.key; });
     if (child == children.end()) return;
     good = read_member(child->item, object.*parameter.member, parameter.rules, parameter.choices, problems) && good;
   });

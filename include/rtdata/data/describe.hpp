@@ -177,9 +177,9 @@ template <std::size_t N>
 inline constexpr bool is_text<text<N>> = true;
 
 template <class T>
-inline constexpr bool is_integer =
-    std::is_integral_v<T> && !std::is_same_v<T, bool> && !std::is_same_v<T, char> && !std::is_same_v<T, wchar_t> &&
-    !std::is_same_v<T, char8_t> && !std::is_same_v<T, char16_t> && !std::is_same_v<T, char32_t> && sizeof(T) <= 8;
+inline constexpr bool is_integer = std::is_integral_v<T> && !std::is_same_v<T, bool> && !std::is_same_v<T, char> &&
+                                   !std::is_same_v<T, wchar_t> && !std::is_same_v<T, char8_t> &&
+                                   !std::is_same_v<T, char16_t> && !std::is_same_v<T, char32_t> && sizeof(T) <= 8;
 
 template <class T>
 constexpr Kind integer_kind() {
@@ -190,9 +190,9 @@ constexpr Kind integer_kind() {
 
 /// Of a value that is not optional, no array and no struct.
 template <class T>
-inline constexpr bool is_scalar =
-    std::is_same_v<T, bool> || std::is_same_v<T, char> || is_integer<T> || std::is_same_v<T, float> ||
-    std::is_same_v<T, double> || is_text<T> || DescribedEnum<T>;
+inline constexpr bool is_scalar = std::is_same_v<T, bool> || std::is_same_v<T, char> || is_integer<T> ||
+                                  std::is_same_v<T, float> || std::is_same_v<T, double> || is_text<T> ||
+                                  DescribedEnum<T>;
 
 template <class T>
 struct Element {

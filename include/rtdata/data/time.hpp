@@ -41,7 +41,9 @@ class Rate {
   static constexpr Rate from_period(Duration period) { return Rate{period}; }
   /// ns between two events; 0 means "no rate".
   constexpr Duration period() const noexcept { return period_; }
-  constexpr double hertz() const noexcept { return period_.count() == 0 ? 0.0 : 1e9 / static_cast<double>(period_.count()); }
+  constexpr double hertz() const noexcept {
+    return period_.count() == 0 ? 0.0 : 1e9 / static_cast<double>(period_.count());
+  }
   constexpr explicit operator bool() const noexcept { return period_.count() > 0; }
   constexpr bool operator==(const Rate&) const = default;
 

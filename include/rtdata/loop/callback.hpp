@@ -22,9 +22,11 @@ class Callback<R(Args...)> {
  public:
   Callback() noexcept = default;
   Callback(std::nullptr_t) noexcept {}
+  // clang-format off
   template <class F>
     requires(!std::is_same_v<std::remove_cvref_t<F>, Callback> && std::is_invocable_r_v<R, std::decay_t<F>&, Args...>)
   Callback(F&& function) {
+    // clang-format on
     using Target = std::decay_t<F>;
     if constexpr (fits<Target>) {
       ::new (static_cast<void*>(storage_)) Target(std::forward<F>(function));
@@ -68,8 +70,8 @@ class Callback<R(Args...)> {
   using Operations = void (*)(void* storage, void* to);
 
   template <class Target>
-  static constexpr bool fits = sizeof(Target) <= capacity && alignof(Target) <= alignof(void*) &&
-                               std::is_nothrow_move_constructible_v<Target>;
+  static constexpr bool fits = sizeof(Target) <= capacity &&
+                               alignof(Target) <= alignof(void*) && std::is_nothrow_move_constructible_v<Target>;
   template <class Target>
   static void inline_operations(void* storage, void* to) {
     auto* target = std::launder(static_cast<Target*>(storage));

@@ -50,8 +50,8 @@ struct LaneLoad {
 };
 
 struct LoopLoad {
-  static constexpr double most =
-      0.8;  ///< above it a loop or lane is overloaded: the rest goes to handlers and the kernel
+  static constexpr double
+      most = 0.8;  ///< above it a loop or lane is overloaded: the rest goes to handlers and the kernel
 
   std::string loop = {};
   std::size_t sensors = 0;   ///< that are read, on the loop or on a lane

@@ -55,12 +55,12 @@ struct ErrorReport {
 class Loop {
  public:
   struct Config {
-    std::string name = "main";            ///< in log lines
-    Duration delivery_budget = std::chrono::milliseconds{1};  ///< handlers' time per turn before ticks are looked at again
+    std::string name = "main";                                ///< in log lines
+    Duration delivery_budget = std::chrono::milliseconds{1};  ///< of handlers, before ticks are looked at again
     Duration hold_limit = std::chrono::milliseconds{10};      ///< a callback that takes longer is reported by its name
-    Duration phase_grid = std::chrono::milliseconds{1};  ///< schedules start on multiples of it, so that they share wake-ups; 0: none
-    Duration spin{0};                     ///< the last stretch before a deadline is waited for spinning: exact, and costs a processor
-    Duration timer_slack{1};              ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
+    Duration phase_grid = std::chrono::milliseconds{1};       ///< schedules start on its multiples; 0: none
+    Duration spin{0};  ///< the last stretch before a deadline is waited for spinning: exact, and costs a processor
+    Duration timer_slack{1};  ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
   };
   struct Manual {};
 

@@ -50,7 +50,7 @@ struct SensorStatus {
   std::string reason;  ///< why it is not ok
   SensorCounts counts;
   std::string loop = {};  ///< the name of the loop or tier that it is on
-  Time first_due{};       ///< the ticks of its schedule are due at first_due + n * period; means nothing while not running
+  Time first_due{};  ///< the ticks of its schedule are due at first_due + n * period; means nothing while not running
 };
 
 /// A loop or tier, and the thread that it runs on.
@@ -58,8 +58,8 @@ struct LoopStatus {
   std::string name;
   bool is_tier = false;
   bool running = false;
-  Scheduling scheduling;       ///< as the kernel granted it
-  Duration processor_time{0};  ///< spent by its thread so far
+  Scheduling scheduling;                   ///< as the kernel granted it
+  Duration processor_time{0};              ///< spent by its thread so far
   std::vector<std::string> warnings = {};  ///< what was asked for and not granted
 };
 
@@ -89,7 +89,7 @@ class Runtime {
     std::string name = {};           ///< of the set-up; kept in recordings
     std::string notes = {};          ///< the user's; kept in recordings
     std::string configuration = {};  ///< the text of the file it was made from; kept in recordings
-    Clock* clock = nullptr;       ///< null: the machine's. Must outlive the runtime.
+    Clock* clock = nullptr;          ///< null: the machine's. Must outlive the runtime.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };
   Runtime();

@@ -53,9 +53,9 @@ struct Tick {
 class Ticker : public Handle {
  public:
   struct Config {
-    Duration period{0};             ///< at least 1 us
-    Duration phase{0};              ///< added to the start
-    std::string name = "ticker";    ///< in reports
+    Duration period{0};           ///< at least 1 us
+    Duration phase{0};            ///< added to the start
+    std::string name = "ticker";  ///< in reports
   };
   Ticker() noexcept = default;
   /// Started at once. Errors: bad-argument for a period under 1 us.

@@ -41,39 +41,43 @@ namespace rtdata {
 
 enum class AnalogConversion { standard, two_point };
 constexpr auto describe(type_tag<AnalogConversion>) {
-  return enumeration("conversion", value("default", AnalogConversion::standard), value("two_point", AnalogConversion::two_point));
+  return enumeration("conversion", value("default", AnalogConversion::standard),
+                     value("two_point", AnalogConversion::two_point));
 }
 
 struct AnalogConfig {
-  std::string file = {};                  ///< the kernel's file, as it is (relative: to the working directory)
-  double zero_value_voltage = 0;          ///< V at which the value is 0
+  std::string file = {};                          ///< the kernel's file, as it is (relative: to the working directory)
+  double zero_value_voltage = 0;                  ///< V at which the value is 0
   std::optional<double> span_value_voltage = {};  ///< V of the full value, see above; unset: span_voltage
-  double scale = 1;                       ///< the full value, in `unit`
-  unsigned quantization_bits = 12;        ///< resolution of the converter, 1 to 62
-  double zero_voltage = 0;                ///< V at which the converter gives 0
-  double span_voltage = 3.3;              ///< V between code 0 and code 2^bits
-  std::string unit = {};                  ///< of the value, UCUM
+  double scale = 1;                               ///< the full value, in `unit`
+  unsigned quantization_bits = 12;                ///< resolution of the converter, 1 to 62
+  double zero_voltage = 0;                        ///< V at which the converter gives 0
+  double span_voltage = 3.3;                      ///< V between code 0 and code 2^bits
+  std::string unit = {};                          ///< of the value, UCUM
   AnalogConversion conversion = AnalogConversion::standard;
-  bool signed_adc = false;                ///< the code is -2^(bits-1) to 2^(bits-1)-1 instead of 0 to 2^bits-1
+  bool signed_adc = false;                     ///< the code is -2^(bits-1) to 2^(bits-1)-1 instead of 0 to 2^bits-1
   Duration timeout = std::chrono::seconds{1};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<AnalogConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", required),
-        parameter("zero_value_voltage", &AnalogConfig::zero_value_voltage, "voltage at which the value is 0", rtdata::unit("V")),
+        parameter("zero_value_voltage", &AnalogConfig::zero_value_voltage, "voltage at which the value is 0",
+                  rtdata::unit("V")),
         parameter("span_value_voltage", &AnalogConfig::span_value_voltage,
                   "voltage of the full value; default span_voltage", rtdata::unit("V")),
         parameter("scale", &AnalogConfig::scale, "the full value, in the sensor's unit"),
-        parameter("quantization_bits", &AnalogConfig::quantization_bits, "resolution of the converter", rtdata::unit("bit"),
-                  range(1, 62)),
-        parameter("zero_voltage", &AnalogConfig::zero_voltage, "voltage at which the converter gives 0", rtdata::unit("V")),
+        parameter("quantization_bits", &AnalogConfig::quantization_bits, "resolution of the converter",
+                  rtdata::unit("bit"), range(1, 62)),
+        parameter("zero_voltage", &AnalogConfig::zero_voltage, "voltage at which the converter gives 0",
+                  rtdata::unit("V")),
         parameter("span_voltage", &AnalogConfig::span_voltage, "range of the converter", rtdata::unit("V")),
         parameter("unit", &AnalogConfig::unit, "unit of the value (UCUM)"),
         parameter("conversion", &AnalogConfig::conversion,
                   "two_point: the value at span_value_voltage is exactly scale, also when zero_value_voltage is not 0"),
         parameter("signed_adc", &AnalogConfig::signed_adc, "the converter gives negative codes too"),
-        parameter("timeout", &AnalogConfig::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
+        parameter("timeout", &AnalogConfig::timeout, "a read that takes longer is given up",
+                  range(Duration{1ms}, Duration{1h})));
   }
 };
 

@@ -58,15 +58,12 @@ template <class T>
 class Feed : public AnyFeed {
  public:
   Feed() noexcept = default;
-  Feed(Loop& loop, FeedConfig config) : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
+  Feed(Loop& loop, FeedConfig config)
+      : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
   /// With the time of now, or the given one; a time not after the last event's is moved to just after it.
-  void publish(detail::PublishedAs<T> payload) {
-    detail::feed_publish(node(), &payload, nullptr);
-  }
-  void publish(detail::PublishedAs<T> payload, Time time) {
-    detail::feed_publish(node(), &payload, &time);
-  }
+  void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload, nullptr); }
+  void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, &time); }
 };
 
 }  // namespace rtdata

@@ -96,8 +96,8 @@ struct HostNetwork {
   std::uint64_t sent_packets = 0;
   std::uint64_t send_errors = 0;
   std::uint64_t send_drops = 0;
-  RTDATA_FIELDS(HostNetwork, (received_bytes, "By"), (received_packets), (receive_errors), (receive_drops), (sent_bytes, "By"),
-                (sent_packets), (send_errors), (send_drops))
+  RTDATA_FIELDS(HostNetwork, (received_bytes, "By"), (received_packets), (receive_errors), (receive_drops),
+                (sent_bytes, "By"), (sent_packets), (send_errors), (send_drops))
 };
 /// Since the machine's start, but for the last two.
 struct HostScheduler {
@@ -128,8 +128,8 @@ struct HostFrequency {
 
 struct HostConfig {
   HostQuantity what = HostQuantity::cpu;
-  std::string device = {};  ///< which one, see HostQuantity
-  std::string root = {};    ///< put before /proc and /sys: where a container sees its host's
+  std::string device = {};                     ///< which one, see HostQuantity
+  std::string root = {};                       ///< put before /proc and /sys: where a container sees its host's
   Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
 
   friend constexpr auto parameters(type_tag<HostConfig>) {
@@ -138,7 +138,8 @@ struct HostConfig {
         parameter("quantity", &HostConfig::what, "what is read", required),
         parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer"),
         parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's"),
-        parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up", range(Duration{1ms}, Duration{1h})));
+        parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
+                  range(Duration{1ms}, Duration{1h})));
   }
 };
 

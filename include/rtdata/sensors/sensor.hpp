@@ -75,19 +75,18 @@ enum class OnOverrun : std::uint8_t {
 };
 
 struct SensorConfig {
-  std::string name;                       ///< unique in the runtime; the origin of its events
-  std::string topic = {};                 ///< empty: as the name
-  Rate rate = {};                         ///< ticks a second, up to 1 MHz
-  Duration phase{0};                      ///< added to the start of its schedule
-  std::optional<Duration> late_after = {};  ///< counted as late beyond this; unset: the larger of 1 ms and 10 % of the period
-  std::optional<Duration> read_time =
-      {};  ///< how long a reading holds the loop at most, or its lane when read on one; unset: as the device says
-  unsigned faulted_after = 3;             ///< failures in a row that make it faulted
+  std::string name;                         ///< unique in the runtime; the origin of its events
+  std::string topic = {};                   ///< empty: as the name
+  Rate rate = {};                           ///< ticks a second, up to 1 MHz
+  Duration phase{0};                        ///< added to the start of its schedule
+  std::optional<Duration> late_after = {};  ///< late beyond this; unset: the larger of 1 ms and 10 % of the period
+  std::optional<Duration> read_time = {};   ///< holds the loop or lane for at most this; unset: as the device says
+  unsigned faulted_after = 3;               ///< failures in a row that make it faulted
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
   OnOverrun on_overrun = OnOverrun::warn;                 ///< when its read holds the loop longer than its limit
-  bool required = false;                  ///< a device that cannot be opened at the start throws instead of being retried
-  bool start = true;                      ///< start when made
+  bool required = false;  ///< a device that cannot be opened at the start throws instead of being retried
+  bool start = true;      ///< start when made
 };
 
 namespace detail {
@@ -104,7 +103,8 @@ class SamplePort {
 
  private:
   friend class SensorNode;
-  SamplePort(SensorNode& sensor, Time time, const Tick* uncounted) : sensor_(&sensor), time_(time), uncounted_(uncounted) {}
+  SamplePort(SensorNode& sensor, Time time, const Tick* uncounted)
+      : sensor_(&sensor), time_(time), uncounted_(uncounted) {}
   SensorNode* sensor_;
   Time time_;
   const Tick* uncounted_;  // of a read on the loop: its tick, until it is counted

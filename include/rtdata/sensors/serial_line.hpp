@@ -38,21 +38,22 @@ namespace rtdata {
 
 /// One field of a line.
 struct LineField {
-  std::string name = {};      ///< of the payload's field; empty (CSV only): the column is not kept
-  Kind type = Kind::f64;      ///< any but enumeration and record
-  std::string unit = {};      ///< UCUM
-  double scale = 1;           ///< a float or double is multiplied by it
-  std::string key = {};       ///< JSON: where it is in the object, levels separated by dots; empty: as the name
-  std::size_t length = 32;    ///< of a text: the most bytes it may have
+  std::string name = {};    ///< of the payload's field; empty (CSV only): the column is not kept
+  Kind type = Kind::f64;    ///< any but enumeration and record
+  std::string unit = {};    ///< UCUM
+  double scale = 1;         ///< a float or double is multiplied by it
+  std::string key = {};     ///< JSON: where it is in the object, levels separated by dots; empty: as the name
+  std::size_t length = 32;  ///< of a text: the most bytes it may have
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
         parameter("name", &LineField::name, "name of the field; without one the column is not kept"),
         parameter("type", &LineField::type, "type of the value",
                   choices(value("bool", Kind::boolean), value("char", Kind::character), value("int8", Kind::i8),
-                          value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64), value("uint8", Kind::u8),
-                          value("uint16", Kind::u16), value("uint32", Kind::u32), value("uint64", Kind::u64),
-                          value("float", Kind::f32), value("double", Kind::f64), value("text", Kind::text))),
+                          value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
+                          value("uint8", Kind::u8), value("uint16", Kind::u16), value("uint32", Kind::u32),
+                          value("uint64", Kind::u64), value("float", Kind::f32), value("double", Kind::f64),
+                          value("text", Kind::text))),
         parameter("unit", &LineField::unit, "unit of the value (UCUM)"),
         parameter("scale", &LineField::scale, "factor, for float and double"),
         parameter("key", &LineField::key, "JSON: where it is, levels separated by dots; empty: as the name"),
@@ -70,36 +71,40 @@ constexpr auto describe(type_tag<FirstLine>) {
 }
 
 struct SerialConfig {
-  std::string device = {};              ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
+  std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
   LineFormat format = LineFormat::csv;
   std::vector<LineField> fields = {};
-  char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
-  std::string comment = "#";            ///< lines that begin with it are skipped; empty: none
-  unsigned skip_lines = 0;              ///< lines skipped after each opening, such as a heading
+  char separator = ',';       ///< between the columns of CSV; a blank stands for any number of blanks
+  std::string comment = "#";  ///< lines that begin with it are skipped; empty: none
+  unsigned skip_lines = 0;    ///< lines skipped after each opening, such as a heading
   FirstLine first_line = FirstLine::discard;
-  std::size_t max_line = 4096;          ///< bytes; a longer line has failed
-  std::string sequence_field = {};      ///< the field that numbers the lines; empty: none
+  std::size_t max_line = 4096;                            ///< bytes; a longer line has failed
+  std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool required = false;                ///< a device that cannot be opened at the start throws
-  bool start = true;                    ///< start when made
+  bool required = false;                                  ///< a device that cannot be opened at the start throws
+  bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<SerialConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required),
-        include_member(&SerialConfig::serial),
-        parameter("format", &SerialConfig::format, "how a line is written"),
+        include_member(&SerialConfig::serial), parameter("format", &SerialConfig::format, "how a line is written"),
         parameter("fields", &SerialConfig::fields, "what is in a line", rtdata::required),
         parameter("separator", &SerialConfig::separator, "between the columns of CSV"),
         parameter("comment", &SerialConfig::comment, "lines that begin with it are skipped"),
-        parameter("skip_lines", &SerialConfig::skip_lines, "lines skipped after each opening, such as a heading", range(0, 1000000)),
-        parameter("first_line", &SerialConfig::first_line, "what comes first after opening may be half a line: discard or keep it"),
-        parameter("max_line", &SerialConfig::max_line, "a longer line has failed", rtdata::unit("By"), range(16, 65536)),
+        parameter("skip_lines", &SerialConfig::skip_lines, "lines skipped after each opening, such as a heading",
+                  range(0, 1000000)),
+        parameter("first_line", &SerialConfig::first_line,
+                  "what comes first after opening may be half a line: discard or keep it"),
+        parameter("max_line", &SerialConfig::max_line, "a longer line has failed", rtdata::unit("By"),
+                  range(16, 65536)),
         parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines"),
-        parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again", range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &SerialConfig::retry_longest, "the wait doubles up to this", range(Duration{1ms}, Duration{24h})),
+        parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again",
+                  range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &SerialConfig::retry_longest, "the wait doubles up to this",
+                  range(Duration{1ms}, Duration{24h})),
         parameter("required", &SerialConfig::required, "a device that cannot be opened at the start ends the program"),
         parameter("start", &SerialConfig::start, "start it with the system"));
   }

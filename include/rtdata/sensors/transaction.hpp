@@ -27,7 +27,7 @@ class Transaction : public LaneJob {
 
  private:
   friend class SensorNode;
-  SensorNode* owner_ = nullptr;  // null once the sensor does not want it any more
+  SensorNode* owner_ = nullptr;           // null once the sensor does not want it any more
   std::atomic<bool> is_unwanted_{false};  // the same for the lane's thread, when it was not begun yet
   MonotonicTime due_{};
   MonotonicTime began_{};

@@ -41,7 +41,8 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
 
 /// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description. Files
 /// that are there are replaced.
-Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config, const std::string& folder,
+Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
+                                              const std::string& folder,
                                               const CodecRegistry& registry = CodecRegistry::standard());
 
 }  // namespace rtdata

@@ -126,7 +126,8 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
   if (tail.empty()) return {};
   std::vector<std::byte> whole = tail;
   whole.resize(tail.size() + window_bytes);
-  for (const char end : {'\n', '"', '\n'}) whole.push_back(static_cast<std::byte>(end));  // of a row, and of an open quote
+  for (const char end : {'\n', '"', '\n'})
+    whole.push_back(static_cast<std::byte>(end));  // of a row, and of an open quote
   if (tail.size() > 2 * window_bytes || codec.first_event(whole) == 0) {
     return Error{Errc::damaged, "cannot append to", path_, "what it holds is no " + std::string(codec.name()),
                  "check `format`, or choose another path"};
@@ -188,8 +189,8 @@ Result<void> OutputFile::append(const std::byte* data, std::size_t size, std::si
 }
 
 Result<void> OutputFile::write_out() {
-  std::size_t at =
-      static_cast<std::size_t>(std::min<std::uint64_t>(done_ > passed_ ? done_ - passed_ : 0, buffer.size()));
+  std::size_t at = static_cast<std::size_t>(
+      std::min<std::uint64_t>(done_ > passed_ ? done_ - passed_ : 0, buffer.size()));
   while (at < buffer.size()) {
     const std::size_t before = at;
     if (auto done = append(buffer.data() + at, buffer.size() - at, at); !done) return done;

@@ -31,12 +31,18 @@ Errc errc_of(int code) {
 
 const char* advice_of(Errc code) {
   switch (code) {
-    case Errc::busy: return "another program holds a lock on it: close that one";
-    case Errc::storage_full: return "make room; what waits is kept in memory meanwhile";
-    case Errc::not_permitted: return "check the permissions of the file and its folder";
-    case Errc::not_a_recording: return "it is no SQLite file: choose another path";
-    case Errc::damaged: return "keep it as it is, and record into another file";
-    default: return "";
+    case Errc::busy:
+      return "another program holds a lock on it: close that one";
+    case Errc::storage_full:
+      return "make room; what waits is kept in memory meanwhile";
+    case Errc::not_permitted:
+      return "check the permissions of the file and its folder";
+    case Errc::not_a_recording:
+      return "it is no SQLite file: choose another path";
+    case Errc::damaged:
+      return "keep it as it is, and record into another file";
+    default:
+      return "";
   }
 }
 
@@ -65,7 +71,8 @@ Error error_of(sqlite3* database, std::string_view doing) {
   std::string why = sqlite3_errmsg(database);
   if (const int system = sqlite3_system_errno(database); kind == Errc::io_failed && system != 0) {
     why += " (" + std::generic_category().message(system) + ")";
-    if (system == ENOSPC) return {Errc::storage_full, std::string(doing), file != nullptr ? file : "", why, advice_of(Errc::storage_full)};
+    if (system == ENOSPC)
+      return {Errc::storage_full, std::string(doing), file != nullptr ? file : "", why, advice_of(Errc::storage_full)};
   }
   return {kind, std::string(doing), file != nullptr ? file : "", std::move(why), advice_of(kind)};
 }
@@ -88,7 +95,8 @@ Statement& Statement::bind(int index, double value) noexcept {
   return *this;
 }
 Statement& Statement::bind(int index, std::string_view value) noexcept {
-  sqlite3_bind_text64(raw(), index, value.data() != nullptr ? value.data() : "", value.size(), SQLITE_STATIC, SQLITE_UTF8);
+  sqlite3_bind_text64(raw(), index, value.data() != nullptr ? value.data() : "", value.size(), SQLITE_STATIC,
+                      SQLITE_UTF8);
   return *this;
 }
 Statement& Statement::bind_null(int index) noexcept {
@@ -98,8 +106,10 @@ Statement& Statement::bind_null(int index) noexcept {
 
 Result<bool> Statement::step() {
   switch (sqlite3_step(raw())) {
-    case SQLITE_ROW: return true;
-    case SQLITE_DONE: return false;
+    case SQLITE_ROW:
+      return true;
+    case SQLITE_DONE:
+      return false;
     default: {
       Error error = error_of(sqlite3_db_handle(raw()), "cannot use the recording");
       sqlite3_reset(raw());
@@ -124,12 +134,13 @@ std::int64_t Statement::integer(int column) const noexcept { return sqlite3_colu
 double Statement::real(int column) const noexcept { return sqlite3_column_double(raw(), column); }
 std::string_view Statement::text(int column) const noexcept {
   const auto* bytes = reinterpret_cast<const char*>(sqlite3_column_text(raw(), column));
-  return bytes == nullptr ? std::string_view{} : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(raw(), column))};
+  return bytes == nullptr ? std::string_view{}
+                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(raw(), column))};
 }
 bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(raw(), column) == SQLITE_NULL; }
 
 Result<Database> Database::open(const std::string& path, Mode mode) {
-  struct stat status{};
+  struct stat status {};
   const bool is_there = ::stat(path.c_str(), &status) == 0;
   const bool is_read = mode != Mode::write;
   const char* doing = is_read ? "cannot read the recording" : "cannot open the recording";
@@ -138,8 +149,11 @@ Result<Database> Database::open(const std::string& path, Mode mode) {
   Database made;
   made.path_ = path;
   sqlite3* raw = nullptr;
-  const int flags = SQLITE_OPEN_NOMUTEX | (is_read ? SQLITE_OPEN_READONLY | SQLITE_OPEN_URI : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
-  const int status_code = sqlite3_open_v2(is_read ? uri_of(path, mode == Mode::read_at_rest ? "?immutable=1" : "").c_str() : path.c_str(), &raw, flags, nullptr);
+  const int flags = SQLITE_OPEN_NOMUTEX |
+                    (is_read ? SQLITE_OPEN_READONLY | SQLITE_OPEN_URI : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE);
+  const int status_code = sqlite3_open_v2(
+      is_read ? uri_of(path, mode == Mode::read_at_rest ? "?immutable=1" : "").c_str() : path.c_str(), &raw, flags,
+      nullptr);
   made.database_.reset(raw);
   if (status_code != SQLITE_OK) {
     Error error = error_of(raw, doing);
@@ -155,7 +169,8 @@ Result<Database> Database::open(const std::string& path, Mode mode) {
 
 Result<Statement> Database::prepare(std::string_view sql) const {
   sqlite3_stmt* raw = nullptr;
-  if (sqlite3_prepare_v3(database_.get(), sql.data(), static_cast<int>(sql.size()), SQLITE_PREPARE_PERSISTENT, &raw, nullptr) != SQLITE_OK) {
+  if (sqlite3_prepare_v3(database_.get(), sql.data(), static_cast<int>(sql.size()), SQLITE_PREPARE_PERSISTENT, &raw,
+                         nullptr) != SQLITE_OK) {
     return error_of(database_.get(), "cannot use the recording");
   }
   return Statement(raw);

@@ -17,13 +17,15 @@ constexpr std::size_t flush_bytes = std::size_t{1} << 16;
 
 Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecRegistry& registry) {
   if (config.format == "csv") {
-    return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601 : CsvConfig::TimeFormat::nanoseconds});
+    return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601
+                                                                               : CsvConfig::TimeFormat::nanoseconds});
   }
   return registry.make(config.format == "jsonl" ? "json" : config.format);
 }
 
 std::string header_of(const ExportConfig& config, const Codec& codec, const Description& description) {
-  if (config.format == "csv" && config.header == ExportConfig::Header::names_and_units) return csv_header_with_units(description);
+  if (config.format == "csv" && config.header == ExportConfig::Header::names_and_units)
+    return csv_header_with_units(description);
   return codec.header(description);
 }
 
@@ -36,8 +38,7 @@ class UtcLines {
     if (found == lines_.end()) {
       auto line = recording_.utc_line(run);
       if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
-      found =
-          lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;  // rows of a run that is not listed stay
+      found = lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;  // rows of a run that is not listed stay
     }
     return found->second.utc(recorded);
   }
@@ -48,12 +49,13 @@ class UtcLines {
 };
 
 Error cannot_write(const std::string& path) {
-  return system_error(errno == 0 ? EIO : errno, "cannot write the export", path, "check the folder, its permissions and the room left");
+  return system_error(errno == 0 ? EIO : errno, "cannot write the export", path,
+                      "check the folder, its permissions and the room left");
 }
 
 /// Writes the rows; a header first, unless there are none.
-Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter, std::int64_t version,
-                                 Codec& codec, std::ostream& out, const std::string& path) {
+Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter,
+                                 std::int64_t version, Codec& codec, std::ostream& out, const std::string& path) {
   RowFilter unlimited = filter;  // rows of another description do not count
   unlimited.limit = 0;
   auto rows = recording.rows(unlimited);
@@ -84,10 +86,11 @@ Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig&
       bytes.insert(bytes.end(), begin, begin + text.size());
     }
     const EventView event = given.event();
-    if (auto encoded = codec.encode(EventView(event.topic(), header, event.description(), event.payload()), bytes); !encoded) {
+    if (auto encoded = codec.encode(EventView(event.topic(), header, event.description(), event.payload()), bytes);
+        !encoded) {
       Error error = std::move(encoded).error();
-      error.where = "topic " + given.topic().topic + ", origin " + std::string(header.origin) + ", sequence " + std::to_string(header.sequence) +
-                    ", " + error.where;
+      error.where = "topic " + given.topic().topic + ", origin " + std::string(header.origin) + ", sequence " +
+                    std::to_string(header.sequence) + ", " + error.where;
       return error;
     }
     // JSON objects are lines of their own.
@@ -104,7 +107,8 @@ Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig&
 /// The topics and descriptions that a filter takes and that have rows.
 Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, const RowFilter& filter) {
   if (!is_topic_pattern(filter.topic)) {
-    return Error{Errc::bad_name, "cannot export", "topic " + filter.topic, "it is neither a topic nor a pattern", "write room/climate, room/+ or room/#"};
+    return Error{Errc::bad_name, "cannot export", "topic " + filter.topic, "it is neither a topic nor a pattern",
+                 "write room/climate, room/+ or room/#"};
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
@@ -112,7 +116,8 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
   for (RecordedTopic& topic : *topics) {
     if (!topic_matches(filter.topic, topic.topic)) continue;
     auto statement = recording.file()->prepare("SELECT 1 FROM " + sqlite::quoted(topic.table) + " t WHERE " +
-                                               (filter.run ? "t.run = " + std::to_string(*filter.run) : "1") + " LIMIT 1");
+                                               (filter.run ? "t.run = " + std::to_string(*filter.run) : "1") +
+                                               " LIMIT 1");
     if (!statement) return std::move(statement).error();
     auto row = statement->step();
     if (!row) return std::move(row).error();
@@ -145,8 +150,8 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
   return ExportCount{"", *written};
 }
 
-Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config, const std::string& folder,
-                                              const CodecRegistry& registry) {
+Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
+                                              const std::string& folder, const CodecRegistry& registry) {
   auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
   auto topics = taken_topics(recording, config.filter);
@@ -158,7 +163,8 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     std::filesystem::path path(folder);
     for (const auto& segment : std::filesystem::path(topic.topic)) {
       if (segment == "." || segment == "..") {
-        return Error{Errc::bad_name, "cannot export into a folder", "topic " + topic.topic, "its name would leave the folder", "export it by itself"};
+        return Error{Errc::bad_name, "cannot export into a folder", "topic " + topic.topic,
+                     "its name would leave the folder", "export it by itself"};
       }
       path /= segment;
     }
@@ -166,7 +172,9 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     path += "." + config.format;
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    if (failed) return system_error(failed.value(), "cannot make the folder", path.parent_path().string(), "check its permissions");
+    if (failed)
+      return system_error(failed.value(), "cannot make the folder", path.parent_path().string(),
+                          "check its permissions");
     errno = 0;
     std::ofstream file(path, std::ios::binary | std::ios::trunc);
     if (!file) return cannot_write(path.string());

@@ -36,7 +36,7 @@ std::string place_of(const std::string& recording, const struct stat& status) {
 }  // namespace
 
 Result<LiveFile> LiveFile::open(const std::string& path) {
-  struct stat status{};
+  struct stat status {};
   if (::stat(path.c_str(), &status) != 0) return system_error(errno, "cannot lock the recording", path);
   LiveFile made;
   made.path_ = place_of(path, status);
@@ -51,12 +51,13 @@ Result<LiveFile> LiveFile::open(const std::string& path) {
       return Error{Errc::busy, "cannot record into", path, "process " + std::to_string(pid) + " records into it",
                    "stop that one, or record into another file"};
     }
-    struct stat locked{};
-    struct stat there{};
-    if (::fstat(made.fd_, &locked) == 0 && ::stat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino) break;
+    struct stat locked {};
+    struct stat there {};
+    if (::fstat(made.fd_, &locked) == 0 && ::stat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino)
+      break;
     ::close(made.fd_);  // its holder has just removed it
   }
-  struct stat size{};
+  struct stat size {};
   ::fstat(made.fd_, &size);
   if (size.st_size != sizeof(Content) && ::ftruncate(made.fd_, sizeof(Content)) != 0) {
     return system_error(errno, "cannot lock the recording", made.path_);
@@ -68,7 +69,9 @@ Result<LiveFile> LiveFile::open(const std::string& path) {
 }
 
 LiveFile::LiveFile(LiveFile&& other) noexcept
-    : path_(std::move(other.path_)), fd_(std::exchange(other.fd_, -1)), content_(std::exchange(other.content_, nullptr)) {}
+    : path_(std::move(other.path_)),
+      fd_(std::exchange(other.fd_, -1)),
+      content_(std::exchange(other.content_, nullptr)) {}
 
 LiveFile& LiveFile::operator=(LiveFile&& other) noexcept {
   if (this != &other) {

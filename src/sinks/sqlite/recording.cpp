@@ -19,17 +19,20 @@ using sqlite::Statement;
 
 std::string_view name_of(RunState state) noexcept {
   switch (state) {
-    case RunState::closed: return "closed";
-    case RunState::sealed: return "sealed";
-    default: return "recording";
+    case RunState::closed:
+      return "closed";
+    case RunState::sealed:
+      return "sealed";
+    default:
+      return "recording";
   }
 }
 
 namespace detail {
 
 Error RecordingFile::damaged(std::string where, std::string why) const {
-  return {Errc::damaged, "cannot read the recording", database.path() + (where.empty() ? "" : ", " + where), std::move(why),
-          "keep it as it is, and record into another file"};
+  return {Errc::damaged, "cannot read the recording", database.path() + (where.empty() ? "" : ", " + where),
+          std::move(why), "keep it as it is, and record into another file"};
 }
 
 Result<Statement> RecordingFile::prepare(const std::string& sql) const {
@@ -61,12 +64,10 @@ Error no_recording(const std::string& path, std::string why) {
 }
 
 /// SQLite reads a file in WAL mode in a folder that cannot be written only if it is told that nobody changes it.
-bool is_at_rest(const std::string& path) {
-  return ::access((path + "-wal").c_str(), F_OK) != 0;
-}
+bool is_at_rest(const std::string& path) { return ::access((path + "-wal").c_str(), F_OK) != 0; }
 
 Result<Database> open_file(const std::string& path) {
-  struct stat status{};
+  struct stat status {};
   if (::stat(path.c_str(), &status) == 0) {
     if (!S_ISDIR(status.st_mode) && !S_ISREG(status.st_mode)) return no_recording(path, "it is no regular file");
     if (S_ISREG(status.st_mode) && status.st_size == 0) return no_recording(path, "the file is empty");
@@ -92,13 +93,15 @@ Result<Database> open_file(const std::string& path) {
   }
   if (*application != sqlite::application_id) {
     auto tables = opened->integer("SELECT count(*) FROM sqlite_schema");
-    return no_recording(path, tables && *tables == 0 ? "it is a SQLite file without content" : "it is another program's SQLite file");
+    return no_recording(
+        path, tables && *tables == 0 ? "it is a SQLite file without content" : "it is another program's SQLite file");
   }
   auto version = opened->integer("PRAGMA user_version");
   if (!version) return std::move(version).error();
   if (*version > sqlite::schema_version) {
     return Error{Errc::newer_version, doing, path,
-                 "its format is version " + std::to_string(*version) + ", this program knows up to " + std::to_string(sqlite::schema_version),
+                 "its format is version " + std::to_string(*version) + ", this program knows up to " +
+                     std::to_string(sqlite::schema_version),
                  "read it with the version of rtdata that recorded it, or a newer one"};
   }
   return opened;
@@ -110,7 +113,8 @@ std::string string_of(const Statement& row, int column) { return std::string(row
 
 /// Every row of a statement through `make`, collected.
 template <class T, class Make>
-Result<std::vector<T>> all(const RecordingFile& file, const std::string& sql, std::optional<std::int64_t> run, Make make) {
+Result<std::vector<T>> all(const RecordingFile& file, const std::string& sql, std::optional<std::int64_t> run,
+                           Make make) {
   auto statement = file.prepare(sql);
   if (!statement) return std::move(statement).error();
   if (run) statement->bind(1, *run);
@@ -146,41 +150,46 @@ Result<Recording> Recording::open(const std::string& path) {
 const std::string& Recording::path() const noexcept { return file_->database.path(); }
 
 Result<std::vector<RunInfo>> Recording::runs() const {
-  return all<RunInfo>(
-      *file_,
-      "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, clock_offset, state, lost, remark"
-      " FROM rtdata_run ORDER BY run",
-      {}, [](const Statement& row) {
-        RunInfo run;
-        run.run = row.integer(0);
-        run.uuid = string_of(row, 1);
-        run.name = string_of(row, 2);
-        run.notes = string_of(row, 3);
-        run.configuration = string_of(row, 4);
-        run.program = string_of(row, 5);
-        run.host = string_of(row, 6);
-        run.boot_id = string_of(row, 7);
-        run.pid = row.integer(8);
-        run.started = time_of(row, 9);
-        if (!row.is_null(10)) run.ended = time_of(row, 10);
-        run.clock_offset = Duration{row.integer(11)};
-        run.state = row.text(12) == "closed" ? RunState::closed : row.text(12) == "sealed" ? RunState::sealed : RunState::recording;
-        if (!row.is_null(13)) run.lost = count_of(row, 13);
-        run.remark = string_of(row, 14);
-        return run;
-      });
+  return all<RunInfo>(*file_,
+                      "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
+                      "clock_offset, state, lost, remark"
+                      " FROM rtdata_run ORDER BY run",
+                      {}, [](const Statement& row) {
+                        RunInfo run;
+                        run.run = row.integer(0);
+                        run.uuid = string_of(row, 1);
+                        run.name = string_of(row, 2);
+                        run.notes = string_of(row, 3);
+                        run.configuration = string_of(row, 4);
+                        run.program = string_of(row, 5);
+                        run.host = string_of(row, 6);
+                        run.boot_id = string_of(row, 7);
+                        run.pid = row.integer(8);
+                        run.started = time_of(row, 9);
+                        if (!row.is_null(10)) run.ended = time_of(row, 10);
+                        run.clock_offset = Duration{row.integer(11)};
+                        run.state = row.text(12) == "closed"   ? RunState::closed
+                                    : row.text(12) == "sealed" ? RunState::sealed
+                                                               : RunState::recording;
+                        if (!row.is_null(13)) run.lost = count_of(row, 13);
+                        run.remark = string_of(row, 14);
+                        return run;
+                      });
 }
 
 Result<std::vector<RecordedTopic>> Recording::topics() const {
-  auto statement = file_->prepare("SELECT topic, version, table_name, description, first_run FROM rtdata_topic ORDER BY topic, version");
+  auto statement = file_->prepare(
+      "SELECT topic, version, table_name, description, first_run FROM rtdata_topic ORDER BY topic, version");
   if (!statement) return std::move(statement).error();
   std::vector<RecordedTopic> topics;
   for (;;) {
     auto row = statement->step();
     if (!row) return std::move(row).error();
     if (!*row) return topics;
-    RecordedTopic topic{string_of(*statement, 0), statement->integer(1), string_of(*statement, 2), nullptr, statement->integer(4)};
-    if (!is_topic_name(topic.topic)) return file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is no name of a topic");
+    RecordedTopic topic{string_of(*statement, 0), statement->integer(1), string_of(*statement, 2), nullptr,
+                        statement->integer(4)};
+    if (!is_topic_name(topic.topic))
+      return file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is no name of a topic");
     auto description = Description::from_json(statement->text(3));
     if (!description) return file_->damaged("topic " + topic.topic, description.error().text());
     topic.description = std::move(*description);
@@ -191,8 +200,10 @@ Result<std::vector<RecordedTopic>> Recording::topics() const {
 Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   return all<LedgerEntry>(
       *file_,
-      "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, repeated,"
-      " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, first_sequence,"
+      "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
+      "repeated,"
+      " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
+      "first_sequence,"
       " last_sequence, pruned, rows_up_to FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
@@ -201,10 +212,11 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         SensorCounts& sensor = entry.sensor;
         sensor.has_schedule = row.integer(2) != 0;
         std::uint64_t* const counts[] = {
-            &sensor.scheduled, &sensor.taken, &sensor.missed, &sensor.failed, &sensor.in_flight, &sensor.late, &sensor.received,
-            &sensor.published, &sensor.repeated, &sensor.filtered, &sensor.lost, &entry.offered, &entry.stored, &entry.dropped_newest,
-            &entry.dropped_oldest, &entry.dropped_refused, &entry.dropped_unsaved, &entry.first_sequence, &entry.last_sequence,
-            &entry.pruned};
+            &sensor.scheduled,      &sensor.taken,         &sensor.missed,        &sensor.failed,
+            &sensor.in_flight,      &sensor.late,          &sensor.received,      &sensor.published,
+            &sensor.repeated,       &sensor.filtered,      &sensor.lost,          &entry.offered,
+            &entry.stored,          &entry.dropped_newest, &entry.dropped_oldest, &entry.dropped_refused,
+            &entry.dropped_unsaved, &entry.first_sequence, &entry.last_sequence,  &entry.pruned};
         int column = 3;
         for (std::uint64_t* count : counts) *count = count_of(row, column++);
         sensor.lost_is_known = !row.is_null(13);
@@ -214,17 +226,21 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedGap>> Recording::gaps(std::int64_t run) const {
-  return all<RecordedGap>(*file_, "SELECT topic, origin, kind, reason, first, last, count FROM rtdata_gap WHERE run = ? ORDER BY first, rowid",
-                          run, [](const Statement& row) {
-                            return RecordedGap{string_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3),
-                                               time_of(row, 4),   time_of(row, 5),   count_of(row, 6)};
-                          });
+  return all<RecordedGap>(
+      *file_,
+      "SELECT topic, origin, kind, reason, first, last, count FROM rtdata_gap WHERE run = ? ORDER BY first, rowid", run,
+      [](const Statement& row) {
+        return RecordedGap{string_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3),
+                           time_of(row, 4),   time_of(row, 5),   count_of(row, 6)};
+      });
 }
 
 Result<std::vector<RecordedSegment>> Recording::schedule(std::int64_t run) const {
   return all<RecordedSegment>(
-      *file_, "SELECT origin, topic, first_due, period, end, scheduled FROM rtdata_schedule WHERE run = ? ORDER BY origin, first_due", run,
-      [](const Statement& row) {
+      *file_,
+      "SELECT origin, topic, first_due, period, end, scheduled FROM rtdata_schedule WHERE run = ? ORDER BY origin, "
+      "first_due",
+      run, [](const Statement& row) {
         return RecordedSegment{string_of(row, 0), string_of(row, 1),
                                Segment{time_of(row, 2), Duration{row.integer(3)}, time_of(row, 4), count_of(row, 5)}};
       });
@@ -259,9 +275,11 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
-  return all<RecordedError>(*file_, "SELECT time, object, id, text, count FROM rtdata_error WHERE run = ? ORDER BY time, rowid", run,
-                            [](const Statement& row) {
-                              return RecordedError{time_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3), count_of(row, 4)};
+  return all<RecordedError>(*file_,
+                            "SELECT time, object, id, text, count FROM rtdata_error WHERE run = ? ORDER BY time, rowid",
+                            run, [](const Statement& row) {
+                              return RecordedError{time_of(row, 0), string_of(row, 1), string_of(row, 2),
+                                                   string_of(row, 3), count_of(row, 4)};
                             });
 }
 

@@ -43,7 +43,8 @@ void bind(sqlite::Statement& statement, const RowFilter& filter) {
   if (filter.origin) statement.bind(index(":origin"), std::string_view(*filter.origin));
   if (filter.from) statement.bind(index(":from"), to_nanoseconds(*filter.from));
   if (filter.until) statement.bind(index(":until"), to_nanoseconds(*filter.until));
-  if (filter.every > 1) statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
+  if (filter.every > 1)
+    statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
 }
 
 }  // namespace
@@ -70,7 +71,8 @@ struct RowsMerge {
   /// Rows are written in the order in which they were published. That is the order of time unless several origins share
   /// the table and one of them measures long: then SQLite sorts, which takes longer.
   Result<bool> is_in_order(const RecordedTopic& topic) const {
-    auto statement = file->prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) + " ORDER BY t.rowid");
+    auto statement = file->prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" +
+                                   conditions(filter) + " ORDER BY t.rowid");
     if (!statement) return std::move(statement).error();
     bind(*statement, filter);
     std::int64_t run = INT64_MIN, time = INT64_MIN;
@@ -88,12 +90,13 @@ struct RowsMerge {
   Result<void> add(RecordedTopic topic) {
     auto in_order = is_in_order(topic);
     if (!in_order) return std::move(in_order).error();
-    auto statement = file->prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() + " FROM " +
-                                   sqlite::quoted(topic.table) + " t" + conditions(filter) +
+    auto statement = file->prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() +
+                                   " FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) +
                                    (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
     if (!statement) return std::move(statement).error();
     bind(*statement, filter);
-    cursors.push_back(std::make_unique<TableCursor>(TableCursor{std::move(topic), std::move(*statement), cursors.size()}));
+    cursors.push_back(
+        std::make_unique<TableCursor>(TableCursor{std::move(topic), std::move(*statement), cursors.size()}));
     return push(*cursors.back());
   }
 
@@ -130,12 +133,15 @@ Result<const RecordedRow*> Rows::next() {
   row.run_ = cursor.run;
   row.topic_ = &cursor.topic;
   row.origin_.assign(cursor.statement.text(detail::origin_column));
-  row.header_ = {from_nanoseconds(cursor.time), static_cast<std::uint64_t>(cursor.statement.integer(detail::sequence_column)), row.origin_};
+  row.header_ = {from_nanoseconds(cursor.time),
+                 static_cast<std::uint64_t>(cursor.statement.integer(detail::sequence_column)), row.origin_};
   row.payload_.resize(cursor.topic.description->size());
-  if (auto read = detail::RowReader(cursor.topic).read(cursor.statement.raw(), detail::fixed_columns, row.payload_.data()); !read) {
+  if (auto read = detail::RowReader(cursor.topic)
+                      .read(cursor.statement.raw(), detail::fixed_columns, row.payload_.data());
+      !read) {
     Error error = std::move(read).error();
-    error.where = merge.file->database.path() + ", topic " + cursor.topic.topic + ", run " + std::to_string(row.run_) + ", origin " +
-                  row.origin_ + ", sequence " + std::to_string(row.header_.sequence) + ", " + error.where;
+    error.where = merge.file->database.path() + ", topic " + cursor.topic.topic + ", run " + std::to_string(row.run_) +
+                  ", origin " + row.origin_ + ", sequence " + std::to_string(row.header_.sequence) + ", " + error.where;
     return error;
   }
   return &row;
@@ -146,7 +152,8 @@ Result<Rows> Recording::rows(const RowFilter& filter) const {
     return Error{Errc::bad_name, "cannot select rows", "topic " + filter.topic, "it is neither a topic nor a pattern",
                  "write room/climate, room/+ or room/#"};
   }
-  if (filter.every == 0) return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
+  if (filter.every == 0)
+    return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
   auto snapshot = detail::Snapshot::take(file_);
   if (!snapshot) return std::move(snapshot).error();
   auto merge = std::make_unique<detail::RowsMerge>(file_, std::move(*snapshot), filter);

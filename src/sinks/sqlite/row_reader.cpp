@@ -10,16 +10,21 @@ namespace {
 
 std::string_view text_of(sqlite3_stmt* row, int column) {
   const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
-  return bytes == nullptr ? std::string_view{} : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(row, column))};
+  return bytes == nullptr ? std::string_view{}
+                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(row, column))};
 }
 
 /// What is in the column, in words.
 std::string found(sqlite3_stmt* row, int column) {
   switch (sqlite3_column_type(row, column)) {
-    case SQLITE_INTEGER: return "the integer " + std::to_string(sqlite3_column_int64(row, column));
-    case SQLITE_FLOAT: return "the number " + to_string(Value{sqlite3_column_double(row, column)});
-    case SQLITE_NULL: return "nothing";
-    default: return "the text \"" + std::string(text_of(row, column).substr(0, 40)) + "\"";
+    case SQLITE_INTEGER:
+      return "the integer " + std::to_string(sqlite3_column_int64(row, column));
+    case SQLITE_FLOAT:
+      return "the number " + to_string(Value{sqlite3_column_double(row, column)});
+    case SQLITE_NULL:
+      return "nothing";
+    default:
+      return "the text \"" + std::string(text_of(row, column).substr(0, 40)) + "\"";
   }
 }
 
@@ -112,8 +117,10 @@ Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) c
     if (read_plain(row, column, leaf, payload)) continue;
     if (sqlite3_column_type(row, column) == SQLITE_NULL) {
       // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
-      if (leaf.optional == nullptr && leaf.kind == Kind::f64) store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
-      if (leaf.optional == nullptr && leaf.kind == Kind::f32) store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
+      if (leaf.optional == nullptr && leaf.kind == Kind::f64)
+        store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
+      if (leaf.optional == nullptr && leaf.kind == Kind::f32)
+        store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
       continue;
     }
     Value value;

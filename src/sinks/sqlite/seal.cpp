@@ -38,7 +38,8 @@ struct LedgerRow {
 
 Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
   auto query = database.prepare(
-      "SELECT origin, slot, offered, stored, dropped_newest + dropped_oldest + dropped_refused, first_sequence, last_sequence, rows_up_to "
+      "SELECT origin, slot, offered, stored, dropped_newest + dropped_oldest + dropped_refused, first_sequence, "
+      "last_sequence, rows_up_to "
       "FROM rtdata_ledger WHERE run = ? AND topic = ?");
   if (!query) return std::move(query).error();
   query->bind(1, run).bind(2, topic);
@@ -61,8 +62,8 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
     by_origin[row.origin] = &row;
     above = std::min(above, row.rows_up_to);
   }
-  auto query =
-      database.prepare("SELECT rowid, origin, sequence, time FROM " + quoted(table) + " WHERE rowid > ? AND run = ?");
+  auto query = database.prepare("SELECT rowid, origin, sequence, time FROM " + quoted(table) +
+                                " WHERE rowid > ? AND run = ?");
   if (!query) return std::move(query).error();
   query->bind(1, above).bind(2, run);
   for (;;) {
@@ -81,8 +82,8 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
 }
 
 /// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live counts.
-Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live, std::int64_t& lost,
-                        std::int64_t& last_time) {
+Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live,
+                        std::int64_t& lost, std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);
   if (!rows) return std::move(rows).error();
   if (rows->empty()) return {};
@@ -140,12 +141,15 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
   std::int64_t lost = 0;
   std::int64_t last_time = run.ended;
   for (const std::string& topic : topics) {
-    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed) return std::move(sealed).error();
+    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
+      return std::move(sealed).error();
   }
-  std::string remark = "run " + std::to_string(run.run) + " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
+  std::string remark = "run " + std::to_string(run.run) + " ended without closing at " +
+                       to_iso8601(from_nanoseconds(last_time));
   remark += is_known ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
                      : "; what was published after that is unknown";
-  auto update = database.prepare("UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
+  auto update = database.prepare(
+      "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
   if (!update) return std::move(update).error();
   update->bind(1, last_time).bind(3, remark).bind(4, run.run);
   if (is_known) {
@@ -184,9 +188,11 @@ namespace {
 
 /// Deletes the rows of a table up to the rowid, and counts them in the ledger.
 Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to) {
-  auto count = database.prepare("SELECT run, origin, count(*) FROM " + quoted(table) + " WHERE rowid <= ? GROUP BY run, origin");
+  auto count = database.prepare("SELECT run, origin, count(*) FROM " + quoted(table) +
+                                " WHERE rowid <= ? GROUP BY run, origin");
   if (!count) return std::move(count).error();
-  auto update = database.prepare("UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
+  auto update = database.prepare(
+      "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
   if (!update) return std::move(update).error();
   count->bind(1, up_to);
   for (;;) {
@@ -209,7 +215,8 @@ Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age
   bool is_too_large = false;
   if (max_bytes > 0) {
     auto bytes = database.integer(
-        "SELECT (page_count - freelist_count) * page_size FROM pragma_page_count(), pragma_freelist_count(), pragma_page_size()");
+        "SELECT (page_count - freelist_count) * page_size FROM pragma_page_count(), pragma_freelist_count(), "
+        "pragma_page_size()");
     if (!bytes) return std::move(bytes).error();
     is_too_large = static_cast<std::uint64_t>(*bytes) > max_bytes;
   }

@@ -13,9 +13,12 @@ SinkConfig named(const SqliteConfig& config) {
 
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
-  const sqlite::RunInfo run{runtime.config.name,          runtime.config.notes,
-                            runtime.config.configuration, runtime.clock().boot_id(),
-                            loop.time(),                  runtime.start().realtime.time_since_epoch() - runtime.start().monotonic.time_since_epoch()};
+  const sqlite::RunInfo run{runtime.config.name,
+                            runtime.config.notes,
+                            runtime.config.configuration,
+                            runtime.clock().boot_id(),
+                            loop.time(),
+                            runtime.start().realtime.time_since_epoch() - runtime.start().monotonic.time_since_epoch()};
   std::vector<std::string> remarks;
   auto writer = std::make_unique<sqlite::SqliteWriter>(config, run, remarks);
   for (const std::string& remark : remarks) runtime.log(LogLevel::warning, "sink " + named(config).name, remark);

@@ -34,13 +34,15 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
     auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
     if (!tables) return std::move(tables).error();
     if (*tables == 0) return 0;
-    return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database", "choose another path"};
+    return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
+                 "choose another path"};
   }
   auto version = database.integer("PRAGMA user_version");
   if (!version) return std::move(version).error();
   if (*version > schema_version) {
     return Error{Errc::newer_version, "cannot record into", path,
-                 "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " + std::to_string(schema_version) + ")",
+                 "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " +
+                     std::to_string(schema_version) + ")",
                  "update rt-data, or choose another path"};
   }
   return *version;
@@ -48,13 +50,16 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
 
 }  // namespace
 
-SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks) : config_(config) {
+SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks)
+    : config_(config) {
   if (config_.path.empty()) {
-    throw SetupError({Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
+    throw SetupError(
+        {Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
   }
   database_ = std::move(Database::open(config_.path, Database::Mode::write)).or_throw();
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
-    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only", "check the permissions of the file and its folder"});
+    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
+                      "check the permissions of the file and its folder"});
   }
   (void)format_of(database_, config_.path).or_throw();
   live_ = std::move(LiveFile::open(config_.path)).or_throw();
@@ -71,9 +76,15 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
 Result<void> SqliteWriter::configure() {
   std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=";
   switch (config_.profile) {
-    case SqliteProfile::normal: sql += "WAL; PRAGMA synchronous=NORMAL;"; break;
-    case SqliteProfile::safe: sql += "WAL; PRAGMA synchronous=FULL;"; break;
-    case SqliteProfile::fast: sql += "MEMORY; PRAGMA synchronous=OFF;"; break;
+    case SqliteProfile::normal:
+      sql += "WAL; PRAGMA synchronous=NORMAL;";
+      break;
+    case SqliteProfile::safe:
+      sql += "WAL; PRAGMA synchronous=FULL;";
+      break;
+    case SqliteProfile::fast:
+      sql += "MEMORY; PRAGMA synchronous=OFF;";
+      break;
   }
   // Checkpoints are ours, outside of commits.
   sql += "PRAGMA wal_autocheckpoint=0; PRAGMA journal_size_limit=67108864; PRAGMA temp_store=MEMORY;";
@@ -131,7 +142,9 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   return {};
 }
 
-LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) { return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr; }
+LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
+  return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr;
+}
 
 Result<void> SqliteWriter::open() { return prepare_account(); }
 
@@ -236,7 +249,9 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
   const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
     schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
-    schedule_.bind(5, segment.period.count()).bind(6, to_nanoseconds(segment.end)).bind(7, as_integer(segment.scheduled));
+    schedule_.bind(5, segment.period.count())
+        .bind(6, to_nanoseconds(segment.end))
+        .bind(7, as_integer(segment.scheduled));
     return schedule_.run();
   };
   for (const Account::SegmentEntry& entry : account.segments) {
@@ -246,8 +261,15 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     const SlotInfo& slot = batch.slot(origin.slot);
     const SensorCounts& s = origin.sensor;
     const bool has_table = slot.topic_number < tables_.size() && tables_[slot.topic_number] != nullptr;
-    ledger_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{origin.slot}).bind(5, std::int64_t{s.has_schedule});
-    ledger_.bind(6, as_integer(s.scheduled)).bind(7, as_integer(s.taken)).bind(8, as_integer(s.missed)).bind(9, as_integer(s.failed));
+    ledger_.bind(1, run_)
+        .bind(2, slot.topic)
+        .bind(3, slot.origin)
+        .bind(4, std::int64_t{origin.slot})
+        .bind(5, std::int64_t{s.has_schedule});
+    ledger_.bind(6, as_integer(s.scheduled))
+        .bind(7, as_integer(s.taken))
+        .bind(8, as_integer(s.missed))
+        .bind(9, as_integer(s.failed));
     ledger_.bind(10, as_integer(s.in_flight)).bind(11, as_integer(s.late)).bind(12, as_integer(s.received));
     ledger_.bind(13, as_integer(s.published)).bind(14, as_integer(s.repeated)).bind(15, as_integer(s.filtered));
     if (s.lost_is_known) {
@@ -269,11 +291,16 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     const SlotInfo& slot = batch.slot(entry.slot);
     gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
     gap_.bind(4, std::string_view(entry.gap.kind == Gap::Kind::missed ? "missed" : "failed")).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last)).bind(8, as_integer(entry.gap.count));
+    gap_.bind(6, to_nanoseconds(entry.gap.first))
+        .bind(7, to_nanoseconds(entry.gap.last))
+        .bind(8, as_integer(entry.gap.count));
     if (auto done = gap_.run(); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
-    clock_.bind(1, run_).bind(2, pair.monotonic.time_since_epoch().count()).bind(3, to_nanoseconds(pair.realtime)).bind(4, std::string_view(pair.source));
+    clock_.bind(1, run_)
+        .bind(2, pair.monotonic.time_since_epoch().count())
+        .bind(3, to_nanoseconds(pair.realtime))
+        .bind(4, std::string_view(pair.source));
     clock_.bind(5, std::string_view(pair.occasion));
     if (pair.accuracy) {
       clock_.bind(6, pair.accuracy->count());
@@ -286,7 +313,12 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     if (auto done = write_utc_line(database_, boot_id_); !done) return done;
   }
   for (const Account::ErrorEntry& entry : account.errors) {
-    error_.bind(1, run_).bind(2, to_nanoseconds(entry.time)).bind(3, entry.object).bind(4, entry.id).bind(5, entry.text).bind(6, as_integer(entry.count));
+    error_.bind(1, run_)
+        .bind(2, to_nanoseconds(entry.time))
+        .bind(3, entry.object)
+        .bind(4, entry.id)
+        .bind(5, entry.text)
+        .bind(6, as_integer(entry.count));
     if (auto done = error_.run(); !done) return done;
   }
   for (const Account::HealthEntry& entry : account.health) {
@@ -306,7 +338,8 @@ Result<void> SqliteWriter::checkpoint(int mode) {
   if (config_.profile == SqliteProfile::fast) return {};
   wal_pages_ = 0;
   const int status = sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, mode, nullptr, nullptr);
-  if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY) return error_of(database_.raw(), "cannot checkpoint the recording");
+  if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY)
+    return error_of(database_.raw(), "cannot checkpoint the recording");
   return {};
 }
 
@@ -321,7 +354,7 @@ Result<void> SqliteWriter::flush() {
 void SqliteWriter::look_at_space() {
   if (last_account_ - space_looked_at_ < space_interval) return;
   space_looked_at_ = last_account_;
-  struct statvfs space{};
+  struct statvfs space {};
   if (::statvfs(config_.path.c_str(), &space) != 0) return;
   const std::uint64_t free = std::uint64_t{space.f_bavail} * space.f_frsize;
   const bool is_short = free < short_of_space;

@@ -59,8 +59,10 @@ struct OriginTimes {
   /// The segment that a time belongs to, or null. Times ascend, so it is mostly that of the time before.
   const Segment* segment_of(Time time) {
     if (segments.empty()) return nullptr;
-    if (time < segments[current].first_due || (current + 1 < segments.size() && time >= segments[current + 1].first_due)) {
-      const auto after = std::upper_bound(segments.begin(), segments.end(), time, [](Time t, const Segment& s) { return t < s.first_due; });
+    if (time < segments[current].first_due ||
+        (current + 1 < segments.size() && time >= segments[current + 1].first_due)) {
+      const auto after = std::upper_bound(segments.begin(), segments.end(), time,
+                                          [](Time t, const Segment& s) { return t < s.first_due; });
       if (after == segments.begin()) return nullptr;
       current = static_cast<std::size_t>(after - segments.begin()) - 1;
     }
@@ -75,7 +77,8 @@ struct TopicTimes {
 };
 
 Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
-  auto statement = file.prepare("SELECT t.time, t.origin FROM " + sqlite::quoted(topic.table) + " t WHERE t.run = ? ORDER BY t.rowid");
+  auto statement = file.prepare("SELECT t.time, t.origin FROM " + sqlite::quoted(topic.table) +
+                                " t WHERE t.run = ? ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
   statement->bind(1, run);
   OriginTimes* current = nullptr;
@@ -149,9 +152,11 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     sum.dropped += entry.dropped();
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
   }
-  for (const RecordedSegment& segment : *schedule) topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
+  for (const RecordedSegment& segment : *schedule)
+    topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
   for (const RecordedTopic& topic : *recorded) {
-    if (auto scanned = scan(*recording.file(), topic, run, topics[topic.topic]); !scanned) return std::move(scanned).error();
+    if (auto scanned = scan(*recording.file(), topic, run, topics[topic.topic]); !scanned)
+      return std::move(scanned).error();
   }
   std::vector<TopicSummary> summaries;
   for (auto& [name, topic] : topics) {

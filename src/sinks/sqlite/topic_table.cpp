@@ -33,14 +33,15 @@ const char* type_of(const Leaf& leaf) {
 std::string column_of(const Leaf& leaf) { return quoted(leaf.path) + " " + type_of(leaf); }
 
 bool same_leaf(const Leaf& a, const Leaf& b) {
-  return a.path == b.path && a.kind == b.kind && a.unit == b.unit && (a.optional == nullptr) == (b.optional == nullptr) &&
-         a.field->values == b.field->values;
+  return a.path == b.path && a.kind == b.kind && a.unit == b.unit &&
+         (a.optional == nullptr) == (b.optional == nullptr) && a.field->values == b.field->values;
 }
 
 /// Every leaf of `part` is in `whole`, with the same meaning.
 bool is_part_of(const Description& part, const Description& whole) {
   return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
-    return std::any_of(whole.leaves().begin(), whole.leaves().end(), [&](const Leaf& other) { return same_leaf(leaf, other); });
+    return std::any_of(whole.leaves().begin(), whole.leaves().end(),
+                       [&](const Leaf& other) { return same_leaf(leaf, other); });
   });
 }
 
@@ -58,11 +59,14 @@ Result<void> make_table(Database& database, const std::string& name, const Descr
   return database.execute(sql + ")");
 }
 
-Result<void> add_columns(Database& database, const std::string& name, const Description& old, const Description& description) {
+Result<void> add_columns(Database& database, const std::string& name, const Description& old,
+                         const Description& description) {
   for (const Leaf& leaf : description.leaves()) {
-    const bool is_there = std::any_of(old.leaves().begin(), old.leaves().end(), [&](const Leaf& known) { return known.path == leaf.path; });
+    const bool is_there = std::any_of(old.leaves().begin(), old.leaves().end(),
+                                      [&](const Leaf& known) { return known.path == leaf.path; });
     if (is_there) continue;
-    if (auto added = database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf)); !added) return added;
+    if (auto added = database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf)); !added)
+      return added;
   }
   return {};
 }
@@ -110,9 +114,11 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   const Description& description = *slot.description;
   if (description.leaves().size() > most_columns) {
     return Error{Errc::bad_description, "cannot record", "topic " + slot.topic,
-                 "it has " + std::to_string(description.leaves().size()) + " values an event", "a table has at most 1990 columns: split it"};
+                 "it has " + std::to_string(description.leaves().size()) + " values an event",
+                 "a table has at most 1990 columns: split it"};
   }
-  auto known = database.prepare("SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
+  auto known = database.prepare(
+      "SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   if (!known) return std::move(known).error();
   known->bind(1, slot.topic);
   std::int64_t last_version = 0;
@@ -138,13 +144,15 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
     version = last_version + 1;
     name = table_name(slot.topic, version);
     if (auto made = make_table(database, name, description); !made) return std::move(made).error();
-    auto insert = database.prepare("INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");
+    auto insert = database.prepare(
+        "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");
     if (!insert) return std::move(insert).error();
     insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
     if (auto done = insert->run(); !done) return std::move(done).error();
     if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
   } else if (!widen.empty()) {
-    if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added) return std::move(added).error();
+    if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added)
+      return std::move(added).error();
     auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
     if (!update) return std::move(update).error();
     update->bind(1, json).bind(2, slot.topic).bind(3, version);
@@ -193,18 +201,40 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
   for (const Column& column : columns_) {
     const std::byte* at = payload + column.offset;
     switch (column.kind) {
-      case Kind::f64: sqlite3_bind_double(statement, index, load<double>(at)); break;
-      case Kind::f32: sqlite3_bind_double(statement, index, load<float>(at)); break;
+      case Kind::f64:
+        sqlite3_bind_double(statement, index, load<double>(at));
+        break;
+      case Kind::f32:
+        sqlite3_bind_double(statement, index, load<float>(at));
+        break;
       case Kind::i64:
-      case Kind::u64: sqlite3_bind_int64(statement, index, load<std::int64_t>(at)); break;
-      case Kind::i32: sqlite3_bind_int64(statement, index, load<std::int32_t>(at)); break;
-      case Kind::u32: sqlite3_bind_int64(statement, index, load<std::uint32_t>(at)); break;
-      case Kind::i16: sqlite3_bind_int(statement, index, load<std::int16_t>(at)); break;
-      case Kind::u16: sqlite3_bind_int(statement, index, load<std::uint16_t>(at)); break;
-      case Kind::i8: sqlite3_bind_int(statement, index, load<std::int8_t>(at)); break;
-      case Kind::u8: sqlite3_bind_int(statement, index, load<std::uint8_t>(at)); break;
-      case Kind::boolean: sqlite3_bind_int(statement, index, load<bool>(at) ? 1 : 0); break;
-      default: bind_value(statement, index, *column.leaf, read(*column.leaf, payload)); break;
+      case Kind::u64:
+        sqlite3_bind_int64(statement, index, load<std::int64_t>(at));
+        break;
+      case Kind::i32:
+        sqlite3_bind_int64(statement, index, load<std::int32_t>(at));
+        break;
+      case Kind::u32:
+        sqlite3_bind_int64(statement, index, load<std::uint32_t>(at));
+        break;
+      case Kind::i16:
+        sqlite3_bind_int(statement, index, load<std::int16_t>(at));
+        break;
+      case Kind::u16:
+        sqlite3_bind_int(statement, index, load<std::uint16_t>(at));
+        break;
+      case Kind::i8:
+        sqlite3_bind_int(statement, index, load<std::int8_t>(at));
+        break;
+      case Kind::u8:
+        sqlite3_bind_int(statement, index, load<std::uint8_t>(at));
+        break;
+      case Kind::boolean:
+        sqlite3_bind_int(statement, index, load<bool>(at) ? 1 : 0);
+        break;
+      default:
+        bind_value(statement, index, *column.leaf, read(*column.leaf, payload));
+        break;
     }
     ++index;
   }

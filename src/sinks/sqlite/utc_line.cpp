@@ -163,8 +163,8 @@ Result<void> write_utc_line(Database& database, std::string_view boot_id) {
   auto written = written_stretches(database, boot_id);
   if (!written) return std::move(written).error();
   const UtcLine line(*pairs);
-  const auto [old, wanted] =
-      std::mismatch(written->begin(), written->end(), line.stretches().begin(), line.stretches().end());
+  const auto [old, wanted] = std::mismatch(written->begin(), written->end(), line.stretches().begin(),
+                                           line.stretches().end());
   if (old != written->end()) {
     auto remove = database.prepare("DELETE FROM rtdata_utc WHERE boot_id = ? AND since >= ?");
     if (!remove) return std::move(remove).error();

@@ -73,14 +73,15 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
   last_time = time;
   if (time < earliest || (time > latest && rowid <= account_ends)) {
     ++outside;
-    say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " + to_iso8601(from_nanoseconds(time)) +
-                               ", lies outside of the run");
+    say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " +
+                               to_iso8601(from_nanoseconds(time)) + ", lies outside of the run");
   }
 }
 
 Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
                        std::vector<std::string>& problems) {
-  auto statement = file.prepare("SELECT t.rowid, t.run, t.time, t.sequence, t.origin FROM " + sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
+  auto statement = file.prepare("SELECT t.rowid, t.run, t.time, t.sequence, t.origin FROM " +
+                                sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
   OriginRows* current = nullptr;
   std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
@@ -118,7 +119,8 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     current->add(statement->integer(0), statement->integer(2), static_cast<std::uint64_t>(statement->integer(3)));
   }
   for (const auto& [run, rows] : strays) {
-    problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) + ", which is not in the list of runs.");
+    problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
+                       ", which is not in the list of runs.");
   }
   return {};
 }
@@ -127,11 +129,16 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
 
 std::string_view name_of(Verdict verdict) noexcept {
   switch (verdict) {
-    case Verdict::balanced: return "balanced";
-    case Verdict::sealed: return "sealed";
-    case Verdict::recording: return "recording";
-    case Verdict::unsealed: return "not sealed";
-    default: return "not balanced";
+    case Verdict::balanced:
+      return "balanced";
+    case Verdict::sealed:
+      return "sealed";
+    case Verdict::recording:
+      return "recording";
+    case Verdict::unsealed:
+      return "not sealed";
+    default:
+      return "not balanced";
   }
 }
 
@@ -169,7 +176,8 @@ Result<VerifyReport> verify(const Recording& recording) {
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
   for (const RecordedTopic& topic : *topics) {
-    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned) return std::move(scanned).error();
+    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned)
+      return std::move(scanned).error();
   }
   auto version = recording.file()->database.integer("PRAGMA user_version");
   if (!version) return std::move(version).error();

@@ -67,11 +67,13 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const std::uint64_t expected = entry.stored - entry.pruned;
   if (entry.pruned > entry.stored) {
-    found.problem(place + "the ledger says " + number(entry.pruned) + " pruned of only " + number(entry.stored) + " stored.");
+    found.problem(place + "the ledger says " + number(entry.pruned) + " pruned of only " + number(entry.stored) +
+                  " stored.");
   }
   for (const std::string& sentence : rows.sentences) found.problem(place + sentence + ".");
   if (rows.not_ascending + rows.times_back > rows.sentences.size()) {
-    found.problem(place + number(rows.not_ascending + rows.times_back - rows.sentences.size()) + " more rows are out of order.");
+    found.problem(place + number(rows.not_ascending + rows.times_back - rows.sentences.size()) +
+                  " more rows are out of order.");
   }
   for (const std::string& sentence : rows.outside_sentences) {
     // What numbers its own time (a GPS receiver) may well be outside.
@@ -92,12 +94,16 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     if (entry.pruned != 0) text += " and " + number(entry.pruned) + " pruned again";
     if (entry.dropped() != 0 && !missing.empty()) text += " and " + number(entry.dropped()) + " dropped";
     text += which;
-    if (is_beyond) text += "; sequence " + number(rows.last_sequence) + " was never offered, the last was " + number(entry.last_sequence);
+    if (is_beyond)
+      text += "; sequence " + number(rows.last_sequence) + " was never offered, the last was " +
+              number(entry.last_sequence);
     found.problem(text + ".");
   } else if (is_beyond) {
-    found.problem(place + "its last sequence is " + number(rows.last_sequence) + ", the ledger says " + number(entry.last_sequence) + which + ".");
+    found.problem(place + "its last sequence is " + number(rows.last_sequence) + ", the ledger says " +
+                  number(entry.last_sequence) + which + ".");
   } else if (rows.rows != 0 && rows.first_sequence < entry.first_sequence) {
-    found.problem(place + "its first sequence is " + number(rows.first_sequence) + ", the ledger says " + number(entry.first_sequence) + which + ".");
+    found.problem(place + "its first sequence is " + number(rows.first_sequence) + ", the ledger says " +
+                  number(entry.first_sequence) + which + ".");
   } else if (found.is_exact || found.report.info.state == RunState::sealed) {
     const std::uint64_t span = entry.last_sequence == 0 ? 0 : entry.last_sequence - entry.first_sequence + 1;
     const std::uint64_t absent = span - std::min(span, rows.rows);
@@ -106,8 +112,9 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
     const bool is_known = found.is_exact || found.report.info.lost.has_value();
     if (absent < explained || (absent > explained && is_known)) {
-      found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " + number(entry.last_sequence) +
-                    (absent == 1 ? " is" : " are") + " not there, the ledger says " + number(entry.dropped()) + " dropped" +
+      found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " +
+                    number(entry.last_sequence) + (absent == 1 ? " is" : " are") + " not there, the ledger says " +
+                    number(entry.dropped()) + " dropped" +
                     (entry.pruned != 0 ? " and " + number(entry.pruned) + " pruned" : "") + which + ".");
     } else if (absent > explained) {
       found.note(place + number(absent - explained) + " were dropped after the last account" + which + ".");
@@ -131,15 +138,18 @@ void check_sum(const Findings& found, const std::string& place, Term whole, std:
     values += (values.empty() ? "" : " + ") + number(part.value);
   }
   if (sum == whole.value) return;
-  found.inexact(place + whole.name + " is " + number(whole.value) + ", but " + names + " is " + values + " = " + number(sum) + ".");
+  found.inexact(place + whole.name + " is " + number(whole.value) + ", but " + names + " is " + values + " = " +
+                number(sum) + ".");
 }
 
 void check_account(const Findings& found, const LedgerEntry& entry) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const SensorCounts& s = entry.sensor;
   if (s.has_schedule) {
-    check_sum(found, place, {"scheduled", s.scheduled}, {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
-    check_sum(found, place, {"taken", s.taken}, {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}});
+    check_sum(found, place, {"scheduled", s.scheduled},
+              {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
+    check_sum(found, place, {"taken", s.taken},
+              {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}});
     if (s.in_flight > 1) found.inexact(place + number(s.in_flight) + " reads are in flight, there is at most one.");
     if (s.late > s.taken) found.inexact(place + number(s.late) + " were late of only " + number(s.taken) + " taken.");
   } else {
@@ -147,7 +157,8 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
               {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"failed", s.failed}});
   }
   if (s.published < entry.offered) {
-    found.inexact(place + number(entry.offered) + " offered to the recording, but only " + number(s.published) + " published.");
+    found.inexact(place + number(entry.offered) + " offered to the recording, but only " + number(s.published) +
+                  " published.");
   }
   const Term dropped{"dropped", entry.dropped()}, stored{"stored", entry.stored};
   if (found.is_exact || found.report.info.state == RunState::sealed) {
@@ -163,7 +174,8 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
   }
 }
 
-void check_schedule(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments) {
+void check_schedule(const Findings& found, const LedgerEntry& entry,
+                    const std::vector<const RecordedSegment*>& segments) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   std::uint64_t sum = 0;
   const Segment* before = nullptr;
@@ -174,8 +186,9 @@ void check_schedule(const Findings& found, const LedgerEntry& entry, const std::
     if (segment.period.count() <= 0) {
       found.problem(place + since + " has no period.");
     } else if (segment.computed() != segment.scheduled) {
-      found.inexact(place + since + " has " + plural(segment.scheduled, "tick") + ", but every " + to_string(segment.period) + " up to " +
-                    to_iso8601(segment.end) + " makes " + number(segment.computed()) + ".");
+      found.inexact(place + since + " has " + plural(segment.scheduled, "tick") + ", but every " +
+                    to_string(segment.period) + " up to " + to_iso8601(segment.end) + " makes " +
+                    number(segment.computed()) + ".");
     }
     if (before != nullptr && segment.first_due < before->end) {
       found.problem(place + since + " overlaps the one before, which ended at " + to_iso8601(before->end) + ".");
@@ -183,7 +196,8 @@ void check_schedule(const Findings& found, const LedgerEntry& entry, const std::
     before = &segment;
   }
   if (sum != entry.sensor.scheduled) {
-    found.inexact(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " + number(entry.sensor.scheduled) + " scheduled.");
+    found.inexact(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " +
+                  number(entry.sensor.scheduled) + " scheduled.");
   }
 }
 
@@ -201,12 +215,14 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
       found.problem(place + which + " is neither missed nor failed.");
     }
     if (gap->count == 0 || gap->last < gap->first) {
-      found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + to_iso8601(gap->last) + ".");
+      found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + to_iso8601(gap->last) +
+                    ".");
       continue;
     }
     if (!entry.sensor.has_schedule) continue;
-    const auto after = std::upper_bound(segments.begin(), segments.end(), gap->first,
-                                        [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
+    const auto after = std::upper_bound(
+        segments.begin(), segments.end(), gap->first,
+        [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
     if (after == segments.begin()) {
       found.inexact(place + which + " lies before the schedule.");
       continue;
@@ -217,30 +233,33 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     if ((gap->first - segment.first_due) % segment.period != Duration{0}) {
       found.problem(place + which + " does not begin at a tick of its schedule.");
     } else if (gap->count > ticks) {
-      found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) + " there are " + number(ticks) + ".");
+      found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) +
+                    " there are " + number(ticks) + ".");
     } else if (gap->count < ticks) {
-      found.note(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " + to_iso8601(gap->last) +
-                 ": several gaps were joined.");
+      found.note(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " +
+                 to_iso8601(gap->last) + ": several gaps were joined.");
     }
   }
   const SensorCounts& s = entry.sensor;
   const auto compare = [&](std::uint64_t in_gaps, std::uint64_t counted, const char* kind) {
     if (in_gaps == counted) return;
-    const std::string text = place + "the gaps have " + number(in_gaps) + " " + kind + ", the ledger says " + number(counted) + ".";
+    const std::string text = place + "the gaps have " + number(in_gaps) + " " + kind + ", the ledger says " +
+                             number(counted) + ".";
     if (in_gaps > counted) return found.inexact(text);
     if (s.published > entry.offered) return found.note(text + " The recording began after the sensor.");
     if (found.is_exact) {
       found.problem(text);
     } else {
-      found.note(place + number(counted - in_gaps) + " " + kind + " are in no gap: one was under way at the last account.");
+      found.note(place + number(counted - in_gaps) + " " + kind +
+                 " are in no gap: one was under way at the last account.");
     }
   };
   if (s.has_schedule) {
     compare(missed, s.missed, "missed");
     compare(failed, s.failed, "failed");
   } else if (missed != 0 || failed > s.failed) {
-    found.inexact(place + "the gaps have " + number(missed) + " missed and " + number(failed) + " failed, the ledger says " +
-                  number(s.failed) + " failed.");
+    found.inexact(place + "the gaps have " + number(missed) + " missed and " + number(failed) +
+                  " failed, the ledger says " + number(s.failed) + " failed.");
   }
 }
 
@@ -262,16 +281,19 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
 void note_end(const Findings& found) {
   const RunInfo& info = found.report.info;
   if (info.state == RunState::sealed) {
-    found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") + " that were published could not be stored."
+    found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
+                               " that were published could not be stored."
                          : "It ended without closing: what was lost after the last account is not known.");
     if (!info.remark.empty()) found.note(info.remark);
     if (info.lost && *info.lost != found.report.unsaved) {
-      found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) + " not saved.");
+      found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) +
+                    " not saved.");
     }
   } else if (info.state == RunState::recording) {
     const std::string up_to = info.ended ? " up to the last account, " + to_iso8601(*info.ended) : "";
     if (found.report.verdict == Verdict::recording) {
-      found.note("Process " + std::to_string(info.pid) + " is still recording: this holds" + up_to + ", and is approximate.");
+      found.note("Process " + std::to_string(info.pid) + " is still recording: this holds" + up_to +
+                 ", and is approximate.");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
                  ". Start recording into the file again: that seals it and says what was lost.");
@@ -298,7 +320,8 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   report.gaps = gaps->size();
 
   std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
-  for (const RecordedSegment& segment : *schedule) segments_of[origin_key(segment.topic, segment.origin)].push_back(&segment);
+  for (const RecordedSegment& segment : *schedule)
+    segments_of[origin_key(segment.topic, segment.origin)].push_back(&segment);
   std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
   for (const RecordedGap& gap : *gaps) gaps_of[origin_key(gap.topic, gap.origin)].push_back(&gap);
 
@@ -316,18 +339,21 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   for (const auto& [key, origin] : rows) {
     report.rows += origin.rows + origin.rows_after;
     if (!has_account.contains(key)) {
-      unaccounted.push_back(place_of(origin.topic, origin.origin) + ": " + plural(origin.rows + origin.rows_after, "row") + ", but the ledger does not know it.");
+      unaccounted.push_back(place_of(origin.topic, origin.origin) + ": " +
+                            plural(origin.rows + origin.rows_after, "row") + ", but the ledger does not know it.");
     }
   }
   std::sort(unaccounted.begin(), unaccounted.end());
   for (std::string& sentence : unaccounted) {
-    info.state == RunState::recording ? found.note(sentence + " It began after the last account.") : found.problem(sentence);
+    info.state == RunState::recording ? found.note(sentence + " It began after the last account.")
+                                      : found.problem(sentence);
   }
   const auto strays = [&](const auto& of, const char* what) {
     std::vector<std::string> sentences;
     for (const auto& [key, list] : of) {
       if (!list.empty() && !has_account.contains(key)) {
-        sentences.push_back(place_of(list.front()->topic, list.front()->origin) + ": " + plural(list.size(), what) + ", but the ledger does not know it.");
+        sentences.push_back(place_of(list.front()->topic, list.front()->origin) + ": " + plural(list.size(), what) +
+                            ", but the ledger does not know it.");
       }
     }
     std::sort(sentences.begin(), sentences.end());
@@ -338,8 +364,8 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
   if (!left_open.empty()) {
-    found.note("Its account ends before the run did, so it holds only approximately: " + plural(left_open.size(), "equation") +
-               " left open, for example " + left_open.front());
+    found.note("Its account ends before the run did, so it holds only approximately: " +
+               plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
   return {};

@@ -17,11 +17,17 @@ std::string times_of(const RunInfo& info) {
 
 std::string conclusion(Verdict verdict) {
   switch (verdict) {
-    case Verdict::balanced: return "balanced: rows, gaps and schedule agree with the account.";
-    case Verdict::sealed: return "sealed: a run ended without closing; what is there agrees with the account, and what was lost is written down.";
-    case Verdict::recording: return "recording: what is there agrees with the last account; look again when it is closed.";
-    case Verdict::unsealed: return "not sealed: a run ended without closing, and what it lost is not written down yet.";
-    default: return "not balanced: see above.";
+    case Verdict::balanced:
+      return "balanced: rows, gaps and schedule agree with the account.";
+    case Verdict::sealed:
+      return "sealed: a run ended without closing; what is there agrees with the account, and what was lost is written "
+             "down.";
+    case Verdict::recording:
+      return "recording: what is there agrees with the last account; look again when it is closed.";
+    case Verdict::unsealed:
+      return "not sealed: a run ended without closing, and what it lost is not written down yet.";
+    default:
+      return "not balanced: see above.";
   }
 }
 
@@ -57,15 +63,18 @@ nlohmann::ordered_json json_of(const RunReport& run) {
 std::string VerifyReport::text() const {
   std::string out = path + "\n";
   for (const RunReport& run : runs) {
-    out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") + "  " + times_of(run.info) + "  " +
-           std::string(name_of(run.verdict)) + "\n";
+    out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") +
+           "  " + times_of(run.info) + "  " + std::string(name_of(run.verdict)) + "\n";
     const auto n = [](std::uint64_t value) { return std::to_string(value); };
-    wrap(out, "  ", n(run.rows) + " rows of " + n(run.origins) + (run.origins == 1 ? " origin" : " origins") + "; " + n(run.offered) + " offered = " +
-                        n(run.stored) + " stored + " + n(run.dropped) + " dropped" + (run.unsaved != 0 ? " + " + n(run.unsaved) + " not saved" : "") +
-                        (run.pruned != 0 ? "; " + n(run.pruned) + " pruned" : ""));
+    wrap(out, "  ",
+         n(run.rows) + " rows of " + n(run.origins) + (run.origins == 1 ? " origin" : " origins") + "; " +
+             n(run.offered) + " offered = " + n(run.stored) + " stored + " + n(run.dropped) + " dropped" +
+             (run.unsaved != 0 ? " + " + n(run.unsaved) + " not saved" : "") +
+             (run.pruned != 0 ? "; " + n(run.pruned) + " pruned" : ""));
     if (run.scheduled != 0) {
-      wrap(out, "  ", n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " + n(run.late) + " late; " +
-                          n(run.gaps) + (run.gaps == 1 ? " gap" : " gaps"));
+      wrap(out, "  ",
+           n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " +
+               n(run.late) + " late; " + n(run.gaps) + (run.gaps == 1 ? " gap" : " gaps"));
     }
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
