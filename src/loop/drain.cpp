@@ -155,7 +155,7 @@ std::uint64_t Loop::close(Duration deadline) {
   };
   const auto state = std::make_shared<State>();
   core_->forget_stop();
-  core_->hold();
+  core_->ref();
   drain(deadline, [this, state](std::uint64_t count) {
     state->lost = count;
     state->is_done = true;
@@ -166,7 +166,7 @@ std::uint64_t Loop::close(Duration deadline) {
     run();
     state->is_running = false;
   }
-  core_->unhold();
+  core_->unref();
   if (state->is_done) return state->lost;
   std::uint64_t queued = 0;
   for (const detail::Recorder* recorder : core_->runtime.recorders) queued += recorder->status().counts.queued;

@@ -128,7 +128,7 @@ Lane::~Lane() {
   const auto unfinished = std::move(outstanding_);
   outstanding_.clear();
   for (const auto& job : unfinished) {
-    loop_.unhold();
+    loop_.unref();
     const bool is_finished = job->state_.load(std::memory_order_acquire) == LaneJob::finished;
     job->done(is_finished ? LaneJob::Outcome::finished : LaneJob::Outcome::cancelled);
   }
@@ -161,7 +161,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   if (loop_.is_manual()) {
     job->run();
     outstanding_.push_back(std::move(job));
-    loop_.hold();
+    loop_.ref();
     const MonotonicTime from = delayed_->completions.empty() ? loop_.now()
                                                              : std::max(delayed_->completions.back().at, loop_.now());
     if (loop_.lane_duration > give_up_after_) {
@@ -177,7 +177,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   }
   if (worker_ == nullptr && !start_worker()) return false;
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
-  loop_.hold();
+  loop_.ref();
   outstanding_.push_back(job);
   worker_->push(std::move(job));
   if (!watchdog_->is_listed()) {
@@ -191,7 +191,7 @@ void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
   const std::shared_ptr<LaneJob> job = std::move(outstanding_[index]);
   outstanding_.erase(outstanding_.begin() + static_cast<std::ptrdiff_t>(index));
   if (outcome == LaneJob::Outcome::finished) job->state_.store(LaneJob::idle, std::memory_order_relaxed);
-  loop_.unhold();
+  loop_.unref();
   if (outcome != LaneJob::Outcome::finished || health_ != Health::ok) [[unlikely]]
     look_at_health(outcome);
   job->done(outcome);

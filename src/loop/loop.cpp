@@ -227,12 +227,12 @@ void LoopCore::check_thread(const char* what, std::string_view object) const {
                     "post a function to that loop that does it there, or make one on the loop of this thread"});
 }
 
-void LoopCore::hold() noexcept {
-  if (holds_++ == 0) uv_ref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
+void LoopCore::ref() noexcept {
+  if (refs_++ == 0) uv_ref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
 
-void LoopCore::unhold() noexcept {
-  if (--holds_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
+void LoopCore::unref() noexcept {
+  if (--refs_ == 0) uv_unref(reinterpret_cast<uv_handle_t*>(&side_->wake_poll));
 }
 
 Wake& LoopCore::wake() noexcept { return side_->wake; }

@@ -41,6 +41,7 @@ class LoopCore {
   MonotonicTime now() noexcept;
   bool is_manual() const noexcept { return manual_ != nullptr; }
   bool is_attached() const noexcept { return attached_; }
+  /// Between the begin and the end of running. An attached loop cannot know: it never runs.
   bool is_running() const noexcept { return is_running_; }
   /// A callback of a deadline or a delivery is on the stack.
   bool is_in_callback() const noexcept { return firing_ || delivering_; }
@@ -61,8 +62,6 @@ class LoopCore {
   void remove(Deadline& deadline) noexcept;
   void moved(Deadline& deadline);
   Schedule& schedule() noexcept { return schedule_; }
-  /// Between the begin and the end of running. An attached loop cannot know: it is never turning.
-  bool is_turning() const noexcept { return is_running_; }
   /// Schedules wait: on an attached loop, makes sure that a turn comes.
   void wake_for_waiting() noexcept {
     if (attached_) start_idle();
@@ -88,13 +87,13 @@ class LoopCore {
   /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here.
   void call_there(Callback<void()> function);
 
-  /// Keeps `run` from returning while held.
-  void hold() noexcept;
-  void unhold() noexcept;
+  /// `run` does not return while there is a reference, as with uv_ref.
+  void ref() noexcept;
+  void unref() noexcept;
 
-  /// Accounts the time of a callback and reports one that held the loop too long: then returns true.
+  /// Adds what a callback took and reports one that held the loop too long: then returns true.
   template <class Named>
-  bool account(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
+  bool time_callback(CallbackTimes& times, MonotonicTime from, MonotonicTime to, const Named& name) {
     const Duration took = to - from;
     times.add(took);
     if (took <= config.hold_limit) [[likely]]
@@ -226,7 +225,7 @@ class LoopCore {
   Calm calm_{*this};
   MonotonicTime held_last_{};
   bool is_running_ = false;
-  std::size_t holds_ = 0;
+  std::size_t refs_ = 0;
 
   // topics with pending deliveries, first to last
   TopicCore* ready_first_ = nullptr;

@@ -53,7 +53,7 @@ void LoopCore::run_posted() {
     const MonotonicTime from = now();
     begins(nullptr);
     call_user("posted function", function);
-    account(times, from, now(), [] { return std::string("posted function"); });
+    time_callback(times, from, now(), [] { return std::string("posted function"); });
   }
   running_posted_.clear();
 }
@@ -99,7 +99,7 @@ void LoopCore::run() {
   start_tiers();
   if (manual_ != nullptr) {
     if (!is_stopping()) settle();
-    while (!is_stopping() && holds_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
+    while (!is_stopping() && refs_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
   } else {
     const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));

@@ -60,7 +60,7 @@ void RateGroup::fire(MonotonicTime now) {
     const MonotonicTime to = loop_.now();
     // A member that removed itself may be gone.
     if (members_[position_ - 1] == member &&
-        loop_.account(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
+        loop_.time_callback(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
       if (members_[position_ - 1] == member) member->held(to - from);
       from = loop_.now();
     } else {
@@ -78,7 +78,7 @@ void RateGroup::compact() {
 }
 
 void Schedule::add(RateMember& member) {
-  if (loop_.is_turning()) return place(member);
+  if (loop_.is_running()) return place(member);
   waiting_.push_back(&member);
   member.is_waiting_ = true;
   loop_.wake_for_waiting();

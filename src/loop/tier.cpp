@@ -177,8 +177,8 @@ void TierCore::start() {
   quit_.store(false, std::memory_order_relaxed);
   ended_.clear();
   warnings.clear();
-  loop.core().hold();
-  main.core().hold();
+  loop.core().ref();
+  main.core().ref();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
   const SignalsBlocked for_the_tier;
   std::binary_semaphore is_set_up{0};
@@ -192,8 +192,8 @@ void TierCore::start() {
     });
     is_set_up.acquire();
   } catch (const std::system_error& e) {
-    loop.core().unhold();
-    main.core().unhold();
+    loop.core().unref();
+    main.core().unref();
     throw SetupError(
         {Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
   }
@@ -230,8 +230,8 @@ bool TierCore::stop_within(Duration at_most) noexcept {
   thread_.join();
   if (latency_fd_ >= 0) ::close(std::exchange(latency_fd_, -1));
   loop.core().unbind();
-  loop.core().unhold();
-  main.core().unhold();
+  loop.core().unref();
+  main.core().unref();
   loop.core().forget_stop();
   scheduling = {};
   return true;

@@ -17,7 +17,7 @@ class TimerNode final : public Node, public Deadline {
       loop()->moved(*this);
     } else {
       due = at;
-      loop()->hold();
+      loop()->ref();
       loop()->insert(*this);
     }
   }
@@ -30,7 +30,7 @@ class TimerNode final : public Node, public Deadline {
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->remove(*this);
-    loop()->unhold();
+    loop()->unref();
   }
   void fire(MonotonicTime now) override {
     stop();
@@ -38,7 +38,7 @@ class TimerNode final : public Node, public Deadline {
     Call call(*this);
     on.begins(this);
     on.call_user(config_.name, [&] { callback_(); });
-    on.account(times_, now, on.now(), [&] { return config_.name; });
+    on.time_callback(times_, now, on.now(), [&] { return config_.name; });
   }
 
  private:
@@ -65,13 +65,13 @@ class TickerNode final : public Node, public RateMember {
   void start() {
     if (!is_open() || is_scheduled()) return;
     index_ = 0;
-    loop()->hold();
+    loop()->ref();
     loop()->schedule().add(*this);
   }
   void stop() {
     if (!is_open() || !is_scheduled()) return;
     loop()->schedule().remove(*this);
-    loop()->unhold();
+    loop()->unref();
   }
   void change_period(Duration period) {
     if (period < std::chrono::microseconds{1}) {

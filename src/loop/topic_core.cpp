@@ -180,7 +180,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
       link.cancelled += result.cancelled;
       link.next += result.seen;
       const MonotonicTime to = loop.now();
-      loop.account(node->times, from, to, [&] { return node->name; });
+      loop.time_callback(node->times, from, to, [&] { return node->name; });
       from = to;
       if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
     }

@@ -65,7 +65,7 @@ class FdWatchNode final : public Node {
     const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0,
                         status < 0 || (got & UV_DISCONNECT) != 0};
     on.call_user(name_, [&] { callback_(event); });
-    on.account(times_, from, on.now(), [&] { return name_; });
+    on.time_callback(times_, from, on.now(), [&] { return name_; });
   }
   void on_close() noexcept override {
     if (box_ == nullptr) return;
@@ -113,7 +113,7 @@ class SignalWatchNode final : public Node {
     Call call(*this);
     on.begins(this);
     on.call_user(name_, [&] { callback_(); });
-    on.account(times_, from, on.now(), [&] { return name_; });
+    on.time_callback(times_, from, on.now(), [&] { return name_; });
   }
   void on_close() noexcept override { Box::close(std::exchange(box_, nullptr)); }
   void drop_callbacks() noexcept override { callback_.reset(); }

@@ -84,7 +84,7 @@ void SensorNode::begin_schedule() {
   const Duration late_after = settings().late_after;
   origin_.late_after = late_after.count() >= 0 ? late_after
                                                : std::max(Duration{std::chrono::milliseconds{1}}, period() / 10);
-  loop()->hold();
+  loop()->ref();
   loop()->schedule().add(*this);
 }
 
@@ -116,7 +116,7 @@ void SensorNode::end_schedule(EndOf what) {
 void SensorNode::stop_schedule(MonotonicTime end) {
   if (!is_scheduled()) return;
   loop()->schedule().remove(*this);
-  loop()->unhold();
+  loop()->unref();
   origin_.end_segment(end);
 }
 
