@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <memory>
 #include <string>
@@ -30,6 +31,14 @@ namespace {
 struct Count {
   std::uint64_t number = 0;
   friend constexpr auto describe(type_tag<Count>) { return record("count", field("number", &Count::number, "1")); }
+};
+
+struct Block {
+  std::uint64_t number = 0;
+  std::array<double, 60> values{};
+  friend constexpr auto describe(type_tag<Block>) {
+    return record("block", field("number", &Block::number, "1"), field("values", &Block::values));
+  }
 };
 
 /// Publishes so many numbers, a burst each millisecond, then stops.
@@ -167,6 +176,46 @@ TEST_SUITE("loop") {
     CHECK(counts.delivered == delivered);
     CHECK(counts.dropped > 0);
     CHECK(counts.balances());
+    loop.close();
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-16 events of different sizes share a small ring: each arrives once, in order") {
+    Loop loop;
+    Tier fast(loop, {.ring_bytes = 8192});
+    Feed<Count> small(fast.loop(), {.name = "small"});
+    Feed<Block> large(fast.loop(), {.name = "large"});
+    constexpr int rounds = 3000;
+    std::atomic<int> round{0};
+    std::atomic<std::uint64_t> published_small{0}, published_large{0};
+    std::uint32_t state = 1;
+    Ticker ticker;
+    ticker = Ticker(fast.loop(), 200us, [&](const Tick&) {
+      if (round == rounds) return ticker.stop();
+      state = state * 1664525U + 1013904223U;
+      // A large one goes to the beginning of the ring when it does not fit at the end, where old small ones lie.
+      for (std::uint32_t i = 0; i < (state >> 16) % 40; ++i) small.publish({++published_small});
+      if ((state >> 24) % 2 == 0) large.publish({++published_large, {}});
+      ++round;
+    });
+    std::uint64_t last_small = 0, last_large = 0, wrong = 0;
+    auto on_small = loop.subscribe<Count>("small", [&](const Event<Count>& event) {
+      wrong += event->number <= last_small || event.sequence != event->number ? 1 : 0;
+      last_small = event->number;
+    });
+    auto on_large = loop.subscribe<Block>("large", [&](const Event<Block>& event) {
+      wrong += event->number <= last_large || event.sequence != event->number ? 1 : 0;
+      last_large = event->number;
+    });
+    CHECK(run_until(loop, [&] {
+      return round == rounds && on_small.counts().offered >= published_small && on_small.counts().queued == 0 &&
+             on_large.counts().offered >= published_large && on_large.counts().queued == 0;
+    }));
+    CHECK(wrong == 0);
+    CHECK(on_small.counts().offered == published_small);
+    CHECK(on_large.counts().offered == published_large);
+    CHECK(on_small.counts().delivered > 0);
+    CHECK(on_large.counts().delivered > 0);
     loop.close();
     CHECK(loop.runtime().balances());
   }

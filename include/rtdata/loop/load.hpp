@@ -50,8 +50,7 @@ struct LaneLoad {
 };
 
 struct LoopLoad {
-  static constexpr double
-      most = 0.8;  ///< above it a loop or lane is overloaded: the rest goes to handlers and the kernel
+  static constexpr double most = 0.8;  ///< above it a loop or lane is overloaded: the rest is for all else
 
   std::string loop = {};
   std::size_t sensors = 0;   ///< that are read, on the loop or on a lane
