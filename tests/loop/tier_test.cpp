@@ -189,9 +189,8 @@ TEST_SUITE("loop") {
     std::atomic<int> round{0};
     std::atomic<std::uint64_t> published_small{0}, published_large{0};
     std::uint32_t state = 1;
-    Ticker ticker;
-    ticker = Ticker(fast.loop(), 200us, [&](const Tick&) {
-      if (round == rounds) return ticker.stop();
+    const Ticker ticker(fast.loop(), 200us, [&](const Tick&) {
+      if (round == rounds) return;
       state = state * 1664525U + 1013904223U;
       // A large one goes to the beginning of the ring when it does not fit at the end, where old small ones lie.
       for (std::uint32_t i = 0; i < (state >> 16) % 40; ++i) small.publish({++published_small});
@@ -552,9 +551,8 @@ TEST_SUITE("loop") {
     const auto topic = loop.topic<Count>("a");
     Feed<Count> feed(loop, {.name = "f"});
     std::atomic<int> refused{0};
-    Ticker wrong;
-    wrong = Ticker(tier.loop(), 1ms, [&](const Tick&) {
-      if (refused >= 4) return wrong.stop();
+    const Ticker wrong(tier.loop(), 1ms, [&](const Tick&) {
+      if (refused >= 4) return;
       for (const bool feeds : {false, true}) {
         try {
           if (feeds) {
