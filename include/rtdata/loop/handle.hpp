@@ -10,7 +10,8 @@
 ///  7. On an attached loop nothing of the host is closed, stopped, walked or given data, whatever a handle does.
 ///
 /// Thread: the loop's, for every member. A handle of a tier may also be closed or destroyed, and a sensor of a tier
-/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp).
+/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A handle
+/// is one object like any other: two threads must not use the same one at a time.
 #pragma once
 
 #include <cstdint>
