@@ -79,6 +79,7 @@ class OriginCore {
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
   const std::uint32_t index;  ///< within its topic
+  bool is_claimed = false;    ///< a sensor or feed of this name exists now on this loop
   bool is_mirror = false;     ///< it publishes on another loop; what is known of it comes over a bridge
 
  private:

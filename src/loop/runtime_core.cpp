@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cctype>
 #include <cstdio>
+#include <utility>
 
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
@@ -286,37 +287,59 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
                       "a name has 1 to 200 characters and no control characters", "give it another `name`"});
   }
   receive_all();  // what another loop has published under the name comes first
+  const auto refuse = [&](const std::string& why, const char* advice) {
+    throw SetupError({Errc::busy, "cannot make sensor", std::string(name), why, advice});
+  };
+  const auto refuse_holder = [&](const RuntimeCore& holder) {
+    refuse("there is one of that name already" + (&holder == this ? "" : " on loop " + holder.own_loop->config.name),
+           "give each sensor a `name` of its own");
+  };
+  const auto refuse_topic = [&](const std::string& earlier) {
+    refuse("earlier in this run it published on topic " + earlier, "choose another name or that topic");
+  };
   RuntimeCore& all = hub != nullptr ? *hub : *this;
   bool is_new = false;
   OriginCore* origin = nullptr;
-  {
+  if (!all.are_names_shared_) {
+    origin = find_origin(name);
+    if (origin != nullptr && origin->is_claimed) refuse_holder(*this);
+    if (origin != nullptr && &origin->topic != &topic) refuse_topic(origin->topic.name);
+    is_new = origin == nullptr;
+    if (is_new) origin = &find_or_make_origin(name, topic);
+  } else {
     const std::lock_guard lock(all.names_mutex_);
     Name& claim = all.names_[std::string(name)];
-    const auto refuse = [&](const std::string& why, const char* advice) {
-      throw SetupError({Errc::busy, "cannot make sensor", std::string(name), why, advice});
-    };
-    if (claim.holder != nullptr) {
-      const bool is_here = claim.holder == this;
-      refuse("there is one of that name already" + (is_here ? "" : " on loop " + claim.holder->own_loop->config.name),
-             "give each sensor a `name` of its own");
-    }
-    if (claim.left != nullptr && claim.left->topic != topic.name) {
-      refuse("earlier in this run it published on topic " + claim.left->topic, "choose another name or that topic");
-    }
+    if (claim.holder != nullptr) refuse_holder(*claim.holder);
+    if (claim.left != nullptr && claim.left->topic != topic.name) refuse_topic(claim.left->topic);
     const OriginCore* known = find_origin(name);
     is_new = known == nullptr || known->is_mirror;
     origin = &find_or_make_origin(name, topic);
     if (is_new) origin->adopt(claim.left != nullptr ? claim.left->state : OriginCore::State{});
     claim.holder = this;
   }
+  origin->is_claimed = true;
   if (is_new) {
     for (Listener* listener : listeners) listener->on_origin(*origin);
   }
   return *origin;
 }
 
-void RuntimeCore::release(const OriginCore& origin) noexcept {
+void RuntimeCore::share_names() {
+  if (std::exchange(are_names_shared_, true)) return;
+  for (const OriginCore& origin : origins_) {
+    Name& claim = names_[origin.name];
+    if (origin.is_claimed) {
+      claim.holder = this;
+    } else {
+      claim.left = std::make_unique<Name::Left>(Name::Left{origin.topic.name, origin.state()});
+    }
+  }
+}
+
+void RuntimeCore::release(OriginCore& origin) noexcept {
+  origin.is_claimed = false;
   RuntimeCore& all = hub != nullptr ? *hub : *this;
+  if (!all.are_names_shared_) return;
   const std::lock_guard lock(all.names_mutex_);
   if (const auto found = all.names_.find(origin.name); found != all.names_.end()) release(found->first, found->second);
 }

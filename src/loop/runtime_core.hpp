@@ -136,7 +136,9 @@ class RuntimeCore {
   /// (bad-name, busy): the name is taken, on this loop or another, or was on another topic.
   OriginCore& claim_origin(std::string_view name, TopicCore& topic);
   /// Gives up the claim.
-  void release(const OriginCore& origin) noexcept;
+  void release(OriginCore& origin) noexcept;
+  /// The main loop's gets a tier: from here on names are kept for all loops.
+  void share_names();
   /// Gives up all, as when its tier goes.
   void release_all() noexcept;
   OriginCore* find_origin(std::string_view name) noexcept;
@@ -275,6 +277,7 @@ class RuntimeCore {
   std::atomic<bool> has_announced_{false};
   PriorityMutex names_mutex_;                    // taken at set-up only
   std::unordered_map<std::string, Name> names_;  // the hub's: of all its tiers
+  bool are_names_shared_ = false;                // the hub's; without tiers, its origins know who has their names
 };
 
 }  // namespace rtdata::detail

@@ -88,6 +88,7 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
       main(main_),
       runtime(runtime_config(main_)),
       loop(below(main_, runtime), loop_config(config)) {
+  main.core().runtime.share_names();
   make_bridges();
   main.core().runtime.tiers.push_back(this);
 }
