@@ -15,6 +15,7 @@
 #include "app/control_socket.hpp"
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
+#include "data/rounded_time.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -38,20 +39,7 @@ std::string left(std::string_view text, std::size_t width) {
 }
 
 /// "12.3 us"; "-" for what is not known.
-std::string time_text(const Json& ns) {
-  if (!ns.is_number()) return "-";
-  double value = ns.get<double>();
-  const char* unit = "ns";
-  for (const char* larger : {"us", "ms", "s"}) {
-    if (value < 1000) break;
-    value /= 1000;
-    unit = larger;
-  }
-  std::array<char, 32> text{};
-  std::snprintf(text.data(), text.size(), value < 10 && *unit != 'n' ? "%.1f %s" : "%.0f %s", value, unit);
-  return text.data();
-}
-
+std::string time_text(const Json& ns) { return ns.is_number() ? detail::rounded_time(ns.get<double>()) : "-"; }
 std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_text(hertz.get<double>()) : "-"; }
 std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
 std::string text_of(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }

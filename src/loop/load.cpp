@@ -1,12 +1,11 @@
 #include "rtdata/loop/load.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstdio>
 #include <map>
 #include <utility>
 
+#include "data/rounded_time.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 
@@ -19,20 +18,7 @@ std::string percent(double share) { return std::to_string(std::llround(100 * sha
 
 std::string counted(std::size_t count) { return std::to_string(count) + (count == 1 ? " sensor" : " sensors"); }
 
-/// Two digits, or all of a whole number: "1.4 ms", "333 us".
-std::string rounded(Duration duration) {
-  double value = static_cast<double>(duration.count());
-  const char* unit = "ns";
-  for (const char* larger : {"us", "ms", "s"}) {
-    if (value < 1000) break;
-    value /= 1000;
-    unit = larger;
-  }
-  std::array<char, 32> text{};
-  const bool has_tenths = value < 10 && std::lround(10 * value) % 10 != 0;
-  std::snprintf(text.data(), text.size(), has_tenths ? "%.1f %s" : "%.0f %s", value, unit);
-  return text.data();
-}
+std::string rounded(Duration duration) { return detail::rounded_time(static_cast<double>(duration.count())); }
 
 /// The most that comes due within `window`, of reads that repeat every `period`, the longer one.
 Duration worst_of(Reads reads, Duration period, Duration window) {
