@@ -1,0 +1,131 @@
+// The clock model: pairs of the monotonic clock and the time of day, steps of the latter, and who tells of it.
+#include <algorithm>
+#include <chrono>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
+namespace rtdata::detail {
+
+void RuntimeCore::use_clock(Clock& clock) {
+  clock_ = &clock;
+  start_ = {clock.monotonic(), clock.realtime(), "system", clock.accuracy(), "start"};
+  offset_ = start_.realtime.time_since_epoch() - start_.monotonic.time_since_epoch();
+  last_offset_ = offset_;
+  system_ = {start_, start_, start_.accuracy};
+}
+
+namespace {
+
+constexpr std::size_t most_clock_sources = 16;
+constexpr Duration clock_look_interval = std::chrono::seconds{1};
+constexpr Duration least_between_pairs = std::chrono::seconds{10};  // of one source, so that a recording is not flooded
+constexpr Duration most_between_pairs = std::chrono::minutes{10};
+
+bool is_step(Duration moved) noexcept {
+  constexpr Duration noise = std::chrono::milliseconds{1};
+  return moved > noise || moved < -noise;
+}
+
+}  // namespace
+
+ClockPair RuntimeCore::read_clock(const char* occasion) noexcept {
+  const MonotonicTime before = clock_->monotonic();
+  const Time realtime = clock_->realtime();
+  const MonotonicTime at = before + (clock_->monotonic() - before) / 2;
+  const Duration offset = realtime.time_since_epoch() - at.time_since_epoch();
+  return {at, is_step(offset - last_offset_) ? realtime : Time{at.time_since_epoch() + last_offset_}, "system",
+          clock_->accuracy(), occasion};
+}
+
+bool RuntimeCore::look_at_clock(const char* occasion) {
+  ClockPair pair = read_clock(occasion);
+  const Duration offset = pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
+  const bool was_set = offset != last_offset_;
+  if (!was_set && occasion == nullptr && pair.monotonic - system_.latest.monotonic < clock_look_interval) return false;
+  if (was_set) {
+    log(LogLevel::warning, "clock",
+        "the time of day was set by " + to_string(offset - last_offset_) +
+            "; recorded times go on without a jump, the step is recorded");
+    last_offset_ = offset;
+    // A clock that was right until now (a leap second, a machine that slept): where it stood just before.
+    if (system_.latest.accuracy && system_.latest.monotonic > system_.recorded.monotonic)
+      record(system_, system_.latest);
+    if (occasion == nullptr) pair.occasion = "step";
+  } else if (occasion == nullptr) {
+    pair.occasion = pair.accuracy.has_value() == system_.recorded.accuracy.has_value() ? "regular" : "sync";
+    if (!system_.is_news(pair)) {
+      system_.latest = pair;
+      return false;
+    }
+  }
+  if (std::string_view(pair.occasion) == "end") {
+    for (ClockSource& source : plugged_) {
+      if (source.latest.monotonic > source.recorded.monotonic) record(source, source.latest);
+    }
+  }
+  record(system_, pair);
+  return true;
+}
+
+Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
+  const auto refused = [&](Errc code, const char* why, const char* advice) {
+    return Error{code, "cannot note the time of day", "source \"" + pair.source + "\"", why, advice};
+  };
+  if (pair.source.empty() || pair.source.size() > 64 || pair.source == "system") {
+    return refused(Errc::bad_name, "a source has a name of 1 to 64 characters that is not \"system\"",
+                   "name it after what it is: \"gps\"");
+  }
+  if (pair.accuracy && *pair.accuracy <= Duration{0}) {
+    return refused(Errc::bad_argument, "its accuracy is not above 0",
+                   "say how far the time may be from UTC, or leave it out");
+  }
+  if (hub != nullptr) {  // the main loop's recordings keep the clock
+    hub->own_loop->post([main = hub, pair] { [[maybe_unused]] const auto noted = main->note_wall_clock(pair); });
+    return {};
+  }
+  const auto known = std::find_if(plugged_.begin(), plugged_.end(),
+                                  [&](const ClockSource& s) { return s.latest.source == pair.source; });
+  if (known == plugged_.end()) {
+    if (plugged_.size() == most_clock_sources)
+      return refused(Errc::bad_argument, "there are 16 sources already", "use one name for each source");
+    pair.occasion = "start";
+    plugged_.push_back({pair, pair, pair.accuracy});
+    record(plugged_.back(), pair);
+    return {};
+  }
+  pair.occasion = known->recorded.accuracy.has_value() == pair.accuracy.has_value() ? "regular" : "sync";
+  known->latest = pair;
+  if (known->is_news(pair)) record(*known, pair);
+  return {};
+}
+
+bool RuntimeCore::ClockSource::is_news(const ClockPair& pair) const noexcept {
+  constexpr Duration most_drift = std::chrono::milliseconds{100};  // between regular pairs
+  const Duration since = pair.monotonic - recorded.monotonic;
+  if (since < least_between_pairs) return false;
+  if (pair.accuracy.has_value() != recorded.accuracy.has_value()) return true;
+  if (pair.accuracy && (since >= most_between_pairs || *pair.accuracy <= *best / 2)) return true;
+  const Duration moved = std::chrono::abs((pair.realtime - recorded.realtime) - since);
+  return moved > most_drift + pair.accuracy.value_or(Duration{0}) + recorded.accuracy.value_or(Duration{0});
+}
+
+void RuntimeCore::record(ClockSource& source, const ClockPair& pair) {
+  const bool is_known = source.best && pair.accuracy;
+  source.best = is_known ? std::min(source.best, pair.accuracy) : pair.accuracy;
+  source.recorded = pair;
+  source.latest = pair;
+  for (Recorder* recorder : recorders) recorder->on_clock(pair);
+}
+
+std::vector<ClockPair> RuntimeCore::clock_pairs() {
+  std::vector<ClockPair> pairs;
+  for (const ClockSource& source : plugged_) pairs.push_back(source.latest);
+  pairs.push_back(read_clock("start"));
+  return pairs;
+}
+
+}  // namespace rtdata::detail
