@@ -289,8 +289,7 @@ std::string to_string(Duration duration) {
 }
 
 Result<Rate> parse_rate(std::string_view text) {
-  constexpr const char*
-      advice = "write a rate such as \"100 Hz\", \"2 kHz\" or \"6 /min\", or a period such as \"10 ms\"";
+  const char* advice = "write a rate such as \"100 Hz\", \"2 kHz\" or \"6 /min\", or a period such as \"10 ms\"";
   std::string_view rest = trim(text);
   const bool is_period = rest.starts_with("every ");
   if (is_period) rest.remove_prefix(6);

@@ -227,6 +227,8 @@ TEST_SUITE("app") {
     folder.write("bench.json", bench);
     Process run(folder, program, {"run", "bench.json", "--for", "3s"});
     REQUIRE(run.wait_for("running bench"));
+    // Real time on purpose: a process that is stopped has no virtual one. Its files are written in batches, so that
+    // nothing tells from outside that it has sampled.
     std::this_thread::sleep_for(std::chrono::milliseconds{300});
     run.signal(SIGSTOP);
     std::this_thread::sleep_for(std::chrono::milliseconds{1500});

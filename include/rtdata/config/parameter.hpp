@@ -208,11 +208,13 @@ constexpr std::array<ValueSpec<E>, 1 + sizeof...(More)> choices(ValueSpec<E> fir
   return {{first, more...}};
 }
 /// The texts that a string may be.
+// clang-format off
 template <class... More>
-requires(std::is_convertible_v<More, std::string_view>&&...) constexpr std::array<
-    std::string_view, 1 + sizeof...(More)> choices(std::string_view first, More... more) {
+  requires(std::is_convertible_v<More, std::string_view> && ...)
+constexpr std::array<std::string_view, 1 + sizeof...(More)> choices(std::string_view first, More... more) {
   return {{first, std::string_view(more)...}};
 }
+// clang-format on
 
 /// `key` as in the file, `doc` a phrase in lower case without a full stop; both live as long as the program.
 template <class Owner, class Member, class... Options>
