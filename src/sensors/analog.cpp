@@ -46,17 +46,12 @@ class AnalogDevice final : public detail::LaneDevice {
             "look at the converter and its bus; `timeout` sets how long to wait"};
   }
 
-  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
-    if (file.error_number() != 0) {
-      error = system_error(file.error_number(), cannot_read, config_.file, find_advice);
-      return detail::Sampled::failed;
-    }
+    if (file.error_number() != 0)
+      return port.fail(system_error(file.error_number(), cannot_read, config_.file, find_advice));
     Result<std::int64_t> adc = parse_adc(config_, file.text());
-    if (!adc) {
-      error = std::move(adc).error();
-      return detail::Sampled::failed;
-    }
+    if (!adc) return port.fail(std::move(adc).error());
     AnalogReading reading{convert(config_, *adc), *adc};
     port.publish(&reading);
     return detail::Sampled::value;

@@ -121,17 +121,14 @@ class SysDevice final : public detail::LaneDevice {
     return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_),
             "look at the chip; `timeout` sets how long to wait"};
   }
-  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port, Error& error) override {
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
-    if (file.error_number() != 0) {
-      error = system_error(file.error_number(), cannot_read, path_, not_here);
-      return detail::Sampled::failed;
-    }
+    if (file.error_number() != 0) return port.fail(system_error(file.error_number(), cannot_read, path_, not_here));
     Result<std::int64_t> number = detail::parse_number(file.text());
     if (!number) {
-      error = std::move(number).error();
+      Error error = std::move(number).error();
       error.where = path_;
-      return detail::Sampled::failed;
+      return port.fail(std::move(error));
     }
     T payload{static_cast<double>(*number) * factor_};
     port.publish(&payload);

@@ -226,9 +226,7 @@ Error SensorNode::thrown(const char* what) const {
   }
 }
 
-bool SensorNode::is_ready(const Tick& tick) {
-  if (device_is_open_ && health() != Health::faulted) [[likely]]
-    return true;
+bool SensorNode::make_ready(const Tick& tick) {
   if (tick.now < settings().retry_at) {
     origin_.fail_tick(settings().fault, tick.due);
     return false;
@@ -267,7 +265,9 @@ void SensorNode::tick(const Tick& tick) {
   }
   Call call(*this);
   loop()->begins(this);
-  if (!is_ready(tick)) return;
+  const bool was_ready = device_is_open_ && health() != Health::faulted;
+  if (!was_ready && !make_ready(tick)) [[unlikely]]
+    return;
   if (lane_side_ != nullptr) {
     submit(tick);
   } else {
@@ -281,15 +281,24 @@ void SamplePort::publish(void* payload, Time time) {
   sensor_->publish(payload, time);
 }
 
+inline void SensorNode::took(Sampled sampled, bool published) {
+  if (sampled == Sampled::value) [[likely]] {
+    origin_.counts.published += published ? 1 : 0;
+  } else {
+    ++origin_.counts.repeated;
+  }
+  if (failures_ != 0) [[unlikely]]
+    recovered();
+}
+
 void SensorNode::read_inline(const Tick& tick) {
   SamplePort port(*this, loop()->runtime.event_time(tick.now), &tick);
   port_ = &port;
-  Error error;
-  Sampled sampled = Sampled::failed;
+  Sampled sampled;
   try {
-    sampled = device_->sample(port, error);
+    sampled = device_->sample(port);
   } catch (...) {
-    error = thrown("reading threw");
+    sampled = port.fail(thrown("reading threw"));
   }
   if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
   port_ = nullptr;
@@ -298,25 +307,18 @@ void SensorNode::read_inline(const Tick& tick) {
     return;
   }
   if (sampled == Sampled::failed) [[unlikely]] {
-    origin_.fail_tick(error.id(), tick.due);
-    failed(error, tick.now);
+    origin_.fail_tick(port.error_->id(), tick.due);
+    failed(*port.error_, tick.now);
     return;
   }
   origin_.read_at_once(tick.lateness());
   took(sampled, port.published_);
 }
 
-void SensorNode::took(Sampled sampled, bool published) {
-  if (sampled == Sampled::value) {
-    if (published) ++origin_.counts.published;
-  } else {
-    ++origin_.counts.repeated;
-  }
-  if (failures_ != 0) [[unlikely]] {
-    failures_ = 0;
-    rare().retry_delay = Duration{0};
-    set_health(Health::ok, nullptr);
-  }
+void SensorNode::recovered() {
+  failures_ = 0;
+  rare().retry_delay = Duration{0};
+  set_health(Health::ok, nullptr);
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
@@ -374,16 +376,15 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
     return;
   }
   SamplePort port(*this, loop()->runtime.event_time(transaction.began_), nullptr);
-  Error error;
-  Sampled sampled = Sampled::failed;
+  Sampled sampled;
   try {
-    sampled = device.decode(transaction, port, error);
+    sampled = device.decode(transaction, port);
   } catch (...) {
-    error = thrown("decoding threw");
+    sampled = port.fail(thrown("decoding threw"));
   }
   if (sampled == Sampled::failed) {
-    origin_.fail_read(error.id(), transaction.due_);
-    failed(error, loop()->now());
+    origin_.fail_read(port.error_->id(), transaction.due_);
+    failed(*port.error_, loop()->now());
     return;
   }
   origin_.end_read(transaction.began_ - transaction.due_);

@@ -37,8 +37,8 @@ class SensorNode final : public SourceNode, public RateMember {
  private:
   void on_close() noexcept override;
   void drop_callbacks() noexcept override;
-  /// Whether the device may be read now: opens it again when its time has come. A tick at which it may not is counted.
-  bool is_ready(const Tick& tick);
+  /// Opens the device again, or reads it again, when its time has come. False: the tick at which it may not is counted.
+  bool make_ready(const Tick& tick);
   Result<void> open_device() noexcept;
   void close_device() noexcept;
   /// The error of the exception that is being handled.
@@ -51,6 +51,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void read_inline(const Tick& tick);
   void submit(const Tick& tick);
   void took(Sampled sampled, bool published);
+  void recovered();
   void failed(const Error& error, MonotonicTime now);
   void cancel_transaction();
 
@@ -82,8 +83,8 @@ class SensorNode final : public SourceNode, public RateMember {
   unsigned failures_ = 0;  // in a row
   std::unique_ptr<SensorDevice> device_;
   std::unique_ptr<LaneSide> lane_side_;  // null: read inline
+  SamplePort* port_ = nullptr;           // of the read on the stack
   std::unique_ptr<Rare> rare_;
-  SamplePort* port_ = nullptr;  // of the read on the stack
 };
 
 }  // namespace rtdata::detail

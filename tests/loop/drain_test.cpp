@@ -24,7 +24,7 @@ struct SlowDevice final : detail::LaneDevice {
     void transact() noexcept override {}
   };
   std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
-  detail::Sampled decode(detail::Transaction&, detail::SamplePort& port, Error&) override {
+  detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
     Number number{1, 0};
     port.publish(&number);
     return detail::Sampled::value;
@@ -121,7 +121,7 @@ TEST_SUITE("loop") {
         if (++made == 1) throw std::runtime_error("not yet");
         return std::make_shared<Read>();
       }
-      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port, Error&) override {
+      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
         if (++decoded == 2) throw 7;
         Number number{1, 0};
         port.publish(&number);

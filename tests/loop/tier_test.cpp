@@ -575,7 +575,7 @@ TEST_SUITE("loop") {
         void transact() noexcept override { ::usleep(700'000); }
       };
       std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
-      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port, Error&) override {
+      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
         Count count{1};
         port.publish(&count);
         return detail::Sampled::value;

@@ -93,6 +93,8 @@ namespace detail {
 
 class SensorNode;
 
+enum class Sampled { value, nothing_new, failed };
+
 /// How a sampling function hands over what it read: lives for one read. Dead once the sensor was stopped meanwhile.
 class SamplePort {
  public:
@@ -100,6 +102,11 @@ class SamplePort {
   void publish(void* payload) { publish(payload, time_); }
   /// With the device's own time.
   void publish(void* payload, Time time);
+  /// What a read that failed returns.
+  Sampled fail(Error error) {
+    error_ = std::move(error);
+    return Sampled::failed;
+  }
 
  private:
   friend class SensorNode;
@@ -109,11 +116,10 @@ class SamplePort {
   Time time_;
   const Tick* uncounted_;  // of a read on the loop: its tick, until it is counted
   bool published_ = false;
+  std::optional<Error> error_;
 };
 
-enum class Sampled { value, nothing_new, failed };
-
-/// A device as the sensor's base sees it. `error` is set when the outcome is failed.
+/// A device as the sensor's base sees it.
 class SensorDevice {
  public:
   virtual ~SensorDevice() = default;
@@ -121,7 +127,7 @@ class SensorDevice {
   virtual void close() {}
   /// Of one reading; may be asked for before `open`.
   virtual ReadTime read_time() const { return {}; }
-  virtual Sampled sample(SamplePort& port, Error& error) = 0;
+  virtual Sampled sample(SamplePort& port) = 0;
 };
 
 template <class T, class Device>
@@ -149,17 +155,17 @@ class DeviceOf final : public SensorDevice {
       return {};
     }
   }
-  Sampled sample(SamplePort& port, Error& error) override {
+  Sampled sample(SamplePort& port) override {
     if constexpr (requires { device_.read(); }) {
-      return take(port, error, [this] { return device_.read(); });
+      return take(port, [this] { return device_.read(); });
     } else {
-      return take(port, error, device_);
+      return take(port, device_);
     }
   }
 
  private:
   template <class Read>
-  static Sampled take(SamplePort& port, Error& error, Read&& read) {
+  static Sampled take(SamplePort& port, Read&& read) {
     using Got = std::remove_cvref_t<decltype(read())>;
     static_assert(std::is_constructible_v<Reading<T>, Got> || std::is_same_v<Got, std::optional<T>>,
                   "rtdata: a sampling function returns T, Result<T>, Reading<T> or std::optional<T>");
@@ -179,8 +185,7 @@ class DeviceOf final : public SensorDevice {
         return Sampled::value;
       }
       if (reading.error() == nullptr) return Sampled::nothing_new;
-      error = std::move(*reading.error());
-      return Sampled::failed;
+      return port.fail(std::move(*reading.error()));
     }
   }
   Device device_;

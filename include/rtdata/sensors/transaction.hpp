@@ -39,7 +39,7 @@ class LaneDevice : public SensorDevice {
   /// A fresh one: at start, and after one was given up.
   virtual std::shared_ptr<Transaction> make_transaction() = 0;
   /// Makes the payload of a finished transaction.
-  virtual Sampled decode(Transaction& transaction, SamplePort& port, Error& error) = 0;
+  virtual Sampled decode(Transaction& transaction, SamplePort& port) = 0;
   /// Sensors of one physical device have one key, and so one lane.
   virtual std::string lane_key() const = 0;
   /// A transaction that takes longer is given up.
@@ -48,7 +48,7 @@ class LaneDevice : public SensorDevice {
   virtual Error given_up_error() const = 0;
 
  private:
-  Sampled sample(SamplePort&, Error&) final { return Sampled::nothing_new; }
+  Sampled sample(SamplePort&) final { return Sampled::nothing_new; }
 };
 
 }  // namespace rtdata::detail
