@@ -68,6 +68,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
   if (time == Time::manual) {
     manual_ = dynamic_cast<ManualClock*>(&runtime.clock());
   }
+  reads_kernel_clock_ = manual_ == nullptr && !runtime.has_injected_clock();
   if (attached_) {
     uv_loop_ = host;
   } else {
@@ -82,7 +83,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
                        reinterpret_cast<uv_handle_t*>(&side_->wake_poll)}) {
     uv_unref(handle);
   }
-  if (manual_ == nullptr && !runtime.has_injected_clock() && runtime.hub == nullptr) watch_clock();
+  if (reads_kernel_clock_ && runtime.hub == nullptr) watch_clock();
   handled_until_ = now();
   runtime.own_loop = this;
 }
@@ -202,13 +203,9 @@ LoopCore::~LoopCore() {
 }
 
 MonotonicTime LoopCore::now() noexcept {
-  if (!runtime.has_injected_clock()) [[likely]] {
-    if (manual_ != nullptr) return manual_->monotonic();
-    timespec spec;
-    ::clock_gettime(CLOCK_MONOTONIC, &spec);
-    return MonotonicTime{std::chrono::seconds{spec.tv_sec} + Duration{spec.tv_nsec}};
-  }
-  return runtime.clock().monotonic();
+  if (reads_kernel_clock_) [[likely]]
+    return CycleClock::kernel_time();
+  return manual_ != nullptr ? manual_->monotonic() : runtime.clock().monotonic();
 }
 
 void LoopCore::assert_thread() const noexcept {
@@ -218,10 +215,7 @@ void LoopCore::assert_thread() const noexcept {
 #endif
 }
 
-void LoopCore::check_thread(const char* what, std::string_view object) const {
-  const std::thread::id running = thread_.load(std::memory_order_relaxed);
-  if (running == std::thread::id{} || running == std::this_thread::get_id()) [[likely]]
-    return;
+void LoopCore::refuse_thread(const char* what, std::string_view object) const {
   throw SetupError({Errc::busy, what, std::string(object),
                     "loop " + config.name + ", which it belongs to, runs on another thread",
                     "post a function to that loop that does it there, or make one on the loop of this thread"});

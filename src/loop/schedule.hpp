@@ -54,9 +54,9 @@ class RateMember {
   friend class RateGroup;
   friend class Schedule;
   RateGroup* group_ = nullptr;
-  MonotonicTime first_due_{};
   Duration period_;
   Duration phase_;
+  MonotonicTime first_due_{};
 
  public:
   CallbackTimes times;

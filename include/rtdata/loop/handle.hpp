@@ -59,9 +59,10 @@ class Node {
  private:
   friend class Call;
   friend class LoopCore;
-  LoopCore* loop_;
+  // What each callback touches comes last, beside what the derived class has of it.
   Node* previous_ = nullptr;
   Node* next_ = nullptr;
+  LoopCore* loop_;
   std::uint32_t references_ = 1;
   std::uint16_t running_ = 0;  // calls on the stack
   bool is_closing_ = false;
