@@ -9,17 +9,17 @@
 
 namespace rtdata::detail {
 
-/// Like std::memcpy, which it is for more than 64 bytes. Returns the end.
+inline constexpr std::size_t few_bytes = 64;
+
+/// Like std::memcpy, of at most `few_bytes`. Returns the end.
 template <class Byte>
-Byte* copy_short(Byte* to, const void* data, std::size_t size) {
+[[gnu::always_inline]] inline Byte* copy_few(Byte* to, const void* data, std::size_t size) {
   const auto* from = static_cast<const char*>(data);
   const auto both_ends = [&]<std::size_t part>(std::integral_constant<std::size_t, part>) {
     std::memcpy(to, from, part);
     std::memcpy(to + size - part, from + size - part, part);
   };
-  if (size > 64) {
-    std::memcpy(to, from, size);
-  } else if (size > 32) {
+  if (size > 32) {
     both_ends(std::integral_constant<std::size_t, 32>{});
   } else if (size > 16) {
     both_ends(std::integral_constant<std::size_t, 16>{});
@@ -30,6 +30,14 @@ Byte* copy_short(Byte* to, const void* data, std::size_t size) {
   } else {
     for (std::size_t i = 0; i < size; ++i) to[i] = static_cast<Byte>(from[i]);
   }
+  return to + size;
+}
+
+/// Like std::memcpy. Returns the end.
+template <class Byte>
+Byte* copy_short(Byte* to, const void* data, std::size_t size) {
+  if (size <= few_bytes) return copy_few(to, data, size);
+  std::memcpy(to, data, size);
   return to + size;
 }
 

@@ -19,6 +19,37 @@ constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uin
 Channel::Channel(Bridge& bridge, TopicCore& source)
     : bridge_(bridge), source_(source), record_bytes_(rounded(sizeof(Bridge::EventRecord) + source.type.size)) {}
 
+inline std::byte* Channel::begin_event(std::byte* room, Passage& passage, Time time, std::uint64_t sequence) {
+  auto& record = *reinterpret_cast<Bridge::EventRecord*>(room);
+  record.sort = Bridge::Sort::event;
+  record.passage = &passage;
+  record.dropped = passage.dropped;
+  record.event = {time, sequence};
+  return room + sizeof record;
+}
+
+void Channel::send(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
+  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
+  Passage* passage = passages_[origin.index];
+  if (passage == nullptr) return;
+  // What most events are is done here, without a call.
+  const std::size_t size = source_.type.size;
+  std::byte* room = size <= few_bytes ? bridge_.ring_.reserve_at_hand(record_bytes_) : nullptr;
+  if (room == nullptr) return look_for_room(*passage, time, sequence, payload);
+  copy_few(begin_event(room, *passage, time, sequence), payload, size);
+  bridge_.commit(record_bytes_);
+}
+
+void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
+  std::byte* room = bridge_.ring_.reserve(record_bytes_, ByteRing::Room::usual);
+  if (room == nullptr) {
+    ++passage.dropped;
+    return;
+  }
+  std::memcpy(begin_event(room, passage, time, sequence), payload, source_.type.size);
+  bridge_.commit(record_bytes_);
+}
+
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
     : from_(from), to_(to), ring_(ring_bytes), is_to_main_(to.runtime.hub == nullptr) {
   from_.runtime.outbound.push_back(this);
@@ -46,6 +77,12 @@ Bridge::~Bridge() {
 }
 
 // ---- the sending side
+
+void Bridge::wake() noexcept {
+  if (unannounced_ == 0) return;
+  unannounced_ = 0;
+  to_.wake().send();
+}
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
   to_.runtime.announce({this, channel, passage, name, std::move(type)});
@@ -87,11 +124,11 @@ Passage* Bridge::passage_of(const OriginCore& origin) noexcept {
 }
 
 template <class RecordType>
-RecordType* Bridge::reserve(Sort sort, Passage& passage, std::size_t spare) noexcept {
-  std::byte* room = ring_.reserve(rounded(sizeof(RecordType)), spare);
-  if (room == nullptr) return nullptr;
-  const auto bytes = reinterpret_cast<Record*>(room)->bytes;
-  auto* record = ::new (room) RecordType;
+RecordType* Bridge::reserve(Sort sort, Passage& passage, ByteRing::Room room) noexcept {
+  constexpr std::uint32_t bytes = rounded(sizeof(RecordType));
+  std::byte* const at = ring_.reserve(bytes, room);
+  if (at == nullptr) return nullptr;
+  auto* record = ::new (at) RecordType;
   record->bytes = bytes;
   record->sort = sort;
   record->passage = &passage;
@@ -102,9 +139,9 @@ RecordType* Bridge::reserve(Sort sort, Passage& passage, std::size_t spare) noex
 void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
   Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
-  if (auto* record = reserve<GapRecord>(Sort::gap, *passage, 0)) {
+  if (auto* record = reserve<GapRecord>(Sort::gap, *passage, ByteRing::Room::all)) {
     record->gap = gap;
-    commit();
+    commit(record->bytes);
   } else {
     ++notes_lost_;
   }
@@ -113,9 +150,9 @@ void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
 void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
   Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
-  if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, 0)) {
+  if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, ByteRing::Room::all)) {
     record->segment = segment;
-    commit();
+    commit(record->bytes);
   } else {
     ++notes_lost_;
   }
@@ -135,14 +172,14 @@ void Bridge::on_health(Time time, const HealthChange& change) {
   });
 }
 
-bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) noexcept {
+bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept {
   if (passage.is_given_up) {
     if (passage.dropped == passage.told_dropped) return true;
-    auto* record = reserve<DropsRecord>(Sort::drops, passage, spare);
+    auto* record = reserve<DropsRecord>(Sort::drops, passage, room);
     if (record == nullptr) return false;
     record->last_sequence = passage.last_sequence;
     passage.told_dropped = passage.dropped;
-    commit();
+    commit(record->bytes);
     return true;
   }
   const OriginCore& origin = *passage.source;
@@ -158,7 +195,7 @@ bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) n
   }
   if (which == Accounts::news && told == passage.told) return true;
   if (passage.dropped == passage.told_dropped && !is_to_main_) return true;
-  auto* record = reserve<AccountRecord>(Sort::account, passage, spare);
+  auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
   passage.told = told;
   passage.told_dropped = passage.dropped;
@@ -173,19 +210,19 @@ bool Bridge::send_account(Passage& passage, std::size_t spare, Accounts which) n
   const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
   if (length != 0) std::memcpy(record->reason, reason.data(), length);
   record->reason[length] = '\0';
-  commit();
+  commit(record->bytes);
   return true;
 }
 
 void Bridge::send_accounts() {
-  for (Passage& passage : passages_) send_account(passage, 0, Accounts::all);
+  for (Passage& passage : passages_) send_account(passage, ByteRing::Room::all, Accounts::all);
   accounts_left_ = 0;
 }
 
 void Bridge::send_some_accounts() {
   for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
     if (next_account_ >= passages_.size()) next_account_ = 0;
-    if (!send_account(passages_[next_account_], spare(), Accounts::news)) return;
+    if (!send_account(passages_[next_account_], ByteRing::Room::usual, Accounts::news)) return;
     ++next_account_;
   }
 }

@@ -64,13 +64,16 @@ class Channel {
   Channel(Bridge& bridge, TopicCore& source);
 
   // The sending side
-  void send(OriginCore& origin, const EventHeader& header, const void* payload);
+  void send(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
 
   // The receiving side
   void set_wanted(bool is_wanted) noexcept { is_wanted_.store(is_wanted, std::memory_order_relaxed); }
 
  private:
   friend class Bridge;
+  void look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload);
+  /// Where its payload goes.
+  static std::byte* begin_event(std::byte* room, Passage& passage, Time time, std::uint64_t sequence);
   Bridge& bridge_;
   TopicCore& source_;
   const std::uint32_t record_bytes_;
@@ -99,11 +102,7 @@ class Bridge final : public Listener {
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time time, const HealthChange& change) override;
   /// Wakes the other side if there is something for it.
-  void wake() noexcept {
-    if (unannounced_ == 0) return;
-    unannounced_ = 0;
-    to_.wake().send();
-  }
+  void wake() noexcept;
   // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
   void turn_done();
@@ -154,18 +153,17 @@ class Bridge final : public Listener {
   struct DropsRecord : Record {
     std::uint64_t last_sequence;
   };
-  /// Gaps and segments find this room when events have filled the ring.
-  std::size_t spare() const noexcept { return ring_.capacity() / 8; }
   Channel* channel_of(const TopicCore& topic) noexcept;
   Passage* passage_of(const OriginCore& origin) noexcept;
+  /// `room`: all for gaps and segments, which have to find some when events have filled the ring.
   template <class RecordType>
-  RecordType* reserve(Sort sort, Passage& passage, std::size_t spare) noexcept;
+  RecordType* reserve(Sort sort, Passage& passage, ByteRing::Room room) noexcept;
   /// False when there is no room for it.
   enum class Accounts { news, all };
-  bool send_account(Passage& passage, std::size_t spare, Accounts which) noexcept;
+  bool send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept;
   void send_some_accounts();
-  void commit() noexcept {
-    ring_.commit();
+  void commit(std::uint32_t bytes) noexcept {
+    ring_.commit(bytes);
     if (++unannounced_ == most_unannounced) wake();
   }
   void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
@@ -202,23 +200,5 @@ class Bridge final : public Listener {
   // the receiving side
   std::vector<Passage*> received_;  // those that have, or had, a mirror
 };
-
-inline void Channel::send(OriginCore& origin, const EventHeader& header, const void* payload) {
-  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
-  Passage* passage = passages_[origin.index];
-  if (passage == nullptr) return;
-  std::byte* room = bridge_.ring_.reserve(record_bytes_, bridge_.spare());
-  if (room == nullptr) [[unlikely]] {
-    ++passage->dropped;
-    return;
-  }
-  auto& record = *reinterpret_cast<Bridge::EventRecord*>(room);
-  record.sort = Bridge::Sort::event;
-  record.passage = passage;
-  record.dropped = passage->dropped;
-  record.event = {header.time, header.sequence};
-  copy_short(reinterpret_cast<std::byte*>(&record.event + 1), payload, source_.type.size);
-  bridge_.commit();
-}
 
 }  // namespace rtdata::detail

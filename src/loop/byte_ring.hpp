@@ -13,31 +13,28 @@ namespace rtdata::detail {
 
 class ByteRing {
  public:
-  /// `bytes` is rounded up to a power of two.
+  /// `bytes` is rounded up to a power of two. An eighth of it is kept for records that have to find room.
   explicit ByteRing(std::size_t bytes)
-      : mask_(std::bit_ceil(bytes) - 1), memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
+      : mask_(std::bit_ceil(bytes) - 1), kept_(bytes / 8), memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
   ByteRing(const ByteRing&) = delete;
   ByteRing& operator=(const ByteRing&) = delete;
   ~ByteRing() { ::operator delete[](memory_, std::align_val_t{64}); }
 
-  std::size_t capacity() const noexcept { return mask_ + 1; }
-
   // ---- the writer
 
   /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, of which the first 4 are the ring's; null
-  /// when there is no room, or when less than `spare` bytes would be left.
-  std::byte* reserve(std::uint32_t bytes, std::size_t spare) noexcept {
-    const bool is_straight = (head_ & mask_) + bytes <= mask_ + 1 && head_ + bytes + spare <= known_room_to_;
-    if (!is_straight && !find_room(bytes, spare)) [[unlikely]]
-      return nullptr;
-    std::byte* record = memory_ + (head_ & mask_);
-    size_at(head_ & mask_) = bytes;
-    reserved_ = bytes;
-    return record;
+  /// when there is none.
+  enum class Room { usual, all };
+  std::byte* reserve(std::uint32_t bytes, Room room) noexcept {
+    return find_room(bytes, room == Room::usual ? kept_ : 0) ? next(bytes) : nullptr;
   }
-  /// The record reserved last is complete.
-  void commit() noexcept {
-    head_ += reserved_;
+  /// Null, too, when the room has to be looked for: then `reserve` does.
+  std::byte* reserve_at_hand(std::uint32_t bytes) noexcept {
+    return head_ + bytes <= straight_to_ ? next(bytes) : nullptr;
+  }
+  /// The record reserved last, of as many bytes, is complete.
+  void commit(std::uint32_t bytes) noexcept {
+    head_ += bytes;
     published_head_.store(head_, std::memory_order_release);
   }
 
@@ -62,19 +59,24 @@ class ByteRing {
   void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
 
  private:
+  std::byte* next(std::uint32_t bytes) noexcept {
+    size_at(head_ & mask_) = bytes;
+    return memory_ + (head_ & mask_);
+  }
   /// Looks how far the reader is, and goes on at the beginning when the end is too near. False when there is no room.
-  bool find_room(std::uint32_t bytes, std::size_t spare) noexcept {
+  bool find_room(std::uint32_t bytes, std::size_t kept) noexcept {
     const std::size_t at = head_ & mask_;
     const std::size_t to_end = mask_ + 1 - at;
     const std::size_t skipped = to_end < bytes ? to_end : 0;
-    if (head_ + skipped + bytes + spare > known_room_to_) {
+    if (head_ + skipped + bytes + kept > known_room_to_) {
       known_room_to_ = tail_.load(std::memory_order_acquire) + mask_ + 1;
-      if (head_ + skipped + bytes + spare > known_room_to_) return false;
+      if (head_ + skipped + bytes + kept > known_room_to_) return false;
     }
     if (skipped != 0) {
       size_at(at) = 0;  // the reader goes on at the beginning
       head_ += skipped;
     }
+    straight_to_ = std::min(head_ - (head_ & mask_) + mask_ + 1, known_room_to_ - kept_);
     return true;
   }
   std::uint32_t& size_at(std::size_t offset) const noexcept {
@@ -82,11 +84,12 @@ class ByteRing {
   }
 
   const std::size_t mask_;
+  const std::size_t kept_;
   std::byte* const memory_;
   // the writer's
   alignas(64) std::size_t head_ = 0;
   std::size_t known_room_to_ = mask_ + 1;
-  std::size_t reserved_ = 0;
+  std::size_t straight_to_ = 0;  // records that end before it lie straight, in room that is known to be free
   alignas(64) std::atomic<std::size_t> published_head_{0};
   // the reader's
   alignas(64) std::size_t own_tail_ = 0;

@@ -23,7 +23,8 @@ TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
     : name(std::move(name_)),
       type(std::move(type_)),
       payload_offset(event_payload_offset(type.alignment)),
-      runtime_(runtime) {}
+      runtime_(runtime),
+      is_short_(type.move_construct == nullptr && type.size <= few_bytes) {}
 
 TopicCore::~TopicCore() {
   drop_slots(tail_, head_);
@@ -34,17 +35,31 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   if (time <= origin.last_time) time = origin.last_time + Duration{1};
   origin.last_time = time;
   const std::uint64_t sequence = ++origin.sequence;
-  if (!taps_.empty() || !channels_out_.empty()) offer(origin, {time, sequence, origin.name}, payload);
-  if (!links_.empty()) enqueue({time, sequence, origin.name}, payload);
+  if (!is_followed_) return;
+  if (is_offered_) {
+    if (only_channel_ != nullptr) return only_channel_->send(origin, time, sequence, payload);
+    return hand_out(origin, time, sequence, payload);
+  }
+  if (!is_short_ || !is_ready || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
+  // One of a burst of short ones, for handlers alone: without a call.
+  std::byte* to = slot(head_++);
+  ::new (to) EventHeader{time, sequence, origin.name};
+  copy_few(to + payload_offset, payload, type.size);
 }
 
-inline void TopicCore::enqueue(const EventHeader& header, void* payload) {
+void TopicCore::hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {
+  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, time, sequence, payload);
+  for (Channel* channel : channels_out_) channel->send(origin, time, sequence, payload);
+  if (!links_.empty()) enqueue(origin, time, sequence, payload);
+}
+
+void TopicCore::enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {
   if (head_ - tail_ > mask_) {
     ++dropped_;
     return;
   }
   std::byte* to = slot(head_);
-  ::new (to) EventHeader(header);
+  ::new (to) EventHeader{time, sequence, origin.name};
   if (type.move_construct == nullptr) [[likely]] {
     copy_short(to + payload_offset, payload, type.size);
   } else {
@@ -54,11 +69,6 @@ inline void TopicCore::enqueue(const EventHeader& header, void* payload) {
   if (!is_ready) runtime_.own_loop->add_ready(*this);
 }
 
-void TopicCore::offer(OriginCore& origin, const EventHeader& header, const void* payload) {
-  for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, header, payload);
-  for (Channel* channel : channels_out_) channel->send(origin, header, payload);
-}
-
 void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride) {
   const auto arrival = [&](std::size_t i) {
     return reinterpret_cast<const Arrival*>(reinterpret_cast<const std::byte*>(first) + i * stride);
@@ -66,8 +76,9 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
   mirror.sequence = arrival(count - 1)->sequence;
   mirror.last_time = arrival(count - 1)->time;
   for (std::size_t i = 0; i < count && !taps_.empty(); ++i) {
-    const EventHeader header{arrival(i)->time, arrival(i)->sequence, mirror.name};
-    for (std::size_t tap = 0; tap < taps_.size(); ++tap) taps_[tap]->offer(mirror, header, arrival(i) + 1);
+    const Arrival& event = *arrival(i);
+    for (std::size_t tap = 0; tap < taps_.size(); ++tap)
+      taps_[tap]->offer(mirror, event.time, event.sequence, &event + 1);
   }
   if (links_.empty()) return;
   const std::uint64_t taken = std::min<std::uint64_t>(count, mask_ + 1 - (head_ - tail_));
@@ -87,8 +98,11 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
   if (!links_.empty()) dropped_ += count;
 }
 
-void TopicCore::tell_sources() noexcept {
+void TopicCore::followers_changed() noexcept {
   const bool is_wanted = !taps_.empty() || !links_.empty();
+  is_offered_ = !taps_.empty() || !channels_out_.empty();
+  is_followed_ = is_offered_ || !links_.empty();
+  only_channel_ = channels_out_.size() == 1 && taps_.empty() && links_.empty() ? channels_out_.front() : nullptr;
   for (Channel* channel : channels_in_) channel->set_wanted(is_wanted);
 }
 
@@ -115,7 +129,7 @@ Result<void> TopicCore::link(SubscriptionNode& node) {
   if (!map) return std::move(map).error();
   if (slots_ == nullptr) make_ring(runtime_.config.ring_events);
   links_.push_back({&node, std::move(*map), head_, head_, dropped_});
-  tell_sources();
+  followers_changed();
   return {};
 }
 
@@ -147,7 +161,7 @@ void TopicCore::unlink(SubscriptionNode& node) noexcept {
     if (link.node == &node) retire(link);
   }
   if (delivering_ == nullptr) std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
-  tell_sources();
+  followers_changed();
 }
 
 void TopicCore::cancel(const OriginCore& origin) noexcept {

@@ -18,7 +18,7 @@ class RuntimeCore;
 /// A sink's attachment to a topic. Takes its copy when an event is published.
 class Tap {
  public:
-  virtual void offer(OriginCore& origin, const EventHeader& header, const void* payload) = 0;
+  virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
   /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
 
@@ -57,21 +57,25 @@ class TopicCore {
   void unlink(SubscriptionNode& node) noexcept;
   void add_tap(Tap& tap) {
     taps_.push_back(&tap);
-    tell_sources();
+    followers_changed();
   }
   void remove_tap(Tap& tap) noexcept {
     std::erase(taps_, &tap);
-    tell_sources();
+    followers_changed();
   }
   // Channels to and from the topic of this name on other loops.
-  void add_channel_out(Channel& channel) { channels_out_.push_back(&channel); }
+  void add_channel_out(Channel& channel) {
+    channels_out_.push_back(&channel);
+    followers_changed();
+  }
   void add_channel_in(Channel& channel) {
     channels_in_.push_back(&channel);
-    tell_sources();
+    followers_changed();
   }
   void remove_channel(Channel& channel) noexcept {
     std::erase(channels_out_, &channel);
     std::erase(channels_in_, &channel);
+    followers_changed();
   }
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
@@ -106,10 +110,10 @@ class TopicCore {
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;
   };
-  /// Whether anybody here wants events from other loops.
-  void tell_sources() noexcept;
-  void enqueue(const EventHeader& header, void* payload);
-  void offer(OriginCore& origin, const EventHeader& header, const void* payload);
+  /// Other loops are told whether anybody here wants their events.
+  void followers_changed() noexcept;
+  void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
+  void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void move_payload(std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
@@ -118,6 +122,10 @@ class TopicCore {
   void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
 
   RuntimeCore& runtime_;
+  const bool is_short_;              // bytes to copy, and few
+  bool is_offered_ = false;          // there is a tap or a channel out
+  bool is_followed_ = false;         // or a link
+  Channel* only_channel_ = nullptr;  // there is nothing else
   std::vector<Tap*> taps_;
   std::vector<Channel*> channels_out_;
   std::vector<Channel*> channels_in_;

@@ -30,9 +30,10 @@ class FeedNode final : public SourceNode {
     if (!is_running_) return;
     ++origin_.counts.received;
     ++origin_.counts.published;
+    if (health() != Health::ok) [[unlikely]]
+      set_health(Health::ok, nullptr);
     const Time at = time != nullptr ? *time : loop()->runtime.event_time(loop()->now());
     origin_.topic.publish(origin_, at, payload);
-    if (health() != Health::ok) set_health(Health::ok, nullptr);
   }
   void fail(const Error& error) {
     if (!is_running_) return;

@@ -106,17 +106,17 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       std::uint64_t last_sequence = 0;
       std::uint32_t slot = 0;
     };
-    void offer(OriginCore& origin, const EventHeader& header, const void* payload) override {
+    void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override {
       Place& place = place_of(origin);
       ++place.live->offered;
       if (place.first_sequence == 0) [[unlikely]]
-        place.first_sequence = header.sequence;
-      place.last_sequence = header.sequence;
+        place.first_sequence = sequence;
+      place.last_sequence = sequence;
       SinkQueue& queue = *sink.queue_;
       std::byte* to = queue.room(place.slot, record_bytes);
       if (to == nullptr) [[unlikely]]
         return sink.start_storing();
-      const RecordHeader record{place.slot, payload_bytes, to_nanoseconds(header.time), header.sequence};
+      const RecordHeader record{place.slot, payload_bytes, to_nanoseconds(time), sequence};
       std::memcpy(to, &record, sizeof record);
       std::memcpy(to + sizeof record, payload, payload_bytes);
       queue.commit(record_bytes);

@@ -85,9 +85,22 @@ TEST_SUITE("loop") {
     std::uint32_t taken = 0;
     const auto bytes_of = [](std::uint32_t number) { return 16 + number % 7 * 8; };
     for (int round = 0; round < 1000; ++round) {
-      while (std::byte* room = ring.reserve(bytes_of(sent), round % 3 * 64)) {
-        reinterpret_cast<std::uint32_t*>(room)[1] = sent++;
-        ring.commit();
+      using Room = detail::ByteRing::Room;
+      const auto send = [&](Room which) {
+        std::byte* room = ring.reserve(bytes_of(sent), which);
+        if (room == nullptr) return false;
+        reinterpret_cast<std::uint32_t*>(room)[1] = sent;
+        ring.commit(bytes_of(sent++));
+        return true;
+      };
+      while (send(Room::usual)) {
+      }
+      if (round % 3 == 0) {
+        const std::uint32_t usual = sent;
+        while (send(Room::all)) {
+        }
+        CHECK(sent > usual);
+        CHECK(!send(Room::usual));
       }
       CHECK(ring.front() == nullptr);  // not looked yet
       ring.look();
