@@ -102,6 +102,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     /// What is touched for each event of an origin.
     struct Place {
       LiveCounts* live = nullptr;  // null: it has no slot yet
+      SlotStored* stored = nullptr;
       std::uint64_t first_sequence = 0;
       std::uint64_t last_sequence = 0;
       std::uint32_t slot = 0;
@@ -116,7 +117,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
       std::byte* to = queue.room(place.slot, record_bytes);
       if (to == nullptr) [[unlikely]]
         return sink.start_storing();
-      const RecordHeader record{place.slot, payload_bytes, to_nanoseconds(time), sequence};
+      const RecordHeader record{place.stored, to_nanoseconds(time), sequence};
       std::memcpy(to, &record, sizeof record);
       std::memcpy(to + sizeof record, payload, payload_bytes);
       queue.commit(record_bytes);
@@ -143,7 +144,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
         places.resize(count);
         accounted.resize(count);
       }
-      places[origin.index] = {sink.queue_->slot(slot).live, 0, 0, slot};
+      places[origin.index] = {sink.queue_->slot(slot).live, &sink.queue_->stored(slot), 0, 0, slot};
     }
     SinkNode& sink;
     TopicCore& topic;

@@ -18,12 +18,17 @@ namespace detail {
 namespace {
 
 template <class Function>
-void for_each_slot(const ChunkHeader& chunk, Function&& function) {
+void for_each_record(const ChunkHeader& chunk, Function&& function) {
   for (std::size_t at = 0; at < chunk.used;) {
-    const auto& record = *reinterpret_cast<const RecordHeader*>(chunk.data + at);
-    function(record.slot);
-    at += record_bytes_of(record.payload_bytes);
+    SlotStored& stored = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->stored;
+    function(stored);
+    at += record_bytes_of(stored.payload_bytes);
   }
+}
+
+/// For the only thread that writes it: no locked instruction for each of thousands.
+void add(std::atomic<std::uint64_t>& sum, std::uint64_t count) noexcept {
+  sum.store(sum.load(std::memory_order_relaxed) + count, std::memory_order_relaxed);
 }
 
 constexpr std::size_t most_chunks_together = 16;
@@ -65,7 +70,10 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   }
   Slot& made = slot(index);
   made.info = std::move(info);
-  stored(index).info = &made.info;
+  SlotStored& stored_of = stored(index);
+  stored_of.info = &made.info;
+  stored_of.index = index;
+  stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
   if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
   return index;
@@ -99,8 +107,8 @@ ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
     if (oldest == nullptr) return drop_newest();  // the lane is at work on all of them
     if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling)))
       continue;
-    for_each_slot(*oldest, [this](std::uint32_t number) {
-      Slot& lost = slot(number);
+    for_each_record(*oldest, [this](const SlotStored& stored) {
+      Slot& lost = slot(stored.index);
       ++lost.dropped_oldest;
       ++lost.live->dropped;
     });
@@ -266,8 +274,7 @@ bool SinkQueue::gather() {
   if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
   slots_in_batch_.clear();
   for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_slot(*chunk, [this](std::uint32_t slot) {
-      SlotStored& counts = stored(slot);
+    for_each_record(*chunk, [this](SlotStored& counts) {
       if (counts.in_batch++ == 0) slots_in_batch_.push_back(&counts);
     });
   }
@@ -279,8 +286,8 @@ void SinkQueue::finish_batch() {
   if (abandoned_) return;
   revision_.fetch_add(1, std::memory_order_acq_rel);
   for (SlotStored* s : slots_in_batch_) {
-    s->stored.fetch_add(s->in_batch - s->refused_in_batch, std::memory_order_relaxed);
-    s->refused.fetch_add(s->refused_in_batch, std::memory_order_relaxed);
+    add(s->stored, s->in_batch - s->refused_in_batch);
+    if (s->refused_in_batch != 0) add(s->refused, s->refused_in_batch);
     s->in_batch = s->refused_in_batch = 0;
   }
   for (ChunkHeader* chunk : batch_.chunks_) {
@@ -375,18 +382,18 @@ std::uint64_t SinkQueue::take_refusals(Error& why) {
 
 Record Batch::Iterator::operator*() const noexcept {
   const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
-  const auto* stored = reinterpret_cast<const detail::RecordHeader*>(at);
-  const SlotInfo& info = *batch_->queue_->stored(stored->slot).info;
-  return {stored->slot,
-          &info,
-          {from_nanoseconds(stored->time), stored->sequence, info.origin},
-          {at + sizeof *stored, stored->payload_bytes}};
+  const auto* record = reinterpret_cast<const detail::RecordHeader*>(at);
+  const detail::SlotStored& slot = *record->stored;
+  return {slot.index,
+          slot.info,
+          {from_nanoseconds(record->time), record->sequence, slot.info->origin},
+          {at + sizeof *record, slot.payload_bytes}};
 }
 
 Batch::Iterator& Batch::Iterator::operator++() noexcept {
   const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
   offset_ += detail::record_bytes_of(
-      reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->payload_bytes);
+      reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->stored->payload_bytes);
   if (offset_ >= chunk.used) {
     offset_ = 0;
     ++chunk_;

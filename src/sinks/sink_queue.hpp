@@ -16,10 +16,11 @@
 
 namespace rtdata::detail {
 
+struct SlotStored;
+
 /// Lies before each payload in a chunk.
 struct RecordHeader {
-  std::uint32_t slot;
-  std::uint32_t payload_bytes;
+  SlotStored* stored;
   std::int64_t time;
   std::uint64_t sequence;
 };
@@ -47,12 +48,14 @@ struct alignas(64) Slot {
   std::uint64_t dropped_oldest = 0;
 };
 
-/// The lane's counts of a slot. Apart from it and small, since they are touched for each record.
+/// The lane's counts of a slot, and what it needs to know. Apart from it and small, since it is touched for each record.
 struct SlotStored {
   std::atomic<std::uint64_t> stored{0};  // changed between two steps of the queue's revision
   std::atomic<std::uint64_t> refused{0};
   std::uint32_t in_batch = 0;
   std::uint32_t refused_in_batch = 0;
+  std::uint32_t index = 0;  // the slot's number
+  std::uint32_t payload_bytes = 0;
   const SlotInfo* info = nullptr;
 };
 
