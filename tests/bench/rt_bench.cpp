@@ -310,6 +310,7 @@ class BareCrossing {
         event.data = payload_;
         head_.store(++head, std::memory_order_release);
       }
+      head_.store(head);  // in order before libuv's look whether the other side has been told of the last one
       uv_async_send(&news_);
     }
     if (is_over_) uv_close(reinterpret_cast<uv_handle_t*>(&credit_), nullptr);
@@ -538,7 +539,7 @@ double lossless_rate(const std::string& folder) {
   while (good < 2e7 && is_lossless(good)) good *= 2;
   double bad = good;
   good /= 2;
-  for (int step = 0; step < 3; ++step) {
+  for (int step = 0; step < 5; ++step) {
     const double middle = (good + bad) / 2;
     (is_lossless(middle) ? good : bad) = middle;
   }
