@@ -210,8 +210,7 @@ MonotonicTime LoopCore::now() noexcept {
 
 void LoopCore::assert_thread() const noexcept {
 #ifndef NDEBUG
-  const std::thread::id running = thread_.load(std::memory_order_relaxed);
-  assert(running == std::thread::id{} || running == std::this_thread::get_id());
+  assert(!is_run_by_another_thread());
 #endif
 }
 

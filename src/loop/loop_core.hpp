@@ -129,8 +129,8 @@ class LoopCore {
       refuse_thread(what, object);
   }
   bool is_run_by_another_thread() const noexcept {
-    const std::thread::id running = thread_.load(std::memory_order_relaxed);
-    return running != std::thread::id{} && running != std::this_thread::get_id();
+    const void* running = thread_.load(std::memory_order_relaxed);
+    return running != nullptr && running != this_thread();
   }
 
   /// Lanes by key: one per physical device; made when first asked for.
@@ -257,7 +257,12 @@ class LoopCore {
   std::vector<Callback<void()>> posted_;
   std::vector<Callback<void()>> running_posted_;
   std::atomic<bool> stop_requested_{false};
-  mutable std::atomic<std::thread::id> thread_{};
+  /// Another value on each thread; unlike std::this_thread::get_id without a call.
+  static const void* this_thread() noexcept {
+    [[gnu::tls_model("initial-exec")]] static thread_local char own;
+    return &own;
+  }
+  std::atomic<const void*> thread_{nullptr};
   std::atomic<std::thread::id> bound_to_{};
 };
 

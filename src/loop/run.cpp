@@ -82,12 +82,12 @@ LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
                       "return from the callback; use stop(), post() or drain() there"});
   }
   core.is_running_ = true;
-  core.thread_.store(std::this_thread::get_id(), std::memory_order_relaxed);
+  core.thread_.store(this_thread(), std::memory_order_relaxed);
 }
 
 LoopCore::Running::~Running() {
   core_.is_running_ = false;
-  core_.thread_.store(std::thread::id{}, std::memory_order_relaxed);
+  core_.thread_.store(nullptr, std::memory_order_relaxed);
 }
 
 void LoopCore::run() {

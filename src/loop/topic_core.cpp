@@ -87,7 +87,11 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
     const Arrival* from = arrival(i);
     std::byte* to = slot(head_ + i);
     ::new (to) EventHeader{from->time, from->sequence, mirror.name};
-    copy_short(to + payload_offset, from + 1, type.size);
+    if (is_short_) {
+      copy_few(to + payload_offset, from + 1, type.size);
+    } else {
+      std::memcpy(to + payload_offset, from + 1, type.size);
+    }
   }
   head_ += taken;
   if (taken > 0 && !is_ready) runtime_.own_loop->add_ready(*this);

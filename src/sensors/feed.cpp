@@ -28,12 +28,8 @@ class FeedNode final : public SourceNode {
 
   void publish(void* payload, const Time* time) {
     if (!is_running_) return;
-    ++origin_.counts.received;
-    ++origin_.counts.published;
-    if (health() != Health::ok) [[unlikely]]
-      set_health(Health::ok, nullptr);
-    const Time at = time != nullptr ? *time : loop()->runtime.event_time(loop()->now());
-    origin_.topic.publish(origin_, at, payload);
+    if (time == nullptr || health() != Health::ok) return publish_otherwise(payload, time);
+    count_and_publish(payload, *time);
   }
   void fail(const Error& error) {
     if (!is_running_) return;
@@ -59,6 +55,16 @@ class FeedNode final : public SourceNode {
   std::size_t payload_size() const noexcept { return origin_.topic.type.size; }
 
  private:
+  void count_and_publish(void* payload, Time time) {
+    ++origin_.counts.received;
+    ++origin_.counts.published;
+    origin_.topic.publish(origin_, time, payload);
+  }
+  /// With the time of now, or after a failure. Apart, so that the other way needs no call.
+  [[gnu::noinline]] void publish_otherwise(void* payload, const Time* time) {
+    if (health() != Health::ok) set_health(Health::ok, nullptr);
+    count_and_publish(payload, time != nullptr ? *time : loop()->runtime.event_time(loop()->now()));
+  }
   void on_close() noexcept override {
     stop();
     leave();
