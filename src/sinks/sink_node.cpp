@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cstring>
 #include <exception>
 #include <optional>
 #include <unordered_map>
@@ -13,6 +12,8 @@
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/sink_notes.hpp"
 #include "sinks/sink_queue.hpp"
+#include "sinks/sink_tap.hpp"
+#include "sinks/store_job.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -24,37 +25,9 @@ constexpr Duration pause_between_parts = std::chrono::milliseconds{1};
 
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
-/// Stores what is queued, on the lane.
-class StoreJob final : public LaneJob {
- public:
-  explicit StoreJob(std::shared_ptr<SinkQueue> queue_) : queue(std::move(queue_)) {}
-  void run() noexcept override {
-    if (pause.count() > 0) queue->pause(std::exchange(pause, Duration{0}));
-    result = queue->process();
-    if (result && closing) result = queue->close_writer();
-    has_ended = queue->has_ended();
-    refused = queue->take_refusals(refusal);
-    try {
-      warning = queue->writer().take_warning();
-    } catch (...) {  // a warning less
-    }
-  }
-  void done(Outcome outcome) override;
-
-  std::shared_ptr<SinkQueue> queue;
-  SinkNode* owner = nullptr;  // null once the sink is gone
-  bool closing = false;
-  Duration pause{0};  // before the work
-  bool has_ended = false;
-  Result<void> result;
-  std::uint64_t refused = 0;
-  Error refusal;
-  std::optional<Error> warning;
-};
-
 }  // namespace
 
-class SinkNode final : public Node, public Recorder, public RateMember {
+class SinkNode final : public Node, public Recorder, public RateMember, public SinkTap::Owner {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer)
       : Node(loop),
@@ -90,79 +63,6 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     is_attached_ = true;
   }
 
-  // ---- taking events: the hot path
-
-  struct TopicTap final : Tap {
-    TopicTap(SinkNode& sink_, TopicCore& topic_, std::uint32_t number_)
-        : sink(sink_),
-          topic(topic_),
-          number(number_),
-          payload_bytes(static_cast<std::uint32_t>(topic_.type.size)),
-          record_bytes(record_bytes_of(topic_.type.size)) {}
-    /// What is touched for each event of an origin.
-    struct Place {
-      LiveCounts* live = nullptr;  // null: it has no slot yet
-      SlotStored* stored = nullptr;
-      std::uint64_t first_sequence = 0;
-      std::uint64_t last_sequence = 0;
-      std::uint32_t slot = 0;
-    };
-    void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override {
-      Place& place = place_of(origin);
-      ++place.live->offered;
-      if (place.first_sequence == 0) [[unlikely]]
-        place.first_sequence = sequence;
-      place.last_sequence = sequence;
-      SinkQueue& queue = *sink.queue_;
-      std::byte* to = queue.room(place.slot, record_bytes);
-      if (to == nullptr) [[unlikely]]
-        return sink.start_storing();
-      const RecordHeader record{place.stored, to_nanoseconds(time), sequence};
-      std::memcpy(to, &record, sizeof record);
-      std::memcpy(to + sizeof record, payload, payload_bytes);
-      queue.commit(record_bytes);
-      if (queue.is_batch_due()) sink.flush_rows();
-    }
-    void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override {
-      Place& place = place_of(origin);
-      place.live->offered += count;
-      sink.queue_->slot(place.slot).dropped_newest += count;
-      // Told late, when another tier has gone on with the name, they are before what it published.
-      if (place.first_sequence == 0 || last_sequence < place.first_sequence)
-        place.first_sequence = last_sequence - count + 1;
-      place.last_sequence = std::max(place.last_sequence, last_sequence);
-    }
-    Place& place_of(OriginCore& origin) {
-      if (origin.index >= places.size() || places[origin.index].live == nullptr) [[unlikely]]
-        make_place(origin);
-      return places[origin.index];
-    }
-    void make_place(OriginCore& origin) {
-      const std::uint32_t slot = sink.queue_->add_slot({number, origin.name, topic.name, topic.type.description});
-      if (places.size() <= origin.index) {
-        const auto count = std::max<std::size_t>(origin.index + 1, topic.origins().size());
-        places.resize(count);
-        accounted.resize(count);
-      }
-      places[origin.index] = {sink.queue_->slot(slot).live, &sink.queue_->stored(slot), 0, 0, slot};
-    }
-    SinkNode& sink;
-    TopicCore& topic;
-    const std::uint32_t number;
-    const std::uint32_t payload_bytes;
-    const std::size_t record_bytes;
-    std::vector<Place> places;             // by the origin's index within the topic, as the next
-    std::vector<OriginAccount> accounted;  // as last handed over
-  };
-
-  void flush_rows() {
-    if (is_busy()) {  // the chunk goes on filling
-      is_due_ = true;
-    } else if (queue_->hand_over()) {
-      start_storing();
-    }
-  }
-
   // ---- Recorder
 
   Result<void> on_topic(TopicCore& topic) override {
@@ -190,20 +90,18 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     }
     const auto number = static_cast<std::uint32_t>(taps_.size());
     if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
-    taps_.push_back(std::make_unique<TopicTap>(*this, topic, number));
+    taps_.push_back(std::make_unique<SinkTap>(*this, queue_, topic, number));
     tap_of_[&topic] = taps_.back().get();
     topic.add_tap(*taps_.back());
     return {};
   }
 
   void on_gap(OriginCore& origin, const Gap& gap) override {
-    const TopicTap::Place* place = find_place(origin);
-    if (place == nullptr) return;
-    notes_.add(place->slot, gap, queue_->slot_count());
+    if (SinkTap* tap = find_tap(origin)) notes_.add(tap->slot_of(origin), gap, queue_->slot_count());
   }
 
   void on_segment(OriginCore& origin, const Segment& segment) override {
-    if (const TopicTap::Place* place = find_place(origin)) notes_.add(place->slot, segment);
+    if (SinkTap* tap = find_tap(origin)) notes_.add(tap->slot_of(origin), segment);
   }
 
   void on_clock(const ClockPair& pair) override { notes_.add(pair); }
@@ -315,9 +213,20 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   ~SinkNode() override = default;
   std::string object_name() const { return "sink " + config_.name; }
 
-  const TopicTap::Place* find_place(OriginCore& origin) {
+  SinkTap* find_tap(const OriginCore& origin) const {
     const auto tap = tap_of_.find(&origin.topic);
-    return tap != tap_of_.end() ? &tap->second->place_of(origin) : nullptr;
+    return tap != tap_of_.end() ? tap->second : nullptr;
+  }
+
+  // ---- SinkTap::Owner
+
+  void queue_is_full() override { start_storing(); }
+  void batch_is_due() override {
+    if (is_busy()) {  // the chunk goes on filling
+      is_due_ = true;
+    } else if (queue_->hand_over()) {
+      start_storing();
+    }
   }
 
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }
@@ -386,28 +295,16 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     if (part != next_part) account_topic_ = account_origin_ = 0;
     std::size_t looked_at = 0;
     for (; account_topic_ < taps_.size(); ++account_topic_, account_origin_ = 0) {
-      TopicTap& tap = *taps_[account_topic_];
-      for (const auto& origins = tap.topic.origins(); account_origin_ < origins.size(); ++account_origin_) {
+      SinkTap& tap = *taps_[account_topic_];
+      for (const auto& origins = tap.topic().origins(); account_origin_ < origins.size(); ++account_origin_) {
         if (!is_last && looked_at++ == origins_at_once) {
           next_part_.start(pause_between_parts);
           return hand_over(*account);
         }
         OriginCore& origin = *origins[account_origin_];
         if (is_last) origin.close_gap();
-        const TopicTap::Place& place = tap.place_of(origin);
-        const Slot& slot = queue_->slot(place.slot);
-        OriginAccount now{place.slot,          origin.counts,        slot.live->offered,  slot.dropped_newest,
-                          slot.dropped_oldest, place.first_sequence, place.last_sequence, {}};
-        if (origin.has_segment()) now.segment = origin.segment(until);
-        OriginAccount& before = tap.accounted[origin.index];
-        if (!is_last && now.offered == before.offered && now.dropped_oldest == before.dropped_oldest &&
-            now.sensor.lost == before.sensor.lost && now.sensor.scheduled == before.sensor.scheduled &&
-            now.sensor.received == before.sensor.received && now.segment.period == before.segment.period &&
-            now.sensor.in_flight == before.sensor.in_flight) {
-          continue;
-        }
-        before = now;
-        account->origins.push_back(now);
+        const OriginAccount now = tap.account_of(origin, until);
+        if (tap.is_news(origin, now) || is_last) account->origins.push_back(now);
       }
     }
     return hand_over(*account);
@@ -441,7 +338,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   }
 
   void remove_taps() noexcept {
-    for (const auto& tap : taps_) tap->topic.remove_tap(*tap);
+    for (const auto& tap : taps_) tap->topic().remove_tap(*tap);
   }
 
   void finish_drain() {
@@ -520,8 +417,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::shared_ptr<SinkQueue> queue_;
   std::shared_ptr<StoreJob> job_;
   std::unique_ptr<Lane> lane_;
-  std::vector<std::unique_ptr<TopicTap>> taps_;
-  std::unordered_map<const TopicCore*, TopicTap*> tap_of_;
+  std::vector<std::unique_ptr<SinkTap>> taps_;
+  std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
   SinkNotes notes_;
   Timer retry_;
   Timer next_part_;  // of an account
@@ -544,11 +441,11 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   bool closed_ = false;
 };
 
-namespace {
-
 void StoreJob::done(Outcome outcome) {
   if (owner != nullptr) owner->job_done(outcome);
 }
+
+namespace {
 
 SinkNode* sink(Node* node) noexcept {
   return node != nullptr && node->is_open() ? static_cast<SinkNode*>(node) : nullptr;

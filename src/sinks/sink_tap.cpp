@@ -1,0 +1,75 @@
+#include "sinks/sink_tap.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+namespace rtdata::detail {
+
+SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number)
+    : owner_(owner),
+      queue_(std::move(queue)),
+      topic_(topic),
+      number_(number),
+      payload_bytes_(topic.type.size),
+      record_bytes_(record_bytes_of(topic.type.size)) {}
+
+void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
+  Place& place = place_of(origin);
+  ++place.live->offered;
+  if (place.first_sequence == 0) [[unlikely]]
+    place.first_sequence = sequence;
+  place.last_sequence = sequence;
+  SinkQueue& queue = *queue_;
+  std::byte* to = queue.room(place.slot, record_bytes_);
+  if (to == nullptr) [[unlikely]]
+    return owner_.queue_is_full();
+  const RecordHeader record{place.stored, to_nanoseconds(time), sequence};
+  std::memcpy(to, &record, sizeof record);
+  std::memcpy(to + sizeof record, payload, payload_bytes_);
+  queue.commit(record_bytes_);
+  if (queue.is_batch_due()) owner_.batch_is_due();
+}
+
+void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) {
+  Place& place = place_of(origin);
+  place.live->offered += count;
+  queue_->slot(place.slot).dropped_newest += count;
+  // Told late, when another tier has gone on with the name, they are before what it published.
+  if (place.first_sequence == 0 || last_sequence < place.first_sequence)
+    place.first_sequence = last_sequence - count + 1;
+  place.last_sequence = std::max(place.last_sequence, last_sequence);
+}
+
+void SinkTap::make_place(OriginCore& origin) {
+  const std::uint32_t slot = queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
+  if (places_.size() <= origin.index) {
+    const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
+    places_.resize(count);
+    accounted_.resize(count);
+  }
+  places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, slot};
+}
+
+OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {
+  const Place& place = place_of(origin);
+  const Slot& slot = queue_->slot(place.slot);
+  OriginAccount now{place.slot,          origin.counts,        slot.live->offered,  slot.dropped_newest,
+                    slot.dropped_oldest, place.first_sequence, place.last_sequence, {}};
+  if (origin.has_segment()) now.segment = origin.segment(until);
+  return now;
+}
+
+bool SinkTap::is_news(const OriginCore& origin, const OriginAccount& now) {
+  OriginAccount& before = accounted_[origin.index];
+  if (now.offered == before.offered && now.dropped_oldest == before.dropped_oldest &&
+      now.sensor.lost == before.sensor.lost && now.sensor.scheduled == before.sensor.scheduled &&
+      now.sensor.received == before.sensor.received && now.segment.period == before.segment.period &&
+      now.sensor.in_flight == before.sensor.in_flight) {
+    return false;
+  }
+  before = now;
+  return true;
+}
+
+}  // namespace rtdata::detail

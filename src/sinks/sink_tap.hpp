@@ -1,0 +1,64 @@
+// Where a sink takes the events of one topic: each is copied into its queue when it is published.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "loop/origin_core.hpp"
+#include "loop/topic_core.hpp"
+#include "sinks/sink_queue.hpp"
+
+namespace rtdata::detail {
+
+class SinkTap final : public Tap {
+ public:
+  /// What the sink does when events tell that it is time.
+  class Owner {
+   public:
+    virtual void queue_is_full() = 0;
+    virtual void batch_is_due() = 0;
+
+   protected:
+    ~Owner() = default;
+  };
+  /// `number`: of the topic within the sink.
+  SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number);
+
+  void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
+  void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
+
+  TopicCore& topic() const noexcept { return topic_; }
+  std::uint32_t slot_of(OriginCore& origin) { return place_of(origin).slot; }
+  /// The origin's account as it is now, with the segment under way as if it ended at `until`.
+  OriginAccount account_of(OriginCore& origin, MonotonicTime until);
+  /// Notes that it is handed over. False: it says what the one before said.
+  bool is_news(const OriginCore& origin, const OriginAccount& account);
+
+ private:
+  /// What is touched for each event of an origin.
+  struct Place {
+    LiveCounts* live = nullptr;  // null: it has no slot yet
+    SlotStored* stored = nullptr;
+    std::uint64_t first_sequence = 0;
+    std::uint64_t last_sequence = 0;
+    std::uint32_t slot = 0;
+  };
+  Place& place_of(OriginCore& origin) {
+    if (origin.index >= places_.size() || places_[origin.index].live == nullptr) [[unlikely]]
+      make_place(origin);
+    return places_[origin.index];
+  }
+  void make_place(OriginCore& origin);
+
+  Owner& owner_;
+  const std::shared_ptr<SinkQueue> queue_;
+  TopicCore& topic_;
+  const std::uint32_t number_;
+  const std::size_t payload_bytes_;
+  const std::size_t record_bytes_;
+  std::vector<Place> places_;             // by the origin's index within the topic, as the next
+  std::vector<OriginAccount> accounted_;  // as last handed over
+};
+
+}  // namespace rtdata::detail
