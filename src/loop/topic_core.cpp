@@ -214,6 +214,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
   if (needs_sweep_) {
     std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
     needs_sweep_ = false;
+    followers_changed();
     if (links_.empty()) {
       drop_slots(tail_, head_);
       tail_ = head_;

@@ -62,8 +62,8 @@ class FeedNode final : public SourceNode {
   }
   /// With the time of now, or after a failure. Apart, so that the other way needs no call.
   [[gnu::noinline]] void publish_otherwise(void* payload, const Time* time) {
-    if (health() != Health::ok) set_health(Health::ok, nullptr);
     count_and_publish(payload, time != nullptr ? *time : loop()->runtime.event_time(loop()->now()));
+    if (health() != Health::ok) set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
   }
   void on_close() noexcept override {
     stop();

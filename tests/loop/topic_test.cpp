@@ -471,6 +471,19 @@ TEST_SUITE("loop") {
     CHECK(Tracked::copies == 0);
   }
 
+  TEST_CASE("nothing is kept for a handler that has closed its own subscription") {
+    Tracked::reset();
+    Loop loop{Loop::Manual{}};
+    const auto topic = loop.topic<Tracked>("t");
+    Subscription subscription;
+    subscription = topic.subscribe(loop, [&](const Event<Tracked>&) { subscription.close(); });
+    topic.publish(Tracked("the last one"));
+    loop.poll();
+    CHECK(Tracked::alive() == 0);
+    topic.publish(Tracked("nobody listens"));
+    CHECK(Tracked::alive() == 0);
+  }
+
   TEST_CASE("a runtime goes on after its loop: publishing without one, then on another") {
     Runtime runtime;
     Subscription orphan;

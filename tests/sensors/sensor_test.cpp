@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -374,6 +375,27 @@ TEST_CASE("US-5 sampling at a new rate begins at once, and an impossible one is 
   CHECK_THROWS_AS(sensor.set_rate(Rate::from_period(10ns)), SetupError);
   CHECK(sensor.rate() == 100_Hz);
   CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("US-27 a feed that is good again may be stopped or closed by who is told of it") {
+  for (const bool closes : {false, true}) {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    Feed<Number> feed(loop, {.name = "feed"});
+    auto subscription = loop.subscribe<Number>("feed", [](const Event<Number>&) {});
+    feed.fail({Errc::bad_data, "cannot use this", "feed", "it is garbage", ""});
+    unsigned told = 0;
+    loop.runtime().on_log([&](const LogRecord&) {
+      ++told;
+      closes ? feed.close() : feed.stop();
+    });
+    feed.publish({1}, loop.time());
+    loop.poll();
+    CHECK(told == 1);
+    CHECK(subscription.counts().delivered == 0);
+    CHECK(subscription.counts().cancelled == 1);
+    CHECK(loop.runtime().balances());
+  }
 }
 
 TEST_SUITE_END();
