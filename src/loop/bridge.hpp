@@ -155,7 +155,7 @@ class Bridge final : public Listener {
   };
   Channel* channel_of(const TopicCore& topic) noexcept;
   Passage* passage_of(const OriginCore& origin) noexcept;
-  /// `room`: all for gaps and segments, which have to find some when events have filled the ring.
+  /// `room`: all for gaps, segments and last accounts, which have to find some when events have filled the ring.
   template <class RecordType>
   RecordType* reserve(Sort sort, Passage& passage, ByteRing::Room room) noexcept;
   /// False when there is no room for it.

@@ -13,9 +13,11 @@ namespace rtdata::detail {
 
 class ByteRing {
  public:
-  /// `bytes` is rounded up to a power of two. An eighth of it is kept for records that have to find room.
+  /// `bytes` is rounded up to a power of two. An eighth of that is kept for records that have to find room.
   explicit ByteRing(std::size_t bytes)
-      : mask_(std::bit_ceil(bytes) - 1), kept_(bytes / 8), memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
+      : mask_(std::bit_ceil(bytes) - 1),
+        kept_((mask_ + 1) / 8),
+        memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
   ByteRing(const ByteRing&) = delete;
   ByteRing& operator=(const ByteRing&) = delete;
   ~ByteRing() { ::operator delete[](memory_, std::align_val_t{64}); }

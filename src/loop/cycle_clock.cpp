@@ -14,6 +14,7 @@ constexpr Duration shortest_comparison = std::chrono::milliseconds{10};
 constexpr Duration longest_comparison = std::chrono::seconds{10};
 constexpr Duration longest_read = std::chrono::microseconds{1};  // more: the thread was interrupted in it
 constexpr int most_attempts = 3;
+constexpr double largest_scale = 0x1p62;
 constexpr double largest_change = 1e-3;  // of the rate; more: the machine slept, or the counter is another one now
 
 }  // namespace
@@ -35,7 +36,8 @@ MonotonicTime CycleClock::read() noexcept {
   std::uint64_t after = 0;
   MonotonicTime time;
   bool was_interrupted = true;
-  for (int attempt = 0; attempt < most_attempts && was_interrupted; ++attempt) {
+  const int attempts = longest_ != 0 ? most_attempts : 1;  // while the rate is not known for certain, neither is this
+  for (int attempt = 0; attempt < attempts && was_interrupted; ++attempt) {
     before = cycles();
     time = kernel_time();
     after = cycles();
@@ -46,16 +48,23 @@ MonotonicTime CycleClock::read() noexcept {
   base_cycles_ = after;
 
   const Duration elapsed = time - compared_;
-  if (elapsed < shortest_comparison && !was_interrupted) return base_;
+  if (was_interrupted) {
+    longest_ = 0;
+    if (elapsed > longest_comparison) scale_ = 0;  // perhaps it is the rate that is wrong
+    return base_;
+  }
+  if (elapsed < shortest_comparison) return base_;
   bool is_steady = false;
-  if (elapsed <= longest_comparison && !was_interrupted) {
+  if (elapsed <= longest_comparison && after != compared_cycles_) {
     const double scale = std::ldexp(static_cast<double>(elapsed.count()), scale_bits) /
                          static_cast<double>(after - compared_cycles_);
     const double known = static_cast<double>(scale_);
     is_steady = std::abs(scale - known) <= largest_change * known;
-    scale_ = static_cast<std::uint64_t>(scale);
+    scale_ = scale < largest_scale ? static_cast<std::uint64_t>(scale) : 0;
   }
-  longest_ = is_steady ? (static_cast<std::uint64_t>(longest_interpolation.count()) << scale_bits) / scale_ : 0;
+  longest_ = is_steady && scale_ != 0
+                 ? (static_cast<std::uint64_t>(longest_interpolation.count()) << scale_bits) / scale_
+                 : 0;
   compared_ = time;
   compared_cycles_ = after;
   return base_;

@@ -12,13 +12,16 @@
 
 namespace rtdata::detail {
 
-/// Agrees with the kernel's clock to some 100 ns, and never goes back by itself. Where the kernel does not take its own
-/// time from a counter that can be read here, each call reads the kernel's clock. One thread.
+/// Agrees with the kernel's clock to some 100 ns. Where the kernel does not take its own time from a counter that can be
+/// read here, each call reads the kernel's clock. Should the counters of two processors differ, it is off by 100 us at most,
+/// and may go back by that when the thread moves. One thread.
 class CycleClock {
  public:
   CycleClock();
 
   MonotonicTime now() noexcept {
+    if (!is_usable_) [[unlikely]]
+      return kernel_time();
     const std::uint64_t since = cycles() - base_cycles_;
     if (since >= longest_) [[unlikely]]
       return read();

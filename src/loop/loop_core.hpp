@@ -259,7 +259,10 @@ class LoopCore {
   std::atomic<bool> stop_requested_{false};
   /// Another value on each thread; unlike std::this_thread::get_id without a call.
   static const void* this_thread() noexcept {
-    [[gnu::tls_model("initial-exec")]] static thread_local char own;
+#ifdef __GLIBC__  // others may refuse to load a library with it later than at the start
+    [[gnu::tls_model("initial-exec")]]
+#endif
+    static thread_local char own;
     return &own;
   }
   std::atomic<const void*> thread_{nullptr};

@@ -1,6 +1,7 @@
 #include "sinks/sink_tap.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cstring>
 #include <utility>
 
@@ -42,6 +43,7 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
 }
 
 void SinkTap::make_place(OriginCore& origin) {
+  assert(topic_.type.description->size() == payload_bytes_);
   const std::uint32_t slot = queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   if (places_.size() <= origin.index) {
     const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());

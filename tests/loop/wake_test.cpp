@@ -83,11 +83,14 @@ TEST_SUITE("loop") {
     detail::ByteRing ring(1024);
     std::uint32_t sent = 0;
     std::uint32_t taken = 0;
+    std::uint32_t at_hand = 0;
     const auto bytes_of = [](std::uint32_t number) { return 16 + number % 7 * 8; };
     for (int round = 0; round < 1000; ++round) {
       using Room = detail::ByteRing::Room;
       const auto send = [&](Room which) {
-        std::byte* room = ring.reserve(bytes_of(sent), which);
+        std::byte* room = which == Room::usual ? ring.reserve_at_hand(bytes_of(sent)) : nullptr;
+        at_hand += room != nullptr ? 1 : 0;
+        if (room == nullptr) room = ring.reserve(bytes_of(sent), which);
         if (room == nullptr) return false;
         reinterpret_cast<std::uint32_t*>(room)[1] = sent;
         ring.commit(bytes_of(sent++));
@@ -125,5 +128,7 @@ TEST_SUITE("loop") {
       ring.release();
     }
     CHECK(taken == sent);
+    CHECK(at_hand > sent / 2);
+    CHECK(at_hand < sent);
   }
 }
