@@ -4,25 +4,22 @@
 #include <memory>
 #include <vector>
 
+#include "loop/observed.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
+using observed::Count;
 
 namespace {
-
-struct Number {
-  std::int64_t number = 0;
-  RTDATA_FIELDS(Number, (number))
-};
 
 /// Counts, and takes virtual time for it when it is told to.
 struct Reader {
   Loop& loop;
   Duration& takes;
-  Number read() {
+  Count read() {
     if (takes.count() > 0) loop.manual_clock().pass(takes);
     return {1};
   }
@@ -72,8 +69,8 @@ TEST_CASE("NFR-4 every callback is listed with its name, place, times and how of
       [&](const ErrorReport& report) { reports.push_back(std::string(report.object) + "|" + report.error.where); });
   loop.runtime().note_place("sensor slow", "bench.json:3:5");
   Duration slow_takes{20ms}, quick_takes{0};
-  Sensor<Number> slow(loop, {.name = "slow", .rate = 1_Hz}, Reader{loop, slow_takes});
-  Sensor<Number> quick(loop, {.name = "quick", .rate = 1_Hz}, Reader{loop, quick_takes});
+  Sensor<Count> slow(loop, {.name = "slow", .rate = 1_Hz}, Reader{loop, slow_takes});
+  Sensor<Count> quick(loop, {.name = "quick", .rate = 1_Hz}, Reader{loop, quick_takes});
   auto handler = loop.subscribe("quick", [](const EventView&) {});
   Ticker ticker(loop, Ticker::Config{.period = 500ms, .name = "blink"}, [](const Tick&) {});
   Timer timer(loop, Timer::Config{.name = "launch"}, [&] { loop.manual_clock().pass(30ms); });
@@ -111,7 +108,7 @@ TEST_CASE("US-5 on_overrun warn: an overrun is reported and counted, and nothing
   Loop loop{Loop::Manual{}};
   loop.on_error([](const ErrorReport&) {});
   Duration takes{12ms};
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, Reader{loop, takes});
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz}, Reader{loop, takes});
   loop.advance(1s);
   CHECK(sensor.times().held == 11);
   CHECK(period_of(sensor) == 100ms);
@@ -128,8 +125,8 @@ TEST_CASE("US-5 on_overrun slow down: each overrun halves the sensor's rate, to 
   });
   Duration takes{0};
   Duration none{0};
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .on_overrun = OnOverrun::slow_down}, Reader{loop, takes});
-  Sensor<Number> other(loop, {.name = "other", .rate = 10_Hz, .on_overrun = OnOverrun::slow_down}, Reader{loop, none});
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz, .on_overrun = OnOverrun::slow_down}, Reader{loop, takes});
+  Sensor<Count> other(loop, {.name = "other", .rate = 10_Hz, .on_overrun = OnOverrun::slow_down}, Reader{loop, none});
   loop.advance(950ms);
   CHECK(period_of(sensor) == 100ms);
   takes = 15ms;
@@ -169,8 +166,8 @@ TEST_CASE("US-5 on_overrun stop: the offender is stopped and faulted with the re
   loop.runtime().on_log([](const LogRecord&) {});
   Duration takes{15ms};
   Duration none{0};
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .on_overrun = OnOverrun::stop}, Reader{loop, takes});
-  Sensor<Number> other(loop, {.name = "other", .rate = 10_Hz, .on_overrun = OnOverrun::stop}, Reader{loop, none});
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz, .on_overrun = OnOverrun::stop}, Reader{loop, takes});
+  Sensor<Count> other(loop, {.name = "other", .rate = 10_Hz, .on_overrun = OnOverrun::stop}, Reader{loop, none});
   loop.advance(1s);
   CHECK_FALSE(sensor.is_running());
   CHECK(sensor.health() == Health::faulted);
@@ -195,8 +192,8 @@ TEST_CASE("US-5 a sensor may be destroyed by the handler of the report on its ov
     Loop loop{Loop::Manual{}};
     loop.runtime().on_log([](const LogRecord&) {});
     Duration takes{15ms};
-    auto sensor = std::make_unique<Sensor<Number>>(loop, SensorConfig{.name = "s", .rate = 10_Hz, .on_overrun = what},
-                                                   Reader{loop, takes});
+    auto sensor = std::make_unique<Sensor<Count>>(loop, SensorConfig{.name = "s", .rate = 10_Hz, .on_overrun = what},
+                                                  Reader{loop, takes});
     loop.on_error([&](const ErrorReport&) { sensor = nullptr; });
     loop.advance(1s);
     CHECK(sensor == nullptr);

@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "loop/loop_core.hpp"
+#include "loop/observed.hpp"
+#include "loop/run_until.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -18,13 +20,9 @@
 
 using namespace rtdata;
 using namespace rtdata::literals;
+using observed::Count;
 
 namespace {
-
-struct Number {
-  std::int64_t number = 0;
-  RTDATA_FIELDS(Number, (number))
-};
 
 /// "sensor s faulted: cannot read"
 std::string text_of(const HealthChange& change) {
@@ -45,19 +43,6 @@ struct Heard {
   }
 };
 
-/// Runs the loop until the condition holds, for a minute at most.
-template <class Condition>
-bool run_until(Loop& loop, Condition condition) {
-  bool held = false;
-  unsigned looks = 0;
-  Ticker look(loop, 1ms, [&](const Tick&) {
-    held = condition();
-    if (held || ++looks == 60'000) loop.stop();
-  });
-  loop.run();
-  return held;
-}
-
 }  // namespace
 
 TEST_SUITE_BEGIN("loop");
@@ -70,9 +55,9 @@ TEST_CASE("US-16 a sensor's changes of health are events, once each, with the re
   std::vector<std::string> all;
   auto every = loop.subscribe("#", [&](const EventView& event) { all.emplace_back(event.topic()); });
   bool is_broken = false;
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz, .retry_first = 100ms}, [&]() -> Result<Number> {
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz, .retry_first = 100ms}, [&]() -> Result<Count> {
     if (is_broken) return Error{Errc::io_failed, "cannot read", "", "", ""};
-    return Number{1};
+    return Count{1};
   });
   const Time start = loop.time();
   loop.advance(950ms);
@@ -98,7 +83,7 @@ TEST_CASE("US-16 a long reason is cut at a whole character") {
   Heard heard(loop);
   std::string reason;
   for (int i = 0; i < 100; ++i) reason += "\u00b5";
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Result<Number> {
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Result<Count> {
     return Error{Errc::io_failed, "x" + reason, "", "", ""};
   });
   loop.advance(10ms);
@@ -164,7 +149,7 @@ TEST_CASE("US-16 a sink that cannot store is faulted, and ok when it can again; 
   std::vector<std::string> stored;
   Sink sink(loop, {.name = "disk", .topics = {"#", health_topic}, .batch_rows = 1, .batch_time = 100ms},
             std::make_unique<Failing>(is_broken, stored));
-  Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, [] { return Number{1}; });
+  Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz}, [] { return Count{1}; });
   loop.advance(1s);
   CHECK(heard.texts == std::vector<std::string>{"sink disk faulted: cannot store"});
   is_broken = false;
@@ -183,9 +168,9 @@ TEST_CASE("US-16 changes of health on a tier are heard on the main loop") {
   Tier fast(loop, {.name = "fast"});
   Heard heard(loop);
   std::atomic<bool> is_broken{true};
-  Sensor<Number> sensor(fast.loop(), {.name = "s", .rate = 100_Hz, .faulted_after = 1000}, [&]() -> Result<Number> {
+  Sensor<Count> sensor(fast.loop(), {.name = "s", .rate = 100_Hz, .faulted_after = 1000}, [&]() -> Result<Count> {
     if (is_broken) return Error{Errc::io_failed, "cannot read", "", "", ""};
-    return Number{1};
+    return Count{1};
   });
   const auto has = [&](const char* text) {
     return std::find(heard.texts.begin(), heard.texts.end(), text) != heard.texts.end();

@@ -2,6 +2,7 @@
 
 #include <doctest/doctest.h>
 
+#include "loop/observed.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -10,17 +11,13 @@
 
 using namespace rtdata;
 using namespace rtdata::literals;
+using observed::Count;
 
 namespace {
 
-struct Number {
-  std::int64_t number = 0;
-  RTDATA_FIELDS(Number, (number))
-};
-
 /// Says how long it takes.
 struct Timed {
-  Number read() { return {1}; }
+  Count read() { return {1}; }
   Duration read_time() const { return 300us; }
 };
 
@@ -89,10 +86,10 @@ TEST_CASE(
 TEST_CASE("NFR-4 a loop knows its load from its devices and settings, before it runs and while it does") {
   Loop loop{Loop::Manual{}};
   CHECK(loop.load().sensors == 0);
-  const Sensor<Number> lambda(loop, {.name = "lambda", .rate = 1_kHz}, [] { return Number{1}; });
-  const Sensor<Number> timed(loop, {.name = "timed", .rate = 100_Hz}, Timed{});
-  const Sensor<Number> set(loop, {.name = "set", .rate = 100_Hz, .phase = 5ms, .read_time = 200us}, Timed{});
-  const Feed<Number> fed(loop, {.name = "fed"});
+  const Sensor<Count> lambda(loop, {.name = "lambda", .rate = 1_kHz}, [] { return Count{1}; });
+  const Sensor<Count> timed(loop, {.name = "timed", .rate = 100_Hz}, Timed{});
+  const Sensor<Count> set(loop, {.name = "set", .rate = 100_Hz, .phase = 5ms, .read_time = 200us}, Timed{});
+  const Feed<Count> fed(loop, {.name = "fed"});
   const AnalogSensor analog(loop, {.name = "analog", .rate = 100_Hz, .phase = 8ms, .read_time = 2ms},
                             {.file = "/sys/none/in_voltage0_raw"});
   const HostSensor process(loop, {.name = "process", .rate = 100_Hz, .phase = 8ms}, {.what = HostQuantity::process});
@@ -114,9 +111,9 @@ TEST_CASE("NFR-4 a loop knows its load from its devices and settings, before it 
 
 TEST_CASE("NFR-4 a sensor that is stopped counts as one that may start at any time") {
   Loop loop{Loop::Manual{}};
-  const Sensor<Number> often(loop, {.name = "often", .rate = 1_kHz, .read_time = 10us}, Timed{});
-  const Sensor<Number> one(loop, {.name = "one", .rate = 100_Hz}, Timed{});
-  Sensor<Number> other(loop, {.name = "other", .rate = 100_Hz, .phase = 5ms}, Timed{});
+  const Sensor<Count> often(loop, {.name = "often", .rate = 1_kHz, .read_time = 10us}, Timed{});
+  const Sensor<Count> one(loop, {.name = "one", .rate = 100_Hz}, Timed{});
+  Sensor<Count> other(loop, {.name = "other", .rate = 100_Hz, .phase = 5ms}, Timed{});
   CHECK(loop.load().worst == 310us);
   other.stop();
   CHECK(loop.load().worst == 610us);
@@ -128,8 +125,8 @@ TEST_CASE("NFR-4 a sensor that is stopped counts as one that may start at any ti
 TEST_CASE("NFR-4 a tier's load is its own sensors'") {
   Loop loop;
   Tier fast(loop, {.name = "fast"});
-  const Sensor<Number> here(loop, {.name = "here", .rate = 10_Hz}, Timed{});
-  const Sensor<Number> there(fast.loop(), {.name = "there", .rate = 1_kHz}, Timed{});
+  const Sensor<Count> here(loop, {.name = "here", .rate = 10_Hz}, Timed{});
+  const Sensor<Count> there(fast.loop(), {.name = "there", .rate = 1_kHz}, Timed{});
   CHECK(fast.loop().load().text() == "fast: 1 sensor, worst 300 us of 1 ms, 30 %");
   CHECK(loop.load().text() == "main: 1 sensor, worst 300 us of 100 ms, 0 %");
   fast.start();

@@ -18,6 +18,11 @@ struct Number {
   }
 };
 
+struct Count {
+  std::int64_t number = 0;
+  RTDATA_FIELDS(Count, (number))
+};
+
 /// Has the fields of Number, elsewhere.
 struct Reordered {
   float extra = 0;

@@ -13,6 +13,7 @@
 
 #include "loop/callback_survey.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/run_until.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -59,19 +60,6 @@ class Burst {
   Feed<Count> feed_;
   Ticker ticker_;
 };
-
-/// Runs the loop until the condition holds; it is looked at every millisecond, for a minute at most.
-template <class Condition>
-bool run_until(Loop& loop, Condition condition) {
-  bool held = false;
-  unsigned looks = 0;
-  Ticker look(loop, 1ms, [&](const Tick&) {
-    held = condition();
-    if (held || ++looks == 60'000) loop.stop();
-  });
-  loop.run();
-  return held;
-}
 
 /// Runs a function in a child process; true when it returned true.
 template <class Function>
