@@ -35,11 +35,9 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   if (time <= origin.last_time) time = origin.last_time + Duration{1};
   origin.last_time = time;
   const std::uint64_t sequence = ++origin.sequence;
-  if (!is_followed_) return;
-  if (is_offered_) {
-    if (only_channel_ != nullptr) return only_channel_->send(origin, time, sequence, payload);
-    return hand_out(origin, time, sequence, payload);
-  }
+  if (followers_ == Followers::none) return;
+  if (followers_ == Followers::one_channel) return channels_out_.front()->send(origin, time, sequence, payload);
+  if (followers_ == Followers::several) return hand_out(origin, time, sequence, payload);
   if (!is_short_ || !is_ready || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
   // One of a burst of short ones, for handlers alone: without a call.
   std::byte* to = slot(head_++);
@@ -104,9 +102,11 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
 
 void TopicCore::followers_changed() noexcept {
   const bool is_wanted = !taps_.empty() || !links_.empty();
-  is_offered_ = !taps_.empty() || !channels_out_.empty();
-  is_followed_ = is_offered_ || !links_.empty();
-  only_channel_ = channels_out_.size() == 1 && taps_.empty() && links_.empty() ? channels_out_.front() : nullptr;
+  if (taps_.empty() && channels_out_.empty()) {
+    followers_ = links_.empty() ? Followers::none : Followers::handlers;
+  } else {
+    followers_ = !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;
+  }
   for (Channel* channel : channels_in_) channel->set_wanted(is_wanted);
 }
 

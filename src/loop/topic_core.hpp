@@ -122,10 +122,9 @@ class TopicCore {
   void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
 
   RuntimeCore& runtime_;
-  const bool is_short_;              // bytes to copy, and few
-  bool is_offered_ = false;          // there is a tap or a channel out
-  bool is_followed_ = false;         // or a link
-  Channel* only_channel_ = nullptr;  // there is nothing else
+  const bool is_short_;  // bytes to copy, and few
+  enum class Followers : std::uint8_t { none, handlers, one_channel, several };
+  Followers followers_ = Followers::none;  // what events go to; several: sinks, or more than one of these
   std::vector<Tap*> taps_;
   std::vector<Channel*> channels_out_;
   std::vector<Channel*> channels_in_;
