@@ -1,5 +1,5 @@
-// The monotonic clock read through the processor's own counter, at a third of the cost: between two reads of the kernel's
-// clock the time is interpolated. For times of one after another of thousands of sensors.
+// The monotonic clock read through the processor's own counter, which costs less: between two reads of the kernel's clock
+// the time is interpolated. For times of one after another of thousands of sensors.
 #pragma once
 
 #if defined(__x86_64__)
