@@ -19,11 +19,9 @@ constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uin
 Channel::Channel(Bridge& bridge, TopicCore& source)
     : bridge_(bridge), source_(source), record_bytes_(rounded(sizeof(Bridge::EventRecord) + source.type.size)) {}
 
-inline std::byte* Channel::begin_event(std::byte* room, Passage& passage, Time time, std::uint64_t sequence) {
+inline std::byte* Channel::begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence) {
   auto& record = *reinterpret_cast<Bridge::EventRecord*>(room);
-  record.sort = Bridge::Sort::event;
-  record.passage = &passage;
-  record.dropped = passage.dropped;
+  record.tag = Bridge::Record::tag_of(Bridge::Sort::event, passage);
   record.event = {time, sequence};
   return room + sizeof record;
 }
@@ -34,16 +32,21 @@ void Channel::send(OriginCore& origin, Time time, std::uint64_t sequence, const 
   if (passage == nullptr) return;
   // What most events are is done here, without a call.
   const std::size_t size = source_.type.size;
-  std::byte* room = size <= few_bytes ? bridge_.ring_.reserve_at_hand(record_bytes_) : nullptr;
+  const bool is_usual = size <= few_bytes && passage->dropped == passage->told_dropped;
+  std::byte* room = is_usual ? bridge_.ring_.reserve_at_hand(record_bytes_) : nullptr;
   if (room == nullptr) return look_for_room(*passage, time, sequence, payload);
   copy_few(begin_event(room, *passage, time, sequence), payload, size);
   bridge_.commit(record_bytes_);
 }
 
 void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
-  std::byte* room = bridge_.ring_.reserve(record_bytes_, ByteRing::Room::usual);
+  constexpr auto usual = ByteRing::Room::usual;
+  const bool are_drops_told = passage.dropped == passage.told_dropped ||
+                              bridge_.send_drops(passage, sequence - 1, usual);
+  std::byte* room = are_drops_told ? bridge_.ring_.reserve(record_bytes_, usual) : nullptr;
   if (room == nullptr) {
     ++passage.dropped;
+    bridge_.wake();  // what fills the ring may not have been announced yet
     return;
   }
   std::memcpy(begin_event(room, passage, time, sequence), payload, source_.type.size);
@@ -64,8 +67,8 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
 Bridge::~Bridge() {
   from_.remove(reminder_);
   to_.runtime.forget_announcements(*this);
-  for (Passage* passage : received_) {
-    if (!passage->is_past) passage->mirror->passage = nullptr;
+  for (Passage* passage : heard_) {
+    if (passage != nullptr && passage->mirror != nullptr && !passage->is_past) passage->mirror->passage = nullptr;
   }
   std::erase(from_.runtime.outbound, this);
   std::erase(to_.runtime.inbound, this);
@@ -81,6 +84,7 @@ Bridge::~Bridge() {
 void Bridge::wake() noexcept {
   if (unannounced_ == 0) return;
   unannounced_ = 0;
+  ring_.publish();
   to_.wake().send();
 }
 
@@ -104,9 +108,8 @@ void Bridge::on_origin(OriginCore& origin) {
     return announce(nullptr, nullptr, origin.topic.name, origin.topic.type);
   Channel* channel = channel_of(origin.topic);
   if (channel == nullptr) return;
-  Passage& passage = passages_.emplace_back();
-  passage.source = &origin;
-  passage.channel = channel;
+  const auto number = static_cast<std::uint32_t>(passages_.size());
+  Passage& passage = passages_.emplace_back(number, origin, *channel);
   if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
   channel->passages_[origin.index] = &passage;
   announce(channel, &passage, origin.name, {});
@@ -124,16 +127,23 @@ Passage* Bridge::passage_of(const OriginCore& origin) noexcept {
 }
 
 template <class RecordType>
-RecordType* Bridge::reserve(Sort sort, Passage& passage, ByteRing::Room room) noexcept {
+RecordType* Bridge::reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept {
   constexpr std::uint32_t bytes = rounded(sizeof(RecordType));
   std::byte* const at = ring_.reserve(bytes, room);
   if (at == nullptr) return nullptr;
   auto* record = ::new (at) RecordType;
   record->bytes = bytes;
-  record->sort = sort;
-  record->passage = &passage;
-  record->dropped = passage.dropped;
+  record->tag = Record::tag_of(sort, passage);
   return record;
+}
+
+bool Bridge::send_drops(Passage& passage, std::uint64_t last_sequence, ByteRing::Room room) noexcept {
+  auto* record = reserve<DropsRecord>(Sort::drops, passage, room);
+  if (record == nullptr) return false;
+  record->dropped = passage.told_dropped = passage.dropped;
+  record->last_sequence = last_sequence;
+  commit(record->bytes);
+  return true;
 }
 
 void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
@@ -173,15 +183,8 @@ void Bridge::on_health(Time time, const HealthChange& change) {
 }
 
 bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept {
-  if (passage.is_given_up) {
-    if (passage.dropped == passage.told_dropped) return true;
-    auto* record = reserve<DropsRecord>(Sort::drops, passage, room);
-    if (record == nullptr) return false;
-    record->last_sequence = passage.last_sequence;
-    passage.told_dropped = passage.dropped;
-    commit(record->bytes);
-    return true;
-  }
+  if (passage.is_given_up)
+    return passage.dropped == passage.told_dropped || send_drops(passage, passage.last_sequence, room);
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
@@ -198,7 +201,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which)
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
   passage.told = told;
-  passage.told_dropped = passage.dropped;
+  record->dropped = passage.told_dropped = passage.dropped;
   record->counts = counts;
   record->sequence = origin.sequence;
   record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
@@ -217,6 +220,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which)
 void Bridge::send_accounts() {
   for (Passage& passage : passages_) send_account(passage, ByteRing::Room::all, Accounts::all);
   accounts_left_ = 0;
+  wake();
 }
 
 void Bridge::send_some_accounts() {
@@ -239,8 +243,10 @@ void Bridge::finish() {
   for (std::size_t before = accounts_left_ + 1; accounts_left_ > 0 && accounts_left_ < before;) {  // as many as fit
     before = accounts_left_;
     send_some_accounts();
+    wake();
     receive();
   }
+  wake();
   receive();
 }
 
@@ -292,18 +298,16 @@ void Bridge::hear(Announcement& announcement) {
     }
     return;
   }
-  if (channel->mirror_ == nullptr) {
-    passage->is_heard = true;
-    return;
+  if (channel->mirror_ != nullptr) {
+    if (OriginCore* known = here.find_origin(announcement.name)) {
+      // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
+      for (Bridge* bridge : here.inbound) bridge->take_heard();
+      for (Bridge* bridge : here.outbound) bridge->give_up(*known);
+    }
+    here.find_or_make_origin(announcement.name, *channel->mirror_).become_mirror(*passage);
   }
-  if (OriginCore* known = here.find_origin(announcement.name)) {
-    // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
-    for (Bridge* bridge : here.inbound) bridge->take_heard();
-    for (Bridge* bridge : here.outbound) bridge->give_up(*known);
-  }
-  here.find_or_make_origin(announcement.name, *channel->mirror_).become_mirror(*passage);
-  passage->is_heard = true;
-  received_.push_back(passage);
+  if (heard_.size() <= passage->number) heard_.resize(passage->number + 1);
+  heard_[passage->number] = passage;
 }
 
 void Bridge::receive() {
@@ -316,11 +320,12 @@ bool Bridge::take_heard() {
   ring_.look();
   while (const std::byte* front = ring_.front()) {
     const auto& record = *reinterpret_cast<const Record*>(front);
-    if (record.passage->mirror == nullptr && !record.passage->is_heard) return false;
-    if (record.sort == Sort::event) {
-      take_events(static_cast<const EventRecord&>(record));
+    Passage* const passage = record.passage() < heard_.size() ? heard_[record.passage()] : nullptr;
+    if (passage == nullptr) return false;
+    if (record.sort() == Sort::event) {
+      take_events(static_cast<const EventRecord&>(record), *passage);
     } else {
-      if (record.passage->mirror != nullptr) take(record);
+      if (passage->mirror != nullptr) take(record, *passage);
       ring_.pop();
     }
     ring_.release();
@@ -335,32 +340,24 @@ void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t l
   passage.mirror->topic.miss(*passage.mirror, more, last_sequence);
 }
 
-void Bridge::take_events(const EventRecord& first) {
-  Passage& passage = *first.passage;
+void Bridge::take_events(const EventRecord& first, Passage& passage) {
   const std::size_t stride = first.bytes;
-  // Those of the same sensor behind it, so far as nothing was dropped between.
+  // Those of the same sensor behind it.
   const std::size_t most = std::min<std::size_t>(ring_.straight_bytes() / stride, 64);
   std::size_t count = 1;
   const auto* at = reinterpret_cast<const std::byte*>(&first);
-  for (; count < most; ++count) {
-    const auto& next = *reinterpret_cast<const EventRecord*>(at + count * stride);
-    if (next.bytes != stride || next.sort != Sort::event || next.passage != &passage || next.dropped != first.dropped)
-      break;
-  }
+  while (count < most && *reinterpret_cast<const Record*>(at + count * stride) == first) ++count;
   if (passage.mirror == nullptr) [[unlikely]] {
     to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
   } else {
-    OriginCore& mirror = *passage.mirror;
-    note_drops(passage, first.dropped, first.event.sequence - 1);
-    mirror.topic.receive(mirror, &first.event, count, stride);
+    passage.mirror->topic.receive(*passage.mirror, &first.event, count, stride);
   }
   ring_.pop(count * stride);
 }
 
-void Bridge::take(const Record& record) {
-  Passage& passage = *record.passage;
+void Bridge::take(const Record& record, Passage& passage) {
   OriginCore& mirror = *passage.mirror;
-  switch (record.sort) {
+  switch (record.sort()) {
     case Sort::event:
       break;  // see above
     case Sort::gap:
@@ -384,15 +381,17 @@ void Bridge::take(const Record& record) {
       if (passage.reason != account.reason) passage.reason = account.reason;
       break;
     }
-    case Sort::drops:
-      note_drops(passage, record.dropped, static_cast<const DropsRecord&>(record).last_sequence);
+    case Sort::drops: {
+      const auto& drops = static_cast<const DropsRecord&>(record);
+      note_drops(passage, drops.dropped, drops.last_sequence);
       break;
+    }
   }
 }
 
 void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
-  for (const Passage* passage : received_) {
-    if (!passage->has_sensor || passage->is_past) continue;
+  for (const Passage* passage : heard_) {
+    if (passage == nullptr || !passage->has_sensor || passage->is_past) continue;
     all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active,
                    passage->health, passage->reason, passage->mirror->counts, from_.config.name,
                    passage->mirror->first_due()});

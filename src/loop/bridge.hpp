@@ -4,11 +4,12 @@
 //   2. The receiving side makes topic and origin of the same names, the mirrors. Whether anybody there wants the topic's
 //      events is a flag of its channel, which the sending side looks at for each event.
 //   3. Events, gaps, ended segments and accounts go through the ring in the order in which they happened. A full ring drops
-//      the event and counts it with its sensor; the next record of that sensor tells how many there were.
+//      the event and counts it with its sensor; before the sensor's next event, or with its next account, goes how many
+//      there were.
 //   4. A name belongs to one loop at a time, which the hub says at set-up. When another loop has taken it over, the receiving
 //      side first takes what the old one has sent; then that passage is past, and the mirror is fed by the new one.
-//   5. After the sending loop's callbacks, or earlier when much waits, the receiving loop is woken once for all that waits:
-//      through the kernel only when it sleeps (wake.hpp).
+//   5. After the sending loop's callbacks, or earlier when much waits, all that waits can be seen by the receiving loop,
+//      which is woken once for it: through the kernel only when it sleeps (wake.hpp).
 #pragma once
 
 #include <atomic>
@@ -32,9 +33,13 @@ class Bridge;
 
 /// One sensor (origin) and its mirror.
 struct Passage {
-  OriginCore* source;  // the sending side's
-  Channel* channel;
+  Passage(std::uint32_t number_, OriginCore& source_, Channel& channel_)
+      : number(number_), source(&source_), channel(&channel_) {}
+  const std::uint32_t number;  // among its bridge's
+  OriginCore* const source;    // the sending side's
+  Channel* const channel;
   std::uint64_t dropped = 0;  // the sending side's: for want of room in the ring, counted from the beginning
+  std::uint64_t told_dropped = 0;
   struct Told {
     std::uint64_t grown = 0;  // sum of counts, each of which only grows
     Duration period{0};
@@ -43,12 +48,10 @@ struct Passage {
     Health health = Health::ok;
     bool operator==(const Told&) const = default;
   };
-  Told told;  // what its last account said
-  std::uint64_t told_dropped = 0;
+  Told told;                        // what its last account said
   bool is_given_up = false;         // another loop has the name
   std::uint64_t last_sequence = 0;  // then
-  bool is_heard = false;            // from here on the receiving side's; not yet: what follows waits in the ring
-  OriginCore* mirror = nullptr;     // null, though heard: its topic cannot be what it is elsewhere
+  OriginCore* mirror = nullptr;     // from here on the receiving side's; null: its topic cannot be what it is elsewhere
   bool is_past = false;             // another loop has the name
   std::uint64_t known_dropped = 0;
   Duration period{0};
@@ -73,7 +76,7 @@ class Channel {
   friend class Bridge;
   void look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload);
   /// Where its payload goes.
-  static std::byte* begin_event(std::byte* room, Passage& passage, Time time, std::uint64_t sequence);
+  static std::byte* begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence);
   Bridge& bridge_;
   TopicCore& source_;
   const std::uint32_t record_bytes_;
@@ -101,7 +104,7 @@ class Bridge final : public Listener {
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time time, const HealthChange& change) override;
-  /// Wakes the other side if there is something for it.
+  /// What was sent can be taken by the other side, which is woken for it.
   void wake() noexcept;
   // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
@@ -126,9 +129,13 @@ class Bridge final : public Listener {
   enum class Sort : std::uint32_t { event, gap, segment, account, drops };
   struct Record {         // the ring's records begin with it
     std::uint32_t bytes;  // the ring's
-    Sort sort;
-    Passage* passage;
-    std::uint64_t dropped;
+    std::uint32_t tag;    // what it is, and the passage's number
+    static std::uint32_t tag_of(Sort sort, const Passage& passage) noexcept {
+      return passage.number << 3 | static_cast<std::uint32_t>(sort);
+    }
+    Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
+    std::uint32_t passage() const noexcept { return tag >> 3; }
+    bool operator==(const Record&) const = default;
   };
   struct EventRecord : Record {
     TopicCore::Arrival event;
@@ -141,6 +148,7 @@ class Bridge final : public Listener {
     Segment segment;
   };
   struct AccountRecord : Record {
+    std::uint64_t dropped;
     SensorCounts counts;
     std::uint64_t sequence;
     Segment under_way;
@@ -151,27 +159,29 @@ class Bridge final : public Listener {
     char reason[96];
   };
   struct DropsRecord : Record {
-    std::uint64_t last_sequence;
+    std::uint64_t dropped;
+    std::uint64_t last_sequence;  // up to which
   };
   Channel* channel_of(const TopicCore& topic) noexcept;
   Passage* passage_of(const OriginCore& origin) noexcept;
   /// `room`: all for gaps, segments and last accounts, which have to find some when events have filled the ring.
   template <class RecordType>
-  RecordType* reserve(Sort sort, Passage& passage, ByteRing::Room room) noexcept;
-  /// False when there is no room for it.
+  RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;
+  /// These are false when there is no room for it.
+  bool send_drops(Passage& passage, std::uint64_t last_sequence, ByteRing::Room room) noexcept;
   enum class Accounts { news, all };
   bool send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept;
   void send_some_accounts();
   void commit(std::uint32_t bytes) noexcept {
     ring_.commit(bytes);
-    if (++unannounced_ == most_unannounced) wake();
+    if (++unannounced_ >= most_unannounced) wake();
   }
   void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
   /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
   bool take_heard();
   /// The front of the ring, and those alike behind it.
-  void take_events(const EventRecord& first);
-  void take(const Record& record);
+  void take_events(const EventRecord& first, Passage& passage);
+  void take(const Record& record, Passage& passage);
   void note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence);
 
   LoopCore& from_;
@@ -183,7 +193,7 @@ class Bridge final : public Listener {
   std::deque<Channel> channels_;
   std::unordered_map<const TopicCore*, Channel*> channel_by_topic_;
   std::deque<Passage> passages_;
-  unsigned unannounced_ = 0;  // what was sent since the other side was woken
+  unsigned unannounced_ = 0;  // what was sent since the other side was woken, and cannot be seen there yet
   /// Accounts are sent some time after something happened, and not while nothing does.
   struct Reminder final : Deadline {
     explicit Reminder(Bridge& bridge_) : bridge(bridge_) {}
@@ -198,7 +208,7 @@ class Bridge final : public Listener {
   std::uint64_t notes_lost_ = 0;   // gaps and segments that found no room
 
   // the receiving side
-  std::vector<Passage*> received_;  // those that have, or had, a mirror
+  std::vector<Passage*> heard_;  // by number; null: not heard of yet, so that what follows waits in the ring
 };
 
 }  // namespace rtdata::detail

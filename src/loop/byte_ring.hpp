@@ -35,14 +35,13 @@ class ByteRing {
     return head_ + bytes <= straight_to_ ? next(bytes) : nullptr;
   }
   /// The record reserved last, of as many bytes, is complete.
-  void commit(std::uint32_t bytes) noexcept {
-    head_ += bytes;
-    published_head_.store(head_, std::memory_order_release);
-  }
+  void commit(std::uint32_t bytes) noexcept { head_ += bytes; }
+  /// What was committed can be seen by the reader. Seldom, since each time costs both sides a line of cache.
+  void publish() noexcept { published_head_.store(head_, std::memory_order_release); }
 
   // ---- the reader
 
-  /// Sees what has been committed up to now. Seldom, since each look costs both sides a line of cache.
+  /// Sees what has been published up to now. Seldom, as `publish`.
   void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
   /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {

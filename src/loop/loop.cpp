@@ -341,7 +341,7 @@ void LoopCore::start_idle() noexcept {
 
 LoopCore::Left LoopCore::deliver(Budget budget) {
   constexpr int most_rounds = 100;  // each brings what the handlers of the one before have published
-  if (delivering_ || ready_first_ == nullptr) return Left::nothing;
+  if (delivering_) return Left::nothing;
   delivering_ = true;
   MonotonicTime current = now();
   const MonotonicTime end = budget == Budget::limited ? current + config.delivery_budget : MonotonicTime::max();
@@ -350,6 +350,7 @@ LoopCore::Left LoopCore::deliver(Budget budget) {
     left = round < most_rounds ? deliver_round(current, end) : Left::circle;
   }
   delivering_ = false;
+  runtime.send_now();
   return left;
 }
 

@@ -35,6 +35,7 @@ void LoopCore::call_there(Callback<void()> function) {
     } catch (...) {
       thrown = std::current_exception();
     }
+    runtime.send_now();
     is_done.release();
   });
   is_done.acquire();

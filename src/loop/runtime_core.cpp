@@ -190,6 +190,7 @@ void RuntimeCore::release_all() noexcept {
 
 void RuntimeCore::release(std::string_view name, Name& claim) noexcept try {
   claim.holder = nullptr;
+  send_now();  // before whoever takes the name over sends
   const OriginCore* origin = find_origin(name);
   if (claim.left == nullptr) claim.left = std::make_unique<Name::Left>(Name::Left{origin->topic.name, {}});
   claim.left->state = origin->state();
@@ -265,6 +266,10 @@ void RuntimeCore::tell_of_cut_off(TopicCore& topic) {
 void RuntimeCore::forget_announcements(const Bridge& of) {
   const std::lock_guard lock(announced_mutex_);
   std::erase_if(announced_, [&](const Announcement& one) { return one.bridge == &of; });
+}
+
+void RuntimeCore::send_now() noexcept {
+  for (Bridge* bridge : outbound) bridge->wake();
 }
 
 void RuntimeCore::turn_done() {

@@ -185,6 +185,8 @@ class RuntimeCore {
   void forget_announcements(const Bridge& of);
   /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
   void tell_of_cut_off(TopicCore& topic);
+  /// The other loops get what was published here up to now.
+  void send_now() noexcept;
   /// The end of a turn of the loop: tells the other loops.
   void turn_done();
   /// Puts times on the hub's line.

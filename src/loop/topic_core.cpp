@@ -81,15 +81,22 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
   if (links_.empty()) return;
   const std::uint64_t taken = std::min<std::uint64_t>(count, mask_ + 1 - (head_ - tail_));
   dropped_ += count - taken;
-  for (std::uint64_t i = 0; i < taken; ++i) {
-    const Arrival* from = arrival(i);
-    std::byte* to = slot(head_ + i);
-    ::new (to) EventHeader{from->time, from->sequence, mirror.name};
-    if (is_short_) {
-      copy_few(to + payload_offset, from + 1, type.size);
-    } else {
-      std::memcpy(to + payload_offset, from + 1, type.size);
+  const auto copy_all = [&, all = mask_ + 1, slot_bytes = stride_, origin = std::string_view(mirror.name),
+                         size = type.size](auto copy) {
+    std::byte* to = slot(head_);
+    const std::uint64_t to_ring_end = all - (head_ & mask_);
+    for (std::uint64_t i = 0; i < taken; ++i, to += slot_bytes) {
+      if (i == to_ring_end) [[unlikely]]
+        to = slots_;
+      const Arrival* from = arrival(i);
+      ::new (to) EventHeader{from->time, from->sequence, origin};
+      copy(to + payload_offset, from + 1, size);
     }
+  };
+  if (is_short_) {
+    copy_all([](std::byte* to, const void* from, std::size_t size) { copy_few(to, from, size); });
+  } else {
+    copy_all([](std::byte* to, const void* from, std::size_t size) { std::memcpy(to, from, size); });
   }
   head_ += taken;
   if (taken > 0 && !is_ready) runtime_.own_loop->add_ready(*this);

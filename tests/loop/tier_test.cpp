@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <deque>
 #include <memory>
+#include <semaphore>
 #include <string>
 #include <thread>
 #include <vector>
@@ -53,6 +55,8 @@ class Burst {
             is_done = true;
           }
         }) {}
+  /// On its loop.
+  std::uint64_t published() const { return next_; }
   std::atomic<bool> is_done{false};
 
  private:
@@ -207,6 +211,35 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE("what a callback publishes gets to other loops before it ends, when it is much or the ring is full") {
+    const auto is_received_meanwhile = [](std::size_t ring_bytes, unsigned new_feeds, std::uint64_t events) {
+      Loop loop;
+      Tier fast(loop, {.hold_limit = 60s, .ring_bytes = ring_bytes});
+      Feed<Count> feed(fast.loop(), {.name = "count"});
+      std::binary_semaphore is_received{0};
+      std::uint64_t received = 0;
+      auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
+        if (++received == 1) is_received.release();
+      });
+      bool was_in_time = false;
+      std::deque<Feed<Count>> others;
+      fast.start();
+      loop.run_for(1ms);
+      fast.loop().post([&] {
+        for (unsigned i = 0; i < new_feeds; ++i)
+          others.emplace_back(fast.loop(), FeedConfig{.name = "new." + std::to_string(i), .topic = "count"});
+        for (std::uint64_t i = 0; i < events; ++i) feed.publish({i});
+        was_in_time = is_received.try_acquire_for(30s);
+        loop.stop();
+      });
+      loop.run();
+      return was_in_time;
+    };
+    CHECK(is_received_meanwhile(1 << 20, 0, 1000));
+    CHECK(is_received_meanwhile(1 << 20, 200, 1000));
+    CHECK(is_received_meanwhile(2048, 0, 100));
+  }
+
   TEST_CASE("US-28 a handler that subscribes while a tier publishes sees nothing from before") {
     Loop loop;
     Tier fast(loop, {});
@@ -216,9 +249,9 @@ TEST_SUITE("loop") {
     unsigned past = 0;
     Subscription again;
     Ticker ticker(loop, 5ms, [&](const Tick&) {
-      const Time from = loop.time();
-      again = loop.subscribe<Count>("count", [&, from](const Event<Count>& event) {
-        if (event.time + 1ms < from) ++past;
+      const std::uint64_t published = fast.call([&](Loop&) { return burst.published(); });
+      again = loop.subscribe<Count>("count", [&, published](const Event<Count>& event) {
+        if (event.sequence <= published) ++past;
       });
       ++rounds;
     });
@@ -253,6 +286,17 @@ TEST_SUITE("loop") {
     CHECK_THROWS_AS(Feed<Count>(fast.loop(), {.name = "wrong thread"}), SetupError);
     auto feed = fast.call([](Loop& on) { return Feed<Count>(on, {.name = "made.there"}); });
     CHECK(fast.call([](Loop& on) { return on.runtime().sensors().at(0).name; }) == "made.there");
+    std::uint64_t received = 0;
+    auto subscription = loop.subscribe<Count>("made.there", [&](const Event<Count>&) { ++received; });
+    loop.poll();
+    std::binary_semaphore is_received{0};
+    fast.call([&](Loop& on) {
+      feed.publish({});
+      on.post([&] { is_received.acquire(); });
+    });
+    loop.poll();  // what a call has published is on its way when it returns
+    is_received.release();
+    CHECK(received == 1);
     CHECK_THROWS_WITH(fast.call([](Loop&) { throw std::runtime_error("from the tier"); }), "from the tier");
     const auto thread = fast.call([](Loop&) { return std::this_thread::get_id(); });
     CHECK(thread != std::this_thread::get_id());
@@ -596,10 +640,10 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("lines of a tier that the main loop does not take are dropped beyond a number, and counted") {
-    Loop loop;
+    Loop loop({.hold_limit = 60s});
     std::vector<std::string> lines;
     loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
-    Tier tier(loop, {.name = "fast"});
+    Tier tier(loop, {.name = "fast", .hold_limit = 60s});
     tier.start();  // the main loop does not run yet
     tier.call([](Loop& on) {
       for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", "line");

@@ -105,6 +105,9 @@ TEST_SUITE("loop") {
         CHECK(sent > usual);
         CHECK(!send(Room::usual));
       }
+      ring.look();
+      CHECK(ring.front() == nullptr);  // not published yet
+      ring.publish();
       CHECK(ring.front() == nullptr);  // not looked yet
       ring.look();
       const std::uint32_t before = taken;

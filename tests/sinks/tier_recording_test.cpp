@@ -2,6 +2,7 @@
 #include <atomic>
 #include <thread>
 
+#include "loop/run_until.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sinks/verify.hpp"
@@ -81,13 +82,13 @@ TEST_SUITE("sinks") {
       Tier fast(loop, {.ring_bytes = 8192});
       SqliteSink sink(loop, {.path = path});
       Feed<Climate> feed(fast.loop(), {.name = "feed"});
-      unsigned bursts = 0;
+      std::atomic<unsigned> bursts = 0;
       Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
-        if (bursts++ < 20) {
-          for (int i = 0; i < 500; ++i) feed.publish({1.0 * i, 0});
-        }
+        if (bursts == 20) return;
+        for (int i = 0; i < 500; ++i) feed.publish({1.0 * i, 0});
+        ++bursts;
       });
-      loop.run_for(100ms);
+      CHECK(run_until(loop, [&] { return bursts == 20; }));
       CHECK(loop.close() == 0);
       dropped = sink.counts().all_dropped();
       CHECK(sink.counts().offered == 20 * 500);

@@ -1,10 +1,11 @@
 /// Tier: a loop on a thread of its own, with a scheduling policy, a priority and a processor.
 ///
 ///     rtdata::Loop loop;                                     // the normal tier: sinks, slow handlers
-///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus =
-///     {1}}); rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc); auto s =
-///     loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });   // runs on `loop` rtdata::SqliteSink
-///     sink(loop, {.path = "run.db"}); loop.run();                                            // starts the tier
+///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus = {1}});
+///     rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc);
+///     auto s = loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });  // runs on `loop`
+///     rtdata::SqliteSink sink(loop, {.path = "run.db"});
+///     loop.run();                                            // starts the tier
 ///
 /// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
 /// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
