@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "config/test_types.hpp"
+#include "loop/run_until.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -269,7 +270,7 @@ f.json:16:38: sinks[2].when_full
     CHECK_THROWS_AS(system.tier("fats"), SetupError);
     std::map<std::string, std::uint64_t> seen;
     auto subscription = loop.subscribe("#", [&](const EventView& event) { ++seen[std::string(event.origin())]; });
-    loop.run_for(100ms);
+    CHECK(run_until(loop, [&] { return seen.size() == 3; }));
     CHECK(system.sensor("a").is_running());
     system.sensor("a").set_rate(100_Hz);
     CHECK(system.sensor("a").rate() == 100_Hz);
@@ -278,7 +279,6 @@ f.json:16:38: sinks[2].when_full
     const std::uint64_t taken = system.sensor("b").counts().taken;
     loop.run_for(50ms);
     CHECK(system.sensor("b").counts().taken == taken);
-    CHECK(seen.size() == 3);
     system.remove_sensor("a");
     loop.close();
     CHECK(loop.runtime().balances());

@@ -506,6 +506,7 @@ TEST_SUITE("loop") {
       fast.loop().topic<std::string>("others").publish("another");
       fast.loop().topic<Count>("numbers").publish({});
     });
+    CHECK(run_until(loop, [&] { return !errors.empty(); }));
     loop.run_for(20ms);
     REQUIRE(errors.size() == 1);  // nobody wants the others
     CHECK(errors[0].starts_with(
@@ -529,10 +530,12 @@ TEST_SUITE("loop") {
         Tier fast(loop, {});
         auto subscription = fast.loop().subscribe<Count>("x", [](const Event<Count>&) {});
         Feed<Count> feed(fast.loop(), {.name = "x"});
+        std::atomic<bool> is_published{false};
         Timer timer(fast.loop(), 1ms, [&] {
           for (unsigned i = 0; i < published; ++i) feed.publish({});
+          is_published = true;
         });
-        loop.run_for(20ms);
+        CHECK(run_until(loop, [&] { return is_published.load(); }));
         loop.close();
         CHECK(fast.is_running());
         CHECK(runtime.has_loss() == (published > 4));
@@ -668,7 +671,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a tier may be destroyed by the handler of a report about what it announced") {
-    Loop loop;
+    Loop loop({.hold_limit = 60s});  // no reports but those of the tier
     auto fast = std::make_unique<Tier>(loop, Tier::Config{});
     loop.topic<Count>("one");
     fast->loop().topic<double>("one");

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "loop/observed.hpp"
+#include "loop/run_until.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -177,7 +178,7 @@ TEST_SUITE("loop") {
       Loop loop;
       const auto both = circle(loop);
       loop.poll();
-      loop.run_for(20ms);
+      CHECK(run_until(loop, [&] { return seen > 10; }));
       loop.close();
       CHECK(loop.runtime().balances());
     }

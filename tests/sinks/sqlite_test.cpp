@@ -471,6 +471,7 @@ TEST_SUITE("sinks") {
       });
       Timer limit(loop, 60s, [&] { loop.stop(); });
       loop.run();
+      end.close();  // it would end the wait of close, too
       counts = sensor.counts();
       CHECK(sink.counts().all_dropped() == 0);
       CHECK(loop.close() == 0);

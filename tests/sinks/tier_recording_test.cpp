@@ -215,15 +215,16 @@ TEST_SUITE("sinks") {
     loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     Tier fast(loop, {});
     SqliteSink sink(loop, {.path = path});
-    unsigned reads = 0;
+    std::atomic<unsigned> reads{0};
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
       if (++reads == 20) {
         while (!let_go) std::this_thread::sleep_for(1ms);
       }
       return Climate{};
     });
-    loop.run_for(100ms);
-    loop.close(200ms);
+    CHECK(run_until(loop, [&] { return reads == 20; }));
+    loop.run_for(20ms);  // what it read before has come
+    loop.close(1s);
     CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
       return line.find("did not stop in time: it has not come out of sensor a") != std::string::npos;
     }));
@@ -253,12 +254,12 @@ TEST_SUITE("sinks") {
       Sensor<Climate> here(loop, {.name = "here", .rate = 100_Hz}, [] { return Climate{}; });
       Sensor<Climate> there(other.loop(), {.name = "there", .rate = 100_Hz}, [] { return Climate{}; });
       Sensor<Climate> hangs(fast.loop(), {.name = "hangs", .rate = 100_Hz}, [] { return Climate{}; });
-      unsigned handled = 0;
+      std::atomic<unsigned> handled{0};
       auto handler = fast.loop().subscribe("hangs", [&](const EventView&) {
         while (++handled > 5 && !let_go) std::this_thread::sleep_for(1ms);
       });
-      loop.run_for(150ms);
-      loop.close(400ms);
+      CHECK(run_until(loop, [&] { return handled > 5; }));
+      loop.close(1s);
       CHECK_FALSE(fast.stop_within(1ms));
       CHECK(fast.doing() == "handler of hangs");
       CHECK(other.stop_within(10s));
