@@ -17,40 +17,26 @@ constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uin
 }  // namespace
 
 Channel::Channel(Bridge& bridge, TopicCore& source)
-    : bridge_(bridge), source_(source), record_bytes_(rounded(sizeof(Bridge::EventRecord) + source.type.size)) {}
-
-inline std::byte* Channel::begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence) {
-  auto& record = *reinterpret_cast<Bridge::EventRecord*>(room);
-  record.tag = Bridge::Record::tag_of(Bridge::Sort::event, passage);
-  record.event = {time, sequence};
-  return room + sizeof record;
-}
-
-void Channel::send(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
-  if (!is_wanted_.load(std::memory_order_relaxed) || origin.index >= passages_.size()) return;
-  Passage* passage = passages_[origin.index];
-  if (passage == nullptr) return;
-  // What most events are is done here, without a call.
-  const std::size_t size = source_.type.size;
-  const bool is_usual = size <= few_bytes && passage->dropped == passage->told_dropped;
-  std::byte* room = is_usual ? bridge_.ring_.reserve_at_hand(record_bytes_) : nullptr;
-  if (room == nullptr) return look_for_room(*passage, time, sequence, payload);
-  copy_few(begin_event(room, *passage, time, sequence), payload, size);
-  bridge_.commit(record_bytes_);
-}
+    : ring_(bridge.ring_),
+      payload_bytes_(source.type.size),
+      record_bytes_(rounded(sizeof(EventRecord) + payload_bytes_)),
+      bytes_at_hand_(payload_bytes_ <= few_bytes ? record_bytes_ : PTRDIFF_MAX),
+      bridge_(bridge),
+      source_(source) {}
 
 void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
   constexpr auto usual = ByteRing::Room::usual;
+  bridge_.make_known(record_bytes_);
   const bool are_drops_told = passage.dropped == passage.told_dropped ||
                               bridge_.send_drops(passage, sequence - 1, usual);
-  std::byte* room = are_drops_told ? bridge_.ring_.reserve(record_bytes_, usual) : nullptr;
+  std::byte* room = are_drops_told ? ring_.reserve(record_bytes_, usual) : nullptr;
   if (room == nullptr) {
     ++passage.dropped;
     bridge_.wake();  // what fills the ring may not have been announced yet
     return;
   }
-  std::memcpy(begin_event(room, passage, time, sequence), payload, source_.type.size);
-  bridge_.commit(record_bytes_);
+  std::memcpy(begin_event(room, passage, time, sequence), payload, payload_bytes_);
+  ring_.commit(record_bytes_);
 }
 
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
@@ -82,15 +68,15 @@ Bridge::~Bridge() {
 // ---- the sending side
 
 void Bridge::wake() noexcept {
-  if (unannounced_ == 0) return;
-  unannounced_ = 0;
+  if (!has_announced_ && !ring_.has_unpublished()) return;
+  has_announced_ = false;
   ring_.publish();
   to_.wake().send();
 }
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
   to_.runtime.announce({this, channel, passage, name, std::move(type)});
-  ++unannounced_;
+  has_announced_ = true;
 }
 
 Result<void> Bridge::on_topic(TopicCore& topic) {
@@ -109,9 +95,11 @@ void Bridge::on_origin(OriginCore& origin) {
   Channel* channel = channel_of(origin.topic);
   if (channel == nullptr) return;
   const auto number = static_cast<std::uint32_t>(passages_.size());
-  Passage& passage = passages_.emplace_back(number, origin, *channel);
+  Passage& passage = passages_.emplace_back(number, origin, *channel,
+                                            static_cast<std::uint32_t>(channel->record_bytes_));
   if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
   channel->passages_[origin.index] = &passage;
+  origin.topic.find_way(origin);
   announce(channel, &passage, origin.name, {});
 }
 
@@ -121,19 +109,18 @@ Channel* Bridge::channel_of(const TopicCore& topic) noexcept {
 }
 
 Passage* Bridge::passage_of(const OriginCore& origin) noexcept {
-  if (origin.is_mirror) return nullptr;
   const Channel* channel = channel_of(origin.topic);
-  return channel != nullptr && origin.index < channel->passages_.size() ? channel->passages_[origin.index] : nullptr;
+  return channel != nullptr ? channel->passage_of(origin) : nullptr;
 }
 
 template <class RecordType>
 RecordType* Bridge::reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept {
   constexpr std::uint32_t bytes = rounded(sizeof(RecordType));
+  make_known(bytes);
   std::byte* const at = ring_.reserve(bytes, room);
   if (at == nullptr) return nullptr;
   auto* record = ::new (at) RecordType;
-  record->bytes = bytes;
-  record->tag = Record::tag_of(sort, passage);
+  static_cast<Record&>(*record) = {bytes, sort, passage.number};
   return record;
 }
 
@@ -142,7 +129,7 @@ bool Bridge::send_drops(Passage& passage, std::uint64_t last_sequence, ByteRing:
   if (record == nullptr) return false;
   record->dropped = passage.told_dropped = passage.dropped;
   record->last_sequence = last_sequence;
-  commit(record->bytes);
+  ring_.commit(record->bytes);
   return true;
 }
 
@@ -151,7 +138,7 @@ void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
   if (passage == nullptr) return;
   if (auto* record = reserve<GapRecord>(Sort::gap, *passage, ByteRing::Room::all)) {
     record->gap = gap;
-    commit(record->bytes);
+    ring_.commit(record->bytes);
   } else {
     ++notes_lost_;
   }
@@ -162,7 +149,7 @@ void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
   if (passage == nullptr) return;
   if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, ByteRing::Room::all)) {
     record->segment = segment;
-    commit(record->bytes);
+    ring_.commit(record->bytes);
   } else {
     ++notes_lost_;
   }
@@ -213,7 +200,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which)
   const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
   if (length != 0) std::memcpy(record->reason, reason.data(), length);
   record->reason[length] = '\0';
-  commit(record->bytes);
+  ring_.commit(record->bytes);
   return true;
 }
 

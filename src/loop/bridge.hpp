@@ -31,11 +31,25 @@ namespace rtdata::detail {
 
 class Bridge;
 
+/// What a bridge's records begin with.
+struct BridgeRecord {
+  enum class Sort : std::uint32_t { event, gap, segment, account, drops };
+  BridgeRecord() = default;
+  BridgeRecord(std::uint32_t bytes_, Sort sort, std::uint32_t passage)
+      : bytes(bytes_), tag(passage << 3 | static_cast<std::uint32_t>(sort)) {}
+  Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
+  std::uint32_t passage() const noexcept { return tag >> 3; }
+  bool operator==(const BridgeRecord&) const = default;
+  std::uint32_t bytes;  // the ring's
+  std::uint32_t tag;    // what it is, and the passage's number
+};
+
 /// One sensor (origin) and its mirror.
 struct Passage {
-  Passage(std::uint32_t number_, OriginCore& source_, Channel& channel_)
-      : number(number_), source(&source_), channel(&channel_) {}
+  Passage(std::uint32_t number_, OriginCore& source_, Channel& channel_, std::uint32_t event_bytes)
+      : number(number_), event(event_bytes, BridgeRecord::Sort::event, number_), source(&source_), channel(&channel_) {}
   const std::uint32_t number;  // among its bridge's
+  const BridgeRecord event;    // what its events' records begin with
   OriginCore* const source;    // the sending side's
   Channel* const channel;
   std::uint64_t dropped = 0;  // the sending side's: for want of room in the ring, counted from the beginning
@@ -67,7 +81,18 @@ class Channel {
   Channel(Bridge& bridge, TopicCore& source);
 
   // The sending side
-  void send(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
+  /// Null: it does not publish on this loop.
+  Passage* passage_of(const OriginCore& origin) const noexcept {
+    return !origin.is_mirror && origin.index < passages_.size() ? passages_[origin.index] : nullptr;
+  }
+  void send(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
+    if (!is_wanted_.load(std::memory_order_relaxed)) return;
+    // What most events are is done here, without a call.
+    std::byte* room = passage.dropped == passage.told_dropped ? ring_.reserve_at_hand(bytes_at_hand_) : nullptr;
+    if (room == nullptr) return look_for_room(passage, time, sequence, payload);
+    copy_few(begin_event(room, passage, time, sequence), payload, payload_bytes_);
+    ring_.commit(record_bytes_);
+  }
 
   // The receiving side
   void set_wanted(bool is_wanted) noexcept { is_wanted_.store(is_wanted, std::memory_order_relaxed); }
@@ -75,12 +100,24 @@ class Channel {
  private:
   friend class Bridge;
   void look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload);
+  struct EventRecord : BridgeRecord {
+    TopicCore::Arrival event;
+    // the payload
+  };
   /// Where its payload goes.
-  static std::byte* begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence);
+  static std::byte* begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence) {
+    auto& record = *reinterpret_cast<EventRecord*>(room);
+    static_cast<BridgeRecord&>(record) = passage.event;
+    record.event = {time, sequence};
+    return room + sizeof record;
+  }
+  ByteRing& ring_;
+  const std::size_t payload_bytes_;
+  const std::size_t record_bytes_;
+  const std::size_t bytes_at_hand_;  // as many, or more than there ever are: a long payload is copied elsewhere
+  std::vector<Passage*> passages_;   // the sending side's, by the origin's index within the topic
   Bridge& bridge_;
   TopicCore& source_;
-  const std::uint32_t record_bytes_;
-  std::vector<Passage*> passages_;     // the sending side's, by the origin's index within the topic
   std::atomic<bool> is_wanted_{true};  // until the other side has heard of it
   TopicCore* mirror_ = nullptr;        // the receiving side's
 };
@@ -124,23 +161,9 @@ class Bridge final : public Listener {
 
  private:
   friend class Channel;
-  /// The other side is woken before the end of the turn when so much waits: both work at the same time then.
-  static constexpr unsigned most_unannounced = 128;
-  enum class Sort : std::uint32_t { event, gap, segment, account, drops };
-  struct Record {         // the ring's records begin with it
-    std::uint32_t bytes;  // the ring's
-    std::uint32_t tag;    // what it is, and the passage's number
-    static std::uint32_t tag_of(Sort sort, const Passage& passage) noexcept {
-      return passage.number << 3 | static_cast<std::uint32_t>(sort);
-    }
-    Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
-    std::uint32_t passage() const noexcept { return tag >> 3; }
-    bool operator==(const Record&) const = default;
-  };
-  struct EventRecord : Record {
-    TopicCore::Arrival event;
-    // the payload
-  };
+  using Record = BridgeRecord;
+  using Sort = BridgeRecord::Sort;
+  using EventRecord = Channel::EventRecord;
   struct GapRecord : Record {
     Gap gap;
   };
@@ -172,9 +195,9 @@ class Bridge final : public Listener {
   enum class Accounts { news, all };
   bool send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept;
   void send_some_accounts();
-  void commit(std::uint32_t bytes) noexcept {
-    ring_.commit(bytes);
-    if (++unannounced_ >= most_unannounced) wake();
+  /// The other side is woken before the end of the turn when much waits: both work at the same time then.
+  void make_known(std::size_t before) noexcept {
+    if (ring_.completes_burst(before)) wake();
   }
   void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
   /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
@@ -193,7 +216,7 @@ class Bridge final : public Listener {
   std::deque<Channel> channels_;
   std::unordered_map<const TopicCore*, Channel*> channel_by_topic_;
   std::deque<Passage> passages_;
-  unsigned unannounced_ = 0;  // what was sent since the other side was woken, and cannot be seen there yet
+  bool has_announced_ = false;  // since the other side was woken
   /// Accounts are sent some time after something happened, and not while nothing does.
   struct Reminder final : Deadline {
     explicit Reminder(Bridge& bridge_) : bridge(bridge_) {}

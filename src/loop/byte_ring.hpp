@@ -13,31 +13,40 @@ namespace rtdata::detail {
 
 class ByteRing {
  public:
+  /// Bytes that are worth being published: enough for the reader to be busy with while more are written.
+  static constexpr std::size_t burst = 8192;
   /// `bytes` is rounded up to a power of two. An eighth of that is kept for records that have to find room.
   explicit ByteRing(std::size_t bytes)
       : mask_(std::bit_ceil(bytes) - 1),
         kept_((mask_ + 1) / 8),
-        memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]) {}
+        memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]),
+        at_(memory_),
+        straight_to_(memory_) {}
   ByteRing(const ByteRing&) = delete;
   ByteRing& operator=(const ByteRing&) = delete;
   ~ByteRing() { ::operator delete[](memory_, std::align_val_t{64}); }
 
   // ---- the writer
 
-  /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, of which the first 4 are the ring's; null
-  /// when there is none.
+  /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, whose first 4 bytes are to say how many it
+  /// has; null when there is none.
   enum class Room { usual, all };
-  std::byte* reserve(std::uint32_t bytes, Room room) noexcept {
-    return find_room(bytes, room == Room::usual ? kept_ : 0) ? next(bytes) : nullptr;
+  std::byte* reserve(std::size_t bytes, Room room) noexcept {
+    return find_room(bytes, room == Room::usual ? kept_ : 0) ? at_ : nullptr;
   }
-  /// Null, too, when the room has to be looked for: then `reserve` does.
-  std::byte* reserve_at_hand(std::uint32_t bytes) noexcept {
-    return head_ + bytes <= straight_to_ ? next(bytes) : nullptr;
+  /// Null, too, when the room has to be looked for, or when a burst was not published: then `reserve` does.
+  std::byte* reserve_at_hand(std::size_t bytes) noexcept {
+    return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }
   /// The record reserved last, of as many bytes, is complete.
-  void commit(std::uint32_t bytes) noexcept { head_ += bytes; }
+  void commit(std::size_t bytes) noexcept { at_ += bytes; }
   /// What was committed can be seen by the reader. Seldom, since each time costs both sides a line of cache.
-  void publish() noexcept { published_head_.store(head_, std::memory_order_release); }
+  void publish() noexcept {
+    published_ = head();
+    published_head_.store(published_, std::memory_order_release);
+  }
+  bool has_unpublished() const noexcept { return head() != published_; }
+  bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst; }
 
   // ---- the reader
 
@@ -60,24 +69,24 @@ class ByteRing {
   void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
 
  private:
-  std::byte* next(std::uint32_t bytes) noexcept {
-    size_at(head_ & mask_) = bytes;
-    return memory_ + (head_ & mask_);
-  }
+  std::size_t head() const noexcept { return lap_ + static_cast<std::size_t>(at_ - memory_); }
   /// Looks how far the reader is, and goes on at the beginning when the end is too near. False when there is no room.
-  bool find_room(std::uint32_t bytes, std::size_t kept) noexcept {
-    const std::size_t at = head_ & mask_;
-    const std::size_t to_end = mask_ + 1 - at;
-    const std::size_t skipped = to_end < bytes ? to_end : 0;
-    if (head_ + skipped + bytes + kept > known_room_to_) {
-      known_room_to_ = tail_.load(std::memory_order_acquire) + mask_ + 1;
-      if (head_ + skipped + bytes + kept > known_room_to_) return false;
+  bool find_room(std::size_t bytes, std::size_t kept) noexcept {
+    const std::size_t size = mask_ + 1;
+    const std::size_t to_end = lap_ + size - head();
+    const bool is_at_end = to_end < bytes;
+    const std::size_t end = head() + (is_at_end ? to_end : 0) + bytes;
+    if (end + kept > known_room_to_) {
+      known_room_to_ = tail_.load(std::memory_order_acquire) + size;
+      if (end + kept > known_room_to_) return false;
     }
-    if (skipped != 0) {
-      size_at(at) = 0;  // the reader goes on at the beginning
-      head_ += skipped;
+    if (is_at_end) {
+      if (to_end > 0) size_at(size - to_end) = 0;  // the reader goes on at the beginning
+      lap_ += size;
+      at_ = memory_;
     }
-    straight_to_ = std::min(head_ - (head_ & mask_) + mask_ + 1, known_room_to_ - kept_);
+    const std::size_t to = std::min({lap_ + size, known_room_to_ - kept_, published_ + burst});
+    straight_to_ = memory_ + (to > lap_ ? to - lap_ : 0);
     return true;
   }
   std::uint32_t& size_at(std::size_t offset) const noexcept {
@@ -88,9 +97,11 @@ class ByteRing {
   const std::size_t kept_;
   std::byte* const memory_;
   // the writer's
-  alignas(64) std::size_t head_ = 0;
+  alignas(64) std::byte* at_;
+  std::byte* straight_to_;  // records that end before it lie straight, in room that is known to be free
+  std::size_t lap_ = 0;     // position of the beginning of the memory
   std::size_t known_room_to_ = mask_ + 1;
-  std::size_t straight_to_ = 0;  // records that end before it lie straight, in room that is known to be free
+  std::size_t published_ = 0;
   alignas(64) std::atomic<std::size_t> published_head_{0};
   // the reader's
   alignas(64) std::size_t own_tail_ = 0;

@@ -78,9 +78,10 @@ class OriginCore {
   std::uint64_t sequence = 0;    ///< of the last event published
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
-  const std::uint32_t index;  ///< within its topic
-  bool is_claimed = false;    ///< a sensor or feed of this name exists now on this loop
-  bool is_mirror = false;     ///< it publishes on another loop; what is known of it comes over a bridge
+  Passage* only_way = nullptr;  ///< to another loop, when that is all its events go to
+  const std::uint32_t index;    ///< within its topic
+  bool is_claimed = false;      ///< a sensor or feed of this name exists now on this loop
+  bool is_mirror = false;       ///< it publishes on another loop; what is known of it comes over a bridge
 
  private:
   bool gap_is_open_ = false;

@@ -36,7 +36,10 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   origin.last_time = time;
   const std::uint64_t sequence = ++origin.sequence;
   if (followers_ == Followers::none) return;
-  if (followers_ == Followers::one_channel) return channels_out_.front()->send(origin, time, sequence, payload);
+  if (followers_ == Followers::one_channel) {
+    if (origin.only_way != nullptr) origin.only_way->channel->send(*origin.only_way, time, sequence, payload);
+    return;
+  }
   if (followers_ == Followers::several) return hand_out(origin, time, sequence, payload);
   if (!is_short_ || !is_ready || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
   // One of a burst of short ones, for handlers alone: without a call.
@@ -47,7 +50,9 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
 
 void TopicCore::hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {
   for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, time, sequence, payload);
-  for (Channel* channel : channels_out_) channel->send(origin, time, sequence, payload);
+  for (Channel* channel : channels_out_) {
+    if (Passage* passage = channel->passage_of(origin)) channel->send(*passage, time, sequence, payload);
+  }
   if (!links_.empty()) enqueue(origin, time, sequence, payload);
 }
 
@@ -114,7 +119,12 @@ void TopicCore::followers_changed() noexcept {
   } else {
     followers_ = !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;
   }
+  for (OriginCore* origin : origins_) find_way(*origin);
   for (Channel* channel : channels_in_) channel->set_wanted(is_wanted);
+}
+
+void TopicCore::find_way(OriginCore& origin) noexcept {
+  origin.only_way = followers_ == Followers::one_channel ? channels_out_.front()->passage_of(origin) : nullptr;
 }
 
 void TopicCore::move_payload(std::byte* to, void* payload) {

@@ -77,6 +77,8 @@ class TopicCore {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
+  /// To be called when the origin's passage over a channel is made.
+  void find_way(OriginCore& origin) noexcept;
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
   /// Delivers one small group of events of the round to every link, beginning now; returns when it ended.

@@ -92,6 +92,7 @@ TEST_SUITE("loop") {
         at_hand += room != nullptr ? 1 : 0;
         if (room == nullptr) room = ring.reserve(bytes_of(sent), which);
         if (room == nullptr) return false;
+        reinterpret_cast<std::uint32_t*>(room)[0] = bytes_of(sent);
         reinterpret_cast<std::uint32_t*>(room)[1] = sent;
         ring.commit(bytes_of(sent++));
         return true;
@@ -133,5 +134,32 @@ TEST_SUITE("loop") {
     CHECK(taken == sent);
     CHECK(at_hand > sent / 2);
     CHECK(at_hand < sent);
+  }
+
+  TEST_CASE("a byte ring gives room at hand for a burst at most, then what was written has to be published") {
+    detail::ByteRing ring(std::size_t{1} << 16);
+    constexpr std::uint32_t bytes = 64;  // records that fill the memory to its very end
+    constexpr std::size_t a_burst = detail::ByteRing::burst / bytes;
+    std::size_t taken = 0;
+    for (int lap = 0; lap < 100; ++lap) {
+      std::byte* room = ring.reserve(bytes, detail::ByteRing::Room::usual);
+      std::size_t written = 0;
+      for (; room != nullptr; room = ring.reserve_at_hand(bytes)) {
+        reinterpret_cast<std::uint32_t*>(room)[0] = bytes;
+        reinterpret_cast<std::uint32_t*>(room)[1] = static_cast<std::uint32_t>(lap * a_burst + written);
+        CHECK_FALSE(ring.completes_burst(bytes));
+        ring.commit(bytes);
+        CHECK(ring.has_unpublished());
+        ++written;
+      }
+      CHECK(written == a_burst);
+      CHECK(ring.completes_burst(bytes));
+      ring.publish();
+      CHECK_FALSE(ring.has_unpublished());
+      for (ring.look(); const std::byte* front = ring.front(); ring.pop(), ++taken)
+        CHECK(reinterpret_cast<const std::uint32_t*>(front)[1] == taken);
+      ring.release();
+    }
+    CHECK(taken == 100 * a_burst);
   }
 }
