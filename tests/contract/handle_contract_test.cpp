@@ -15,7 +15,12 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
+#include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sinks/sink.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/pty.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -126,7 +131,48 @@ struct OfFeed {
   Timer timer;
 };
 
-#define HANDLES OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed
+struct OfAnalogSensor {
+  using Type = AnalogSensor;  // on a lane; as with those below, its callback is the handler of its errors
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "a", .rate = 1_kHz}, {.file = "/nowhere/in_voltage0_raw"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfSerialLineSensor {
+  using Type = SerialLineSensor;
+  OfSerialLineSensor() { pty.plug_in(); }
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "l"},
+              {.device = pty.path(), .fields = {{.name = "value"}}, .first_line = FirstLine::keep});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) { REQUIRE(pty.send("no number\n") > 0); }
+  ScratchDirectory directory;
+  Pty pty{directory.file("tty")};
+};
+struct OfSink {
+  using Type = Sink;
+  struct Broken final : Writer {
+    Result<void> open() override { return {}; }
+    Result<void> write(Batch&) override { return Error{Errc::storage_full, "cannot store", "", "", ""}; }
+  };
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "broken", .close_deadline = 0ns}, std::make_unique<Broken>());
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type& handle) {
+    loop.topic<Climate>("t").publish({});
+    handle.flush();
+  }
+};
+
+#define HANDLES                                                                                           \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed, \
+      OfAnalogSensor, OfSerialLineSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>
@@ -142,6 +188,7 @@ struct Quiet {
   Loop loop;
   Quiet() {
     loop.on_error([](const ErrorReport&) {});
+    be_quiet(loop);
   }
 };
 
@@ -305,6 +352,10 @@ TEST_SUITE("contract") {
       } else if constexpr (std::is_same_v<Type, Subscription>) {
         closed->set_name("x");
         CHECK(closed->counts().offered + closed->times().count == 0);
+      } else if constexpr (std::is_same_v<Type, Sink>) {
+        closed->flush();
+        closed->on_error([](const ErrorReport&) {});
+        CHECK(closed->counts().offered == 0);
       } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
         closed->start();
         closed->stop();
