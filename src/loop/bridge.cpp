@@ -27,11 +27,10 @@ Channel::Channel(Bridge& bridge, TopicCore& source)
 void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
   constexpr auto usual = ByteRing::Room::usual;
   bridge_.make_known(record_bytes_);
-  const bool are_drops_told = passage.dropped == passage.told_dropped ||
-                              bridge_.send_drops(passage, sequence - 1, usual);
-  std::byte* room = are_drops_told ? ring_.reserve(record_bytes_, usual) : nullptr;
+  std::byte* room = bridge_.send_drops(passage, usual) ? ring_.reserve(record_bytes_, usual) : nullptr;
   if (room == nullptr) {
     ++passage.dropped;
+    passage.last_dropped = sequence;
     bridge_.wake();  // what fills the ring may not have been announced yet
     return;
   }
@@ -81,7 +80,12 @@ void Bridge::announce(Channel* channel, Passage* passage, const std::string& nam
 
 Result<void> Bridge::on_topic(TopicCore& topic) {
   if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
-  channels_.emplace_back(*this, topic);
+  Channel& channel = channels_.emplace_back(*this, topic);
+  if (channel.record_bytes_ > ring_.longest_record()) {
+    from_.runtime.keep_report(&from_, topic.name,
+                              {Errc::does_not_fit, "may find no room on its way", "loop " + to_.config.name,
+                               "its events are long for the ring to it", "make the tier's ring_bytes larger"});
+  }
   channel_by_topic_[&topic] = &channels_.back();
   topic.add_channel_out(channels_.back());
   announce(&channels_.back(), nullptr, topic.name, topic.type);
@@ -124,11 +128,12 @@ RecordType* Bridge::reserve(Sort sort, const Passage& passage, ByteRing::Room ro
   return record;
 }
 
-bool Bridge::send_drops(Passage& passage, std::uint64_t last_sequence, ByteRing::Room room) noexcept {
+bool Bridge::send_drops(Passage& passage, ByteRing::Room room) noexcept {
+  if (passage.dropped == passage.told_dropped) return true;
   auto* record = reserve<DropsRecord>(Sort::drops, passage, room);
   if (record == nullptr) return false;
   record->dropped = passage.told_dropped = passage.dropped;
-  record->last_sequence = last_sequence;
+  record->last_sequence = passage.last_dropped;
   ring_.commit(record->bytes);
   return true;
 }
@@ -169,26 +174,23 @@ void Bridge::on_health(Time time, const HealthChange& change) {
   });
 }
 
-bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept {
-  if (passage.is_given_up)
-    return passage.dropped == passage.told_dropped || send_drops(passage, passage.last_sequence, room);
+bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
+  if (!send_drops(passage, room)) return false;
+  if (passage.is_given_up || !is_to_main_) return true;
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
-  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence +
-                     passage.dropped};
+  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence};
   if (sensor != nullptr) {
     told.period = sensor->schedule_period();
     told.has_sensor = true;
     told.is_active = sensor->is_active();
     told.health = sensor->health();
   }
-  if (which == Accounts::news && told == passage.told) return true;
-  if (passage.dropped == passage.told_dropped && !is_to_main_) return true;
+  if (told == passage.told) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
   passage.told = told;
-  record->dropped = passage.told_dropped = passage.dropped;
   record->counts = counts;
   record->sequence = origin.sequence;
   record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
@@ -204,16 +206,20 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room, Accounts which)
   return true;
 }
 
-void Bridge::send_accounts() {
-  for (Passage& passage : passages_) send_account(passage, ByteRing::Room::all, Accounts::all);
-  accounts_left_ = 0;
+std::size_t Bridge::send_accounts() {
+  std::size_t left = passages_.size();
+  for (Passage& passage : passages_) {
+    if (!send_account(passage, ByteRing::Room::all)) break;
+    --left;
+  }
   wake();
+  return left;
 }
 
 void Bridge::send_some_accounts() {
   for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
     if (next_account_ >= passages_.size()) next_account_ = 0;
-    if (!send_account(passages_[next_account_], ByteRing::Room::usual, Accounts::news)) return;
+    if (!send_account(passages_[next_account_], ByteRing::Room::usual)) return;
     ++next_account_;
   }
 }
@@ -222,19 +228,31 @@ void Bridge::give_up(const OriginCore& origin) noexcept {
   Passage* passage = passage_of(origin);
   if (passage == nullptr) return;
   passage->is_given_up = true;
-  passage->last_sequence = origin.sequence;
+}
+
+void Bridge::hand_over() {
+  wake();
+  receive();
 }
 
 void Bridge::finish() {
-  accounts_left_ = passages_.size();
-  for (std::size_t before = accounts_left_ + 1; accounts_left_ > 0 && accounts_left_ < before;) {  // as many as fit
-    before = accounts_left_;
-    send_some_accounts();
-    wake();
+  hand_over();
+  std::size_t left = passages_.size() + 1;
+  for (std::size_t before = left + 1; left > 0 && left < before;) {  // as many as fit
+    before = std::exchange(left, send_accounts());
     receive();
   }
-  wake();
-  receive();
+  report_lost_notes(to_);
+}
+
+void Bridge::report_lost_notes(LoopCore& on) {
+  const std::uint64_t lost = std::exchange(notes_lost_, 0);
+  if (lost == 0) [[likely]]
+    return;
+  on.runtime.keep_report(
+      &on, "loop " + from_.config.name,
+      {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
+       "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
 }
 
 void Bridge::Reminder::fire(MonotonicTime) {
@@ -243,12 +261,7 @@ void Bridge::Reminder::fire(MonotonicTime) {
 }
 
 void Bridge::turn_done() {
-  if (const std::uint64_t lost = std::exchange(notes_lost_, 0); lost != 0) [[unlikely]] {
-    from_.runtime.keep_report(
-        &from_, "loop " + from_.config.name,
-        {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
-         "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
-  }
+  report_lost_notes(from_);
   if (!passages_.empty()) {
     const MonotonicTime now = from_.now();
     if (!std::exchange(is_reminded_, false)) accounts_left_ = passages_.size();
@@ -320,20 +333,20 @@ bool Bridge::take_heard() {
   return true;
 }
 
-void Bridge::note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence) {
-  const std::uint64_t more = dropped - passage.known_dropped;
-  if (more == 0) return;
-  passage.known_dropped = dropped;
-  passage.mirror->topic.miss(*passage.mirror, more, last_sequence);
-}
-
 void Bridge::take_events(const EventRecord& first, Passage& passage) {
   const std::size_t stride = first.bytes;
   // Those of the same sensor behind it.
   const std::size_t most = std::min<std::size_t>(ring_.straight_bytes() / stride, 64);
-  std::size_t count = 1;
+  const auto head_at = [](const std::byte* record) {  // as one word
+    std::uint64_t head;
+    static_assert(sizeof head == sizeof(Record));
+    std::memcpy(&head, record, sizeof head);
+    return head;
+  };
   const auto* at = reinterpret_cast<const std::byte*>(&first);
-  while (count < most && *reinterpret_cast<const Record*>(at + count * stride) == first) ++count;
+  const std::uint64_t head = head_at(at);
+  std::size_t count = 1;
+  for (at += stride; count < most && head_at(at) == head; at += stride) ++count;
   if (passage.mirror == nullptr) [[unlikely]] {
     to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
   } else {
@@ -358,7 +371,6 @@ void Bridge::take(const Record& record, Passage& passage) {
       break;
     case Sort::account: {
       const auto& account = static_cast<const AccountRecord&>(record);
-      note_drops(passage, account.dropped, account.sequence);
       if (passage.is_past) break;  // the new holder of the name tells more
       mirror.mirror(account.counts, account.sequence, account.under_way);
       passage.period = account.period;
@@ -370,7 +382,8 @@ void Bridge::take(const Record& record, Passage& passage) {
     }
     case Sort::drops: {
       const auto& drops = static_cast<const DropsRecord&>(record);
-      note_drops(passage, drops.dropped, drops.last_sequence);
+      const std::uint64_t more = drops.dropped - std::exchange(passage.known_dropped, drops.dropped);
+      mirror.topic.miss(mirror, more, drops.last_sequence);
       break;
     }
   }

@@ -39,7 +39,6 @@ struct BridgeRecord {
       : bytes(bytes_), tag(passage << 3 | static_cast<std::uint32_t>(sort)) {}
   Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
   std::uint32_t passage() const noexcept { return tag >> 3; }
-  bool operator==(const BridgeRecord&) const = default;
   std::uint32_t bytes;  // the ring's
   std::uint32_t tag;    // what it is, and the passage's number
 };
@@ -54,6 +53,7 @@ struct Passage {
   Channel* const channel;
   std::uint64_t dropped = 0;  // the sending side's: for want of room in the ring, counted from the beginning
   std::uint64_t told_dropped = 0;
+  std::uint64_t last_dropped = 0;  // its sequence
   struct Told {
     std::uint64_t grown = 0;  // sum of counts, each of which only grows
     Duration period{0};
@@ -62,11 +62,10 @@ struct Passage {
     Health health = Health::ok;
     bool operator==(const Told&) const = default;
   };
-  Told told;                        // what its last account said
-  bool is_given_up = false;         // another loop has the name
-  std::uint64_t last_sequence = 0;  // then
-  OriginCore* mirror = nullptr;     // from here on the receiving side's; null: its topic cannot be what it is elsewhere
-  bool is_past = false;             // another loop has the name
+  Told told;                     // what its last account said
+  bool is_given_up = false;      // another loop has the name
+  OriginCore* mirror = nullptr;  // from here on the receiving side's; null: its topic cannot be what it is elsewhere
+  bool is_past = false;          // another loop has the name
   std::uint64_t known_dropped = 0;
   Duration period{0};
   bool is_active = false;
@@ -95,7 +94,10 @@ class Channel {
   }
 
   // The receiving side
-  void set_wanted(bool is_wanted) noexcept { is_wanted_.store(is_wanted, std::memory_order_relaxed); }
+  void set_wanted(bool is_wanted) noexcept {
+    // Not without need: the sender looks at it for each event.
+    if (is_wanted_.load(std::memory_order_relaxed) != is_wanted) is_wanted_.store(is_wanted, std::memory_order_relaxed);
+  }
 
  private:
   friend class Bridge;
@@ -146,11 +148,15 @@ class Bridge final : public Listener {
   // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
   void turn_done();
-  /// Sends how the sensors do, all of them, now.
-  void send_accounts();
+  /// Sends how all the sensors do, now. Returns how many sensors are left for want of room: what is there has to be
+  /// received first.
+  std::size_t send_accounts();
   /// Another loop has the name of this origin: its account is no longer told.
   void give_up(const OriginCore& origin) noexcept;
-  /// The sending loop is about to go: all that is left crosses. On either thread, while none of the loops turns.
+  // These take it on the other side, too: on either thread, while none of the loops turns.
+  /// What was sent crosses.
+  void hand_over();
+  /// The sending loop is about to go: all that is left crosses.
   void finish();
 
   // ---- the receiving side
@@ -171,7 +177,6 @@ class Bridge final : public Listener {
     Segment segment;
   };
   struct AccountRecord : Record {
-    std::uint64_t dropped;
     SensorCounts counts;
     std::uint64_t sequence;
     Segment under_way;
@@ -191,10 +196,10 @@ class Bridge final : public Listener {
   template <class RecordType>
   RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;
   /// These are false when there is no room for it.
-  bool send_drops(Passage& passage, std::uint64_t last_sequence, ByteRing::Room room) noexcept;
-  enum class Accounts { news, all };
-  bool send_account(Passage& passage, ByteRing::Room room, Accounts which) noexcept;
+  bool send_drops(Passage& passage, ByteRing::Room room) noexcept;
+  bool send_account(Passage& passage, ByteRing::Room room) noexcept;
   void send_some_accounts();
+  void report_lost_notes(LoopCore& on);
   /// The other side is woken before the end of the turn when much waits: both work at the same time then.
   void make_known(std::size_t before) noexcept {
     if (ring_.completes_burst(before)) wake();
@@ -205,7 +210,6 @@ class Bridge final : public Listener {
   /// The front of the ring, and those alike behind it.
   void take_events(const EventRecord& first, Passage& passage);
   void take(const Record& record, Passage& passage);
-  void note_drops(Passage& passage, std::uint64_t dropped, std::uint64_t last_sequence);
 
   LoopCore& from_;
   LoopCore& to_;

@@ -13,12 +13,11 @@ namespace rtdata::detail {
 
 class ByteRing {
  public:
-  /// Bytes that are worth being published: enough for the reader to be busy with while more are written.
-  static constexpr std::size_t burst = 8192;
   /// `bytes` is rounded up to a power of two. An eighth of that is kept for records that have to find room.
   explicit ByteRing(std::size_t bytes)
       : mask_(std::bit_ceil(bytes) - 1),
         kept_((mask_ + 1) / 8),
+        burst_(std::min<std::size_t>(8192, (mask_ + 1) / 4)),
         memory_(new (std::align_val_t{64}) std::byte[mask_ + 1]),
         at_(memory_),
         straight_to_(memory_) {}
@@ -34,7 +33,8 @@ class ByteRing {
   std::byte* reserve(std::size_t bytes, Room room) noexcept {
     return find_room(bytes, room == Room::usual ? kept_ : 0) ? at_ : nullptr;
   }
-  /// Null, too, when the room has to be looked for, or when a burst was not published: then `reserve` does.
+  /// Null, too, when the room has to be looked for, which `reserve` does, or when this completes a burst, which should be
+  /// published first.
   std::byte* reserve_at_hand(std::size_t bytes) noexcept {
     return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }
@@ -46,7 +46,10 @@ class ByteRing {
     published_head_.store(published_, std::memory_order_release);
   }
   bool has_unpublished() const noexcept { return head() != published_; }
-  bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst; }
+  /// Whether what was not published, with so many bytes more, is enough for the reader to be busy with.
+  bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst_; }
+  /// A record of more may find no room although the ring is empty.
+  std::size_t longest_record() const noexcept { return (mask_ + 1 - kept_) / 2; }
 
   // ---- the reader
 
@@ -85,7 +88,7 @@ class ByteRing {
       lap_ += size;
       at_ = memory_;
     }
-    const std::size_t to = std::min({lap_ + size, known_room_to_ - kept_, published_ + burst});
+    const std::size_t to = std::min({lap_ + size, known_room_to_ - kept_, published_ + burst_});
     straight_to_ = memory_ + (to > lap_ ? to - lap_ : 0);
     return true;
   }
@@ -95,10 +98,11 @@ class ByteRing {
 
   const std::size_t mask_;
   const std::size_t kept_;
+  const std::size_t burst_;
   std::byte* const memory_;
   // the writer's
   alignas(64) std::byte* at_;
-  std::byte* straight_to_;  // records that end before it lie straight, in room that is known to be free
+  std::byte* straight_to_;  // records up to here lie straight, in room known to be free, and complete no burst
   std::size_t lap_ = 0;     // position of the beginning of the memory
   std::size_t known_room_to_ = mask_ + 1;
   std::size_t published_ = 0;

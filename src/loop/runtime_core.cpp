@@ -146,6 +146,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     const std::lock_guard lock(all.names_mutex_);
     Name& claim = all.names_[std::string(name)];
     if (claim.holder != nullptr) refuse_holder(*claim.holder);
+    receive_all();  // what the last holder published before it let go, perhaps since the look above
     if (claim.left != nullptr && claim.left->topic != topic.name) refuse_topic(claim.left->topic);
     const OriginCore* known = find_origin(name);
     is_new = known == nullptr || known->is_mirror;

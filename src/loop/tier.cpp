@@ -23,6 +23,8 @@ namespace rtdata {
 namespace detail {
 namespace {
 
+constexpr std::size_t least_ring_bytes = 1024;
+
 Runtime::Config runtime_config(Loop& main) {
   Runtime::Config config = main.runtime().config();
   config.configuration.clear();
@@ -60,6 +62,10 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
            "priority " + std::to_string(config.priority) + " does not go with policy " +
                std::string(name_of(config.policy)),
            "use " + std::to_string(range.lowest) + " to " + std::to_string(range.highest));
+  }
+  if (config.ring_bytes < least_ring_bytes) {
+    refuse(Errc::bad_argument, "rings of " + std::to_string(config.ring_bytes) + " bytes have no room for anything",
+           "give `ring_bytes` " + std::to_string(least_ring_bytes) + " or more");
   }
   for (const int cpu : config.cpus) {
     if (cpu < 0 || cpu >= CPU_SETSIZE)
@@ -112,6 +118,7 @@ TierCore::~TierCore() {
     for (TierCore* tier : tiers) tier->stop();
   }
   stop();
+  for (Bridge* bridge : runtime.core().outbound) bridge->hand_over();  // there is room for what the end brings
   loop.core().close_nodes();
   runtime.core().release_all();
   main.core().runtime.tiers_were_balanced &= runtime.balances();
@@ -244,21 +251,34 @@ void TierCore::call(Callback<void()> function) {
 }
 
 void TierCore::drain(Duration deadline, Callback<void()> done) {
-  const auto send_all = [this] {
-    for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
-  };
   if (!is_running()) {
+    Bridge& bridge = bridge_to_main();
+    bridge.hand_over();  // there is room for what the end brings
     loop.close(deadline);
-    send_all();
+    bridge.finish();
     return done();
   }
-  loop.post([this, deadline, send_all, done = std::move(done)]() mutable {
-    loop.drain(deadline, [this, send_all, done = std::move(done)](std::uint64_t) mutable {
-      send_all();
-      was_balanced_.store(runtime.balances(), std::memory_order_release);
-      had_loss_.store(runtime.has_loss(), std::memory_order_release);
-      main.post(std::move(done));
-    });
+  loop.post([this, deadline, done = std::move(done)]() mutable {
+    loop.drain(deadline,
+               [this, done = std::move(done)](std::uint64_t) mutable { send_last_accounts(std::move(done)); });
+  });
+}
+
+void TierCore::send_last_accounts(Callback<void()> done) {
+  if (bridge_to_main().send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
+    sending_ = Timer(loop, std::chrono::milliseconds{1},
+                     [this, done = std::move(done)]() mutable { send_last_accounts(std::move(done)); });
+    return;
+  }
+  for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
+  was_balanced_.store(runtime.balances(), std::memory_order_release);
+  had_loss_.store(runtime.has_loss(), std::memory_order_release);
+  main.post(std::move(done));
+}
+
+Bridge& TierCore::bridge_to_main() noexcept {
+  return **std::find_if(bridges_.begin(), bridges_.end(), [this](const auto& bridge) {
+    return &bridge->from() == &loop.core() && &bridge->to() == &main.core();
   });
 }
 

@@ -10,6 +10,7 @@
 #include "loop/latch.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
 
 namespace rtdata::detail {
 
@@ -56,6 +57,9 @@ class TierCore {
 
  private:
   void make_bridges();
+  Bridge& bridge_to_main() noexcept;
+  /// On its thread; `done` on the main loop.
+  void send_last_accounts(Callback<void()> done);
   void run();
   void set_up_thread();
   void warn(const Error& error);
@@ -63,6 +67,7 @@ class TierCore {
   std::vector<std::unique_ptr<Bridge>> bridges_;  // to and from it; those between it and a later tier are the later one's
   std::thread thread_;
   bool was_started_ = false;
+  Timer sending_;
   std::atomic<bool> quit_{false};
   Latch ended_;  // its thread is about to end
   std::atomic<bool> was_balanced_{true};

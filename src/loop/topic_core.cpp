@@ -86,16 +86,16 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
   if (links_.empty()) return;
   const std::uint64_t taken = std::min<std::uint64_t>(count, mask_ + 1 - (head_ - tail_));
   dropped_ += count - taken;
-  const auto copy_all = [&, all = mask_ + 1, slot_bytes = stride_, origin = std::string_view(mirror.name),
+  const auto copy_all = [&, slot_bytes = stride_, offset = payload_offset, origin = std::string_view(mirror.name),
                          size = type.size](auto copy) {
-    std::byte* to = slot(head_);
-    const std::uint64_t to_ring_end = all - (head_ & mask_);
-    for (std::uint64_t i = 0; i < taken; ++i, to += slot_bytes) {
-      if (i == to_ring_end) [[unlikely]]
-        to = slots_;
-      const Arrival* from = arrival(i);
-      ::new (to) EventHeader{from->time, from->sequence, origin};
-      copy(to + payload_offset, from + 1, size);
+    const std::uint64_t to_ring_end = std::min(taken, mask_ + 1 - (head_ & mask_));
+    std::uint64_t i = 0;
+    for (std::byte* to : {slot(head_), slots_}) {
+      for (const std::uint64_t end = i == 0 ? to_ring_end : taken; i < end; ++i, to += slot_bytes) {
+        const Arrival* from = arrival(i);
+        ::new (to) EventHeader{from->time, from->sequence, origin};
+        copy(to + offset, from + 1, size);
+      }
     }
   };
   if (is_short_) {
@@ -113,13 +113,16 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
 }
 
 void TopicCore::followers_changed() noexcept {
+  const Followers before = followers_;
   const bool is_wanted = !taps_.empty() || !links_.empty();
   if (taps_.empty() && channels_out_.empty()) {
     followers_ = links_.empty() ? Followers::none : Followers::handlers;
   } else {
     followers_ = !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;
   }
-  for (OriginCore* origin : origins_) find_way(*origin);
+  if (followers_ != before) {
+    for (OriginCore* origin : origins_) find_way(*origin);
+  }
   for (Channel* channel : channels_in_) channel->set_wanted(is_wanted);
 }
 
@@ -178,9 +181,13 @@ void TopicCore::retire(Link& link) noexcept {
 
 void TopicCore::unlink(SubscriptionNode& node) noexcept {
   if (delivering_ == &node) return;  // its deliver() is on the stack: retired when that returns
+  bool is_linked = false;
   for (Link& link : links_) {
-    if (link.node == &node) retire(link);
+    if (link.node != &node) continue;
+    retire(link);
+    is_linked = true;
   }
+  if (!is_linked) return;
   if (delivering_ == nullptr) std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
   followers_changed();
 }

@@ -26,10 +26,10 @@ class FeedNode final : public SourceNode {
   Rate rate() const noexcept override { return {}; }
   bool is_running() const noexcept override { return is_running_; }
 
-  void publish(void* payload, const Time* time) {
-    if (!is_running_) return;
-    if (time == nullptr || health() != Health::ok) return publish_otherwise(payload, time);
-    count_and_publish(payload, *time);
+  void publish(void* payload) { publish(payload, loop()->runtime.event_time(loop()->now())); }
+  void publish(void* payload, Time time) {
+    if (health() != Health::ok) return publish_after_failure(payload, time);
+    count_and_publish(payload, time);
   }
   void fail(const Error& error) {
     if (!is_running_) return;
@@ -60,10 +60,10 @@ class FeedNode final : public SourceNode {
     ++origin_.counts.published;
     origin_.topic.publish(origin_, time, payload);
   }
-  /// With the time of now, or after a failure. Apart, so that the other way needs no call.
-  [[gnu::noinline]] void publish_otherwise(void* payload, const Time* time) {
-    count_and_publish(payload, time != nullptr ? *time : loop()->runtime.event_time(loop()->now()));
-    if (health() != Health::ok) set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
+  /// Apart, so that the usual way needs no call.
+  [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
+    count_and_publish(payload, time);
+    set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
   }
   void on_close() noexcept override {
     stop();
@@ -76,10 +76,24 @@ Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) {
   return new FeedNode(loop.core(), config, std::move(type));
 }
 
-void feed_publish(Node* feed, const void* payload, const Time* time) {
-  if (feed == nullptr || !feed->is_open()) return;
-  static_cast<FeedNode*>(feed)->check_thread();
-  static_cast<FeedNode*>(feed)->publish(const_cast<void*>(payload), time);
+namespace {
+
+/// Null when there is nothing to be published: a closed feed does not run.
+FeedNode* running(Node* node) {
+  auto* const feed = static_cast<FeedNode*>(node);
+  if (feed == nullptr || !feed->is_running()) return nullptr;
+  feed->check_thread();
+  return feed;
+}
+
+}  // namespace
+
+void feed_publish(Node* node, const void* payload) {
+  if (FeedNode* feed = running(node)) feed->publish(const_cast<void*>(payload));
+}
+
+void feed_publish(Node* node, const void* payload, Time time) {
+  if (FeedNode* feed = running(node)) feed->publish(const_cast<void*>(payload), time);
 }
 
 }  // namespace detail
@@ -94,19 +108,21 @@ detail::FeedNode* feed(detail::Node* node) {
   return feed;
 }
 
-void publish(detail::Node* node, std::span<const std::byte> payload, const Time* time) {
-  auto* f = feed(node);
-  if (f == nullptr || payload.size() != f->payload_size()) return;
-  // Described payloads are trivially copyable: nothing moves out of it.
-  f->publish(const_cast<std::byte*>(payload.data()), time);
+bool has_size(detail::Node* node, std::span<const std::byte> payload) {
+  const detail::FeedNode* to = feed(node);
+  return to != nullptr && payload.size() == to->payload_size();
 }
 
 }  // namespace
 
 AnyFeed::AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description)
     : AnySensor(detail::make_feed(loop, std::move(config), detail::described_type(std::move(description)))) {}
-void AnyFeed::publish_bytes(std::span<const std::byte> payload) { publish(node(), payload, nullptr); }
-void AnyFeed::publish_bytes(std::span<const std::byte> payload, Time time) { publish(node(), payload, &time); }
+void AnyFeed::publish_bytes(std::span<const std::byte> payload) {
+  if (has_size(node(), payload)) detail::feed_publish(node(), payload.data());
+}
+void AnyFeed::publish_bytes(std::span<const std::byte> payload, Time time) {
+  if (has_size(node(), payload)) detail::feed_publish(node(), payload.data(), time);
+}
 void AnyFeed::fail(const Error& error) {
   if (auto* f = feed(node())) f->fail(error);
 }

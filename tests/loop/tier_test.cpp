@@ -172,6 +172,40 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE("what found no room is known although the tier goes before the main loop has turned") {
+    constexpr std::uint64_t feeds = 50;
+    Loop loop;
+    auto subscription = loop.subscribe<Count>("shared", [](const Event<Count>&) {});
+    {
+      Tier fast(loop, {.ring_bytes = 8192});
+      fast.start();
+      std::deque<Feed<Count>> all;
+      fast.call([&](Loop& on) {
+        for (std::uint64_t i = 0; i < feeds; ++i)
+          all.emplace_back(on, FeedConfig{.name = "f" + std::to_string(i), .topic = "shared"});
+        for (std::uint64_t round = 0; round < 100; ++round) {
+          for (Feed<Count>& feed : all) feed.publish({round});
+        }
+      });
+    }
+    CHECK(subscription.counts().offered == 100 * feeds);
+    CHECK(subscription.counts().dropped > 0);
+    CHECK(subscription.counts().balances());
+    for (const TopicStatus& topic : loop.runtime().topics()) CHECK(topic.published == 100 * feeds);
+  }
+
+  TEST_CASE("a ring that is too small is refused, and events that are long for it are told of") {
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    CHECK_THROWS_AS(Tier(loop, {.ring_bytes = 1023}), SetupError);
+    Tier fast(loop, {.ring_bytes = 1024});
+    const Feed<Block> feed(loop, {.name = "large"});
+    loop.poll();
+    REQUIRE(errors.size() == 1);
+    CHECK(errors[0].find("make the tier's ring_bytes larger") != std::string::npos);
+  }
+
   TEST_CASE("US-16 events of different sizes share a small ring: each arrives once, in order") {
     Loop loop;
     Tier fast(loop, {.ring_bytes = 8192});

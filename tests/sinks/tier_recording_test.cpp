@@ -1,5 +1,6 @@
 // Sensors on tiers, recorded by a sink of the main loop.
 #include <atomic>
+#include <deque>
 #include <thread>
 
 #include "loop/run_until.hpp"
@@ -101,6 +102,39 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") ==
           static_cast<std::int64_t>(dropped));
     CHECK(number(path, "SELECT count(*) FROM feed") == static_cast<std::int64_t>(20 * 500 - dropped));
+  }
+
+  TEST_CASE("the accounts of a tier get to the recording also when its ring has no room for all of them at once") {
+    constexpr std::int64_t feeds = 100;
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::uint64_t dropped = 0;
+    {
+      Loop loop;
+      Tier fast(loop, {.ring_bytes = 8192});
+      SqliteSink sink(loop, {.path = path});
+      fast.start();
+      std::deque<Feed<Climate>> all;
+      fast.call([&](Loop& on) {
+        for (int i = 0; i < feeds; ++i) all.emplace_back(on, FeedConfig{.name = "f" + std::to_string(i), .topic = "t"});
+        for (int round = 0; round < 100; ++round) {
+          for (Feed<Climate>& feed : all) feed.publish({});  // most of these find no room
+        }
+      });
+      SUBCASE("of a tier that runs") {}
+      SUBCASE("of one that was stopped") { fast.stop(); }
+      CHECK(loop.close() == 0);
+      CHECK(loop.runtime().balances());
+      CHECK(sink.counts().offered == 100 * feeds);
+      dropped = sink.counts().all_dropped();
+      CHECK(dropped > 0);
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_ledger WHERE published = 100") == feeds);
+    CHECK(number(path, "SELECT sum(dropped_newest) FROM rtdata_ledger") == static_cast<std::int64_t>(dropped));
+    CHECK(number(path, "SELECT count(*) FROM t") == 100 * feeds - static_cast<std::int64_t>(dropped));
   }
 
   TEST_CASE(

@@ -9,7 +9,8 @@
 ///
 /// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
 /// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
-/// publishing side takes no lock and allocates nothing; the other side is woken once, however much waits. Only payloads
+/// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or as often as so much was
+/// published that it should begin. Only payloads
 /// that are trivially copyable cross: of others, subscribing on another loop is a SetupError, or is reported when it is by name.
 ///
 /// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
@@ -55,7 +56,7 @@ class Tier {
     Duration delivery_budget = Loop::Config{}.delivery_budget;
     Duration phase_grid = Loop::Config{}.phase_grid;
     Duration timer_slack = Loop::Config{}.timer_slack;
-    std::size_t ring_bytes = std::size_t{1} << 20;  ///< of each ring from and to another loop
+    std::size_t ring_bytes = std::size_t{1} << 20;  ///< of each ring from and to another loop; 1024 or more
   };
 
   /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in

@@ -24,7 +24,8 @@ namespace detail {
 class FeedNode;
 Node* make_feed(Loop& loop, FeedConfig config, PayloadType type);
 /// `payload` is moved from when its type is not trivially copyable. Nothing when there is no feed or it is stopped.
-void feed_publish(Node* feed, const void* payload, const Time* time);
+void feed_publish(Node* feed, const void* payload);
+void feed_publish(Node* feed, const void* payload, Time time);
 
 }  // namespace detail
 
@@ -62,8 +63,8 @@ class Feed : public AnyFeed {
       : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
   /// With the time of now, or the given one; a time not after the last event's is moved to just after it.
-  void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload, nullptr); }
-  void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, &time); }
+  void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload); }
+  void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, time); }
 };
 
 }  // namespace rtdata
