@@ -346,7 +346,10 @@ void Bridge::take_events(const EventRecord& first, Passage& passage) {
   const auto* at = reinterpret_cast<const std::byte*>(&first);
   const std::uint64_t head = head_at(at);
   std::size_t count = 1;
-  for (at += stride; count < most && head_at(at) == head; at += stride) ++count;
+  for (at += stride; count < most && head_at(at) == head; at += stride) {
+    ByteRing::fetch_for_reading(at);
+    ++count;
+  }
   if (passage.mirror == nullptr) [[unlikely]] {
     to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
   } else {

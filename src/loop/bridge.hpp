@@ -108,6 +108,7 @@ class Channel {
   };
   /// Where its payload goes.
   static std::byte* begin_event(std::byte* room, const Passage& passage, Time time, std::uint64_t sequence) {
+    ByteRing::fetch_for_writing(room);
     auto& record = *reinterpret_cast<EventRecord*>(room);
     static_cast<BridgeRecord&>(record) = passage.event;
     record.event = {time, sequence};

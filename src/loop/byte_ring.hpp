@@ -38,6 +38,9 @@ class ByteRing {
   std::byte* reserve_at_hand(std::size_t bytes) noexcept {
     return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }
+  // Lines of cache come from the other side's processor: they are asked for some records before they are needed.
+  static void fetch_for_writing(const std::byte* record) noexcept { __builtin_prefetch(record + fetched_ahead, 1); }
+  static void fetch_for_reading(const std::byte* record) noexcept { __builtin_prefetch(record + fetched_ahead, 0); }
   /// The record reserved last, of as many bytes, is complete.
   void commit(std::size_t bytes) noexcept { at_ += bytes; }
   /// What was committed can be seen by the reader. Seldom, since each time costs both sides a line of cache.
@@ -92,6 +95,7 @@ class ByteRing {
     straight_to_ = memory_ + (to > lap_ ? to - lap_ : 0);
     return true;
   }
+  static constexpr std::size_t fetched_ahead = 1024;
   std::uint32_t& size_at(std::size_t offset) const noexcept {
     return *reinterpret_cast<std::uint32_t*>(memory_ + offset);
   }
