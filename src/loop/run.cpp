@@ -38,7 +38,13 @@ void LoopCore::call_there(Callback<void()> function) {
     runtime.send_now();
     is_done.release();
   });
-  is_done.acquire();
+  if (!is_done.try_acquire_for(std::chrono::seconds{1})) {
+    const std::string at = doing();
+    if (runtime.hub != nullptr)
+      runtime.hub->log(LogLevel::warning, "loop " + config.name,
+                       "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
+    is_done.acquire();
+  }
   if (thrown) std::rethrow_exception(thrown);
 }
 

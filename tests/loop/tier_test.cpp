@@ -773,6 +773,29 @@ TEST_SUITE("loop") {
     CHECK(counts.balances());
   }
 
+  TEST_CASE("NFR-1 what waits for a tier that hangs says so, and for which callback") {
+    Loop loop;
+    std::atomic<bool> hangs{false}, let_go{false};
+    std::vector<std::string> told;
+    loop.runtime().on_log([&](const LogRecord& record) {
+      told.push_back(std::string(record.object) + ": " + std::string(record.text));
+      let_go = true;
+    });
+    Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+    Ticker ticker(fast.loop(), Ticker::Config{.period = 1ms, .name = "beat"}, [&](const Tick&) {
+      hangs = true;
+      while (!let_go) std::this_thread::sleep_for(1ms);
+    });
+    fast.start();
+    CHECK(run_until(loop, [&] { return hangs.load(); }));
+    SUBCASE("a call") {
+      CHECK(fast.call([](Loop&) { return 7; }) == 7);
+    }
+    SUBCASE("a handle that is closed") { ticker.close(); }
+    REQUIRE(told.size() == 1);
+    CHECK(told[0] == "loop fast: is waited for: it has not come out of beat for 1 s");
+  }
+
   TEST_CASE("NFR-1 a tier that hangs is not waited for longer than asked, and says which callback it is in") {
     Loop loop;
     loop.runtime().on_log([](const LogRecord&) {});

@@ -85,7 +85,8 @@ class Tier {
   bool is_running() const noexcept;
 
   /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not
-  /// run, and in its own callbacks. What it throws is thrown here.
+  /// run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a callback for 1 s, a
+  /// warning names it.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;
