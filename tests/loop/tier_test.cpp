@@ -774,7 +774,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("NFR-1 what waits for a tier that hangs says so, and for which callback") {
-    Loop loop;
+    Loop loop({.hold_limit = 60s});
     std::atomic<bool> hangs{false}, let_go{false};
     std::vector<std::string> told;
     loop.runtime().on_log([&](const LogRecord& record) {
