@@ -78,10 +78,10 @@ Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) {
 
 namespace {
 
-/// Null when there is nothing to be published: a closed feed does not run.
-FeedNode* running(Node* node) {
+/// Null when it is closed.
+FeedNode* feed(Node* node) {
+  if (node == nullptr || !node->is_open()) return nullptr;
   auto* const feed = static_cast<FeedNode*>(node);
-  if (feed == nullptr || !feed->is_running()) return nullptr;
   feed->check_thread();
   return feed;
 }
@@ -89,24 +89,20 @@ FeedNode* running(Node* node) {
 }  // namespace
 
 void feed_publish(Node* node, const void* payload) {
-  if (FeedNode* feed = running(node)) feed->publish(const_cast<void*>(payload));
+  FeedNode* const to = feed(node);
+  if (to != nullptr && to->is_running()) to->publish(const_cast<void*>(payload));
 }
 
 void feed_publish(Node* node, const void* payload, Time time) {
-  if (FeedNode* feed = running(node)) feed->publish(const_cast<void*>(payload), time);
+  FeedNode* const to = feed(node);
+  if (to != nullptr && to->is_running()) to->publish(const_cast<void*>(payload), time);
 }
 
 }  // namespace detail
 
 namespace {
 
-/// Null when it is closed.
-detail::FeedNode* feed(detail::Node* node) {
-  if (node == nullptr || !node->is_open()) return nullptr;
-  auto* const feed = static_cast<detail::FeedNode*>(node);
-  feed->check_thread();
-  return feed;
-}
+using detail::feed;
 
 bool has_size(detail::Node* node, std::span<const std::byte> payload) {
   const detail::FeedNode* to = feed(node);
