@@ -88,6 +88,10 @@ TEST_SUITE("loop") {
     for (int round = 0; round < 1000; ++round) {
       using Room = detail::ByteRing::Room;
       const auto send = [&](Room which) {
+        if (ring.completes_burst(bytes_of(sent))) {
+          ring.publish();
+          if (std::byte* room = ring.reserve(bytes_of(sent), which); room == nullptr) return false;
+        }
         std::byte* room = which == Room::usual ? ring.reserve_at_hand(bytes_of(sent)) : nullptr;
         at_hand += room != nullptr ? 1 : 0;
         if (room == nullptr) room = ring.reserve(bytes_of(sent), which);
@@ -97,6 +101,9 @@ TEST_SUITE("loop") {
         ring.commit(bytes_of(sent++));
         return true;
       };
+      CHECK(send(Room::usual));
+      ring.look();
+      CHECK(ring.front() == nullptr);  // not published yet
       while (send(Room::usual)) {
       }
       if (round % 3 == 0) {
@@ -106,8 +113,6 @@ TEST_SUITE("loop") {
         CHECK(sent > usual);
         CHECK(!send(Room::usual));
       }
-      ring.look();
-      CHECK(ring.front() == nullptr);  // not published yet
       ring.publish();
       CHECK(ring.front() == nullptr);  // not looked yet
       ring.look();
@@ -132,7 +137,7 @@ TEST_SUITE("loop") {
       ring.release();
     }
     CHECK(taken == sent);
-    CHECK(at_hand > sent / 6);  // up to a burst
+    CHECK(at_hand > sent / 2);
     CHECK(at_hand < sent);
   }
 
