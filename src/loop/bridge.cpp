@@ -337,16 +337,9 @@ void Bridge::take_events(const EventRecord& first, Passage& passage) {
   const std::size_t stride = first.bytes;
   // Those of the same sensor behind it.
   const std::size_t most = std::min<std::size_t>(ring_.straight_bytes() / stride, 64);
-  const auto head_at = [](const std::byte* record) {  // as one word
-    std::uint64_t head;
-    static_assert(sizeof head == sizeof(Record));
-    std::memcpy(&head, record, sizeof head);
-    return head;
-  };
   const auto* at = reinterpret_cast<const std::byte*>(&first);
-  const std::uint64_t head = head_at(at);
   std::size_t count = 1;
-  for (at += stride; count < most && head_at(at) == head; at += stride) {
+  for (at += stride; count < most && *reinterpret_cast<const Record*>(at) == first; at += stride) {
     ByteRing::fetch_for_reading(at);
     ++count;
   }

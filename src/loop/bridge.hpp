@@ -39,6 +39,7 @@ struct BridgeRecord {
       : bytes(bytes_), tag(passage << 3 | static_cast<std::uint32_t>(sort)) {}
   Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
   std::uint32_t passage() const noexcept { return tag >> 3; }
+  bool operator==(const BridgeRecord&) const = default;
   std::uint32_t bytes;  // the ring's
   std::uint32_t tag;    // what it is, and the passage's number
 };

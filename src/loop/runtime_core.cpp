@@ -122,7 +122,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     throw SetupError({Errc::bad_name, "cannot make sensor", "\"" + std::string(name) + "\"",
                       "a name has 1 to 200 characters and no control characters", "give it another `name`"});
   }
-  receive_all();  // what another loop has published under the name comes first
+  receive_all();  // what another loop has published under the name comes first; here, so that under the lock little is left
   const auto refuse = [&](const std::string& why, const char* advice) {
     throw SetupError({Errc::busy, "cannot make sensor", std::string(name), why, advice});
   };
@@ -146,7 +146,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     const std::lock_guard lock(all.names_mutex_);
     Name& claim = all.names_[std::string(name)];
     if (claim.holder != nullptr) refuse_holder(*claim.holder);
-    receive_all();  // what the last holder published before it let go, perhaps since the look above
+    receive_all();  // also what the last holder published since then, before it let go
     if (claim.left != nullptr && claim.left->topic != topic.name) refuse_topic(claim.left->topic);
     const OriginCore* known = find_origin(name);
     is_new = known == nullptr || known->is_mirror;

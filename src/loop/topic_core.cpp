@@ -86,16 +86,16 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
   if (links_.empty()) return;
   const std::uint64_t taken = std::min<std::uint64_t>(count, mask_ + 1 - (head_ - tail_));
   dropped_ += count - taken;
-  const auto copy_all = [&, slot_bytes = stride_, offset = payload_offset, origin = std::string_view(mirror.name),
+  const auto copy_all = [&, all = mask_ + 1, slot_bytes = stride_, origin = std::string_view(mirror.name),
                          size = type.size](auto copy) {
-    const std::uint64_t to_ring_end = std::min(taken, mask_ + 1 - (head_ & mask_));
-    std::uint64_t i = 0;
-    for (std::byte* to : {slot(head_), slots_}) {
-      for (const std::uint64_t end = i == 0 ? to_ring_end : taken; i < end; ++i, to += slot_bytes) {
-        const Arrival* from = arrival(i);
-        ::new (to) EventHeader{from->time, from->sequence, origin};
-        copy(to + offset, from + 1, size);
-      }
+    std::byte* to = slot(head_);
+    const std::uint64_t to_ring_end = all - (head_ & mask_);
+    for (std::uint64_t i = 0; i < taken; ++i, to += slot_bytes) {
+      if (i == to_ring_end) [[unlikely]]
+        to = slots_;
+      const Arrival* from = arrival(i);
+      ::new (to) EventHeader{from->time, from->sequence, origin};
+      copy(to + payload_offset, from + 1, size);
     }
   };
   if (is_short_) {
