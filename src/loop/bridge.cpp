@@ -11,6 +11,7 @@ namespace {
 
 constexpr Duration accounts_every = std::chrono::milliseconds{100};
 constexpr std::size_t accounts_at_once = 128;
+constexpr std::size_t most_notes_beside_sensors = 1000;  // that wait
 
 constexpr std::uint32_t rounded(std::size_t bytes) { return static_cast<std::uint32_t>((bytes + 7) / 8 * 8); }
 
@@ -141,23 +142,44 @@ bool Bridge::send_drops(Passage& passage, ByteRing::Room room) noexcept {
 void Bridge::on_gap(OriginCore& origin, const Gap& gap) {
   Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
-  if (auto* record = reserve<GapRecord>(Sort::gap, *passage, ByteRing::Room::all)) {
-    record->gap = gap;
-    ring_.commit(record->bytes);
-  } else {
-    ++notes_lost_;
-  }
+  note({passage, gap});
 }
 
 void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
   Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
-  if (auto* record = reserve<SegmentRecord>(Sort::segment, *passage, ByteRing::Room::all)) {
-    record->segment = segment;
-    ring_.commit(record->bytes);
+  note({passage, segment});
+}
+
+void Bridge::note(Note note) {
+  if (send_notes() && send(note)) return;
+  if (notes_.size() < most_notes_beside_sensors + 2 * passages_.size()) {
+    notes_.push_back(note);
   } else {
     ++notes_lost_;
   }
+}
+
+bool Bridge::send_notes() noexcept {
+  for (; !notes_.empty(); notes_.pop_front()) {
+    if (!send(notes_.front())) return false;
+  }
+  return true;
+}
+
+bool Bridge::send(const Note& note) noexcept {
+  if (const Gap* gap = std::get_if<Gap>(&note.what)) {
+    auto* record = reserve<GapRecord>(Sort::gap, *note.passage, ByteRing::Room::all);
+    if (record == nullptr) return false;
+    record->gap = *gap;
+    ring_.commit(record->bytes);
+  } else {
+    auto* record = reserve<SegmentRecord>(Sort::segment, *note.passage, ByteRing::Room::all);
+    if (record == nullptr) return false;
+    record->segment = std::get<Segment>(note.what);
+    ring_.commit(record->bytes);
+  }
+  return true;
 }
 
 void Bridge::on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) {
@@ -208,15 +230,19 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
 
 std::size_t Bridge::send_accounts() {
   std::size_t left = passages_.size();
-  for (Passage& passage : passages_) {
-    if (!send_account(passage, ByteRing::Room::all)) break;
-    --left;
+  if (send_notes()) {
+    for (Passage& passage : passages_) {
+      if (!send_account(passage, ByteRing::Room::all)) break;
+      --left;
+    }
   }
+  left += notes_.size();
   wake();
   return left;
 }
 
 void Bridge::send_some_accounts() {
+  if (!send_notes()) return;
   for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
     if (next_account_ >= passages_.size()) next_account_ = 0;
     if (!send_account(passages_[next_account_], ByteRing::Room::usual)) return;
@@ -237,11 +263,12 @@ void Bridge::hand_over() {
 
 void Bridge::finish() {
   hand_over();
-  std::size_t left = passages_.size() + 1;
-  for (std::size_t before = left + 1; left > 0 && left < before;) {  // as many as fit
-    before = std::exchange(left, send_accounts());
+  std::size_t before = SIZE_MAX;
+  for (std::size_t left = send_accounts(); left > 0 && left < before; left = send_accounts()) {
     receive();
+    before = left;
   }
+  receive();
   report_lost_notes(to_);
 }
 
@@ -364,6 +391,7 @@ void Bridge::take(const Record& record, Passage& passage) {
       for (Listener* listener : to_.runtime.recorders) {
         listener->on_segment(mirror, static_cast<const SegmentRecord&>(record).segment);
       }
+      if (!passage.is_past) mirror.forget_segment();  // its account, told later, knows no more of it than this
       break;
     case Sort::account: {
       const auto& account = static_cast<const AccountRecord&>(record);

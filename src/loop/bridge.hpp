@@ -18,6 +18,7 @@
 #include <memory>
 #include <string>
 #include <unordered_map>
+#include <variant>
 #include <vector>
 
 #include "data/copy.hpp"
@@ -150,8 +151,7 @@ class Bridge final : public Listener {
   // Neither side runs user code in any of these: what there is to report is kept.
   /// The end of a turn of the sending loop: sends accounts, and wakes the other side.
   void turn_done();
-  /// Sends how all the sensors do, now. Returns how many sensors are left for want of room: what is there has to be
-  /// received first.
+  /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received first.
   std::size_t send_accounts();
   /// Another loop has the name of this origin: its account is no longer told.
   void give_up(const OriginCore& origin) noexcept;
@@ -201,6 +201,14 @@ class Bridge final : public Listener {
   bool send_drops(Passage& passage, ByteRing::Room room) noexcept;
   bool send_account(Passage& passage, ByteRing::Room room) noexcept;
   void send_some_accounts();
+  /// A gap or an ended segment. The recording does not balance without it, so one that finds no room waits.
+  struct Note {
+    Passage* passage;
+    std::variant<Gap, Segment> what;
+  };
+  void note(Note note);
+  bool send(const Note& note) noexcept;
+  bool send_notes() noexcept;
   void report_lost_notes(LoopCore& on);
   /// The other side is woken before the end of the turn when much waits: both work at the same time then.
   void make_known(std::size_t before) noexcept {
@@ -234,7 +242,8 @@ class Bridge final : public Listener {
   MonotonicTime next_accounts_{};
   std::size_t next_account_ = 0;
   std::size_t accounts_left_ = 0;  // to be looked at since something happened last
-  std::uint64_t notes_lost_ = 0;   // gaps and segments that found no room
+  std::deque<Note> notes_;         // that found no room yet; before any account
+  std::uint64_t notes_lost_ = 0;   // too many waited
 
   // the receiving side
   std::vector<Passage*> heard_;  // by number; null: not heard of yet, so that what follows waits in the ring

@@ -71,6 +71,8 @@ class OriginCore {
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
   void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
+  /// The segment of a mirror has ended; the account that says so comes later.
+  void forget_segment() noexcept { period_ = Duration{0}; }
 
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;

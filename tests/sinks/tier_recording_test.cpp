@@ -104,6 +104,63 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT count(*) FROM feed") == static_cast<std::int64_t>(20 * 500 - dropped));
   }
 
+  TEST_CASE("many sensors of a tier that stop at once are balanced in the recording") {
+    std::size_t ring_bytes = 0;
+    int sensors = 0;
+    bool is_stopped_first = false;
+    SUBCASE("more than the ring has room for") { ring_bytes = 4096, sensors = 300; }
+    SUBCASE("more than the ring of a stopped tier has room for") {
+      ring_bytes = 4096, sensors = 300, is_stopped_first = true;
+    }
+    SUBCASE("more than the sink tells of at once") { ring_bytes = 1 << 20, sensors = 3000; }
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop;
+      Tier fast(loop, {.hold_limit = 60s, .ring_bytes = ring_bytes});
+      SqliteSink sink(loop, {.path = path});
+      std::deque<Sensor<Climate>> all;
+      std::atomic<int> reads{0};
+      for (int i = 0; i < sensors; ++i) {
+        all.emplace_back(fast.loop(), SensorConfig{.name = "s" + std::to_string(i), .topic = "t", .rate = 10_Hz}, [&] {
+          ++reads;
+          return Climate{};
+        });
+      }
+      CHECK(run_until(loop, [&] { return reads > 5 * sensors; }));
+      if (is_stopped_first) fast.stop();
+      loop.close(60s);
+      CHECK(loop.runtime().balances());
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= sensors);
+  }
+
+  TEST_CASE("what a sink tells between the end of a schedule on a tier and its next account changes nothing of it") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop;
+      Tier fast(loop, {.hold_limit = 60s});
+      SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 1ms}});
+      std::atomic<int> reads{0};
+      Sensor<Climate> sensor(fast.loop(), {.name = "s", .rate = 200_Hz}, [&] {
+        ++reads;
+        return Climate{};
+      });
+      Ticker ticker(fast.loop(), 170ms,
+                    [&](const Tick& tick) { sensor.set_rate(tick.index % 2 == 0 ? 200_Hz : 100_Hz); });
+      CHECK(run_until(loop, [&] { return reads > 100; }));
+      CHECK(loop.close() == 0);
+    }
+    const VerifyReport report = verified(path);
+    INFO(text_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= 3);
+  }
+
   TEST_CASE("the accounts of a tier get to the recording also when its ring has no room for all of them at once") {
     constexpr std::int64_t feeds = 100;
     const Folder folder;
