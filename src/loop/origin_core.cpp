@@ -1,5 +1,7 @@
 #include "loop/origin_core.hpp"
 
+#include <algorithm>
+
 #include "loop/bridge.hpp"
 #include "loop/runtime_core.hpp"
 
@@ -27,6 +29,7 @@ void OriginCore::adopt(const State& state) noexcept {
   counts = state.counts;
   sequence = state.sequence;
   last_time = state.last_time;
+  first_due_ = state.free_from;
   period_ = Duration{0};
   is_mirror = false;
   if (passage != nullptr) passage->is_past = true;
@@ -52,6 +55,8 @@ void OriginCore::end_segment(MonotonicTime end) {
   if (!has_segment()) return;
   close_gap();
   const Segment ended = segment(end);
+  const auto ticks = static_cast<std::int64_t>(counts.scheduled - scheduled_before_);
+  first_due_ = std::max(end, first_due_ + (ticks - 1) * period_ + Duration{1});
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
 }

@@ -26,6 +26,8 @@ class OriginCore {
   /// Ends at `end`, up to which every due tick has been counted.
   void end_segment(MonotonicTime end);
   bool has_segment() const noexcept { return period_.count() > 0; }
+  /// Without a segment: the next may not begin before, or its ticks would be among those of the last one.
+  MonotonicTime free_from() const noexcept { return first_due_; }
   Time first_due() const noexcept;
   /// The segment under way as it would be if it ended at `end`.
   Segment segment(MonotonicTime end) const noexcept;
@@ -63,8 +65,9 @@ class OriginCore {
     SensorCounts counts;
     std::uint64_t sequence = 0;
     Time last_time = Time::min();
+    MonotonicTime free_from{};
   };
-  State state() const noexcept { return {counts, sequence, last_time}; }
+  State state() const noexcept { return {counts, sequence, last_time, free_from()}; }
   /// It publishes on this loop from here on.
   void adopt(const State& state) noexcept;
   /// It publishes on another loop from here on.
@@ -97,8 +100,8 @@ class OriginCore {
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                   std::uint64_t count);
 
-  MonotonicTime first_due_{};
-  Duration period_{0};
+  MonotonicTime first_due_{};  // of the segment under way; without one, `free_from`
+  Duration period_{0};         // without one, 0
   std::uint64_t scheduled_before_ = 0;
   std::unique_ptr<Gap> gap_;  // made at the first gap, then kept
 };

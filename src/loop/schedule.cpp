@@ -97,7 +97,7 @@ void Schedule::begin_waiting() {
 void Schedule::place(RateMember& member) {
   const Duration period = member.period_;
   const Duration grid = loop_.config.phase_grid;
-  Duration first = loop_.turn_start().time_since_epoch();
+  Duration first = std::max(loop_.turn_start(), member.not_before()).time_since_epoch();
   // The kernel's own ticks lie on whole milliseconds: they would take the processor from what spins until then.
   const Duration beside = loop_.config.spin.count() > 0 ? grid / 3 : Duration{0};
   if (grid.count() > 0) first = (first - beside + grid - Duration{1}) / grid * grid + beside;

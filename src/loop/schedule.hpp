@@ -27,6 +27,8 @@ class RateMember {
   /// Its tick held the loop longer than the loop's limit, which has been reported. May remove or add any member.
   virtual void held(Duration) {}
 
+  /// Its next schedule does not begin earlier, though the turn did.
+  virtual MonotonicTime not_before() const noexcept { return {}; }
   /// Its schedule has begun: `first_due()` is known.
   virtual void schedule_began() {}
 

@@ -26,6 +26,7 @@ class SensorNode final : public SourceNode, public RateMember {
 
   void tick(const Tick& tick) override;
   void prefetch() const noexcept override;
+  MonotonicTime not_before() const noexcept override { return origin_.free_from(); }
   void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   std::string callback_name() const override { return object_name(); }

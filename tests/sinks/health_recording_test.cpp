@@ -96,7 +96,7 @@ TEST_CASE("US-26 a sink that names $rtdata/health records the events too, those 
   CHECK(number(path,
                "SELECT count(*) FROM \"$rtdata/health\" WHERE origin = 'program:$rtdata/health@fast' AND state = 'ok' "
                "AND kind = 'sensor'") == 1);
-  CHECK(verify(Recording::open(path).or_throw()).or_throw().verdict() == Verdict::balanced);
+  CHECK(verified(path).verdict() == Verdict::balanced);
 }
 
 TEST_SUITE_END();

@@ -18,6 +18,7 @@
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/verify.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/schema.hpp"
 
@@ -54,6 +55,18 @@ inline void sql(const std::string& path, const std::string& statements) {
 
 inline std::int64_t number(const std::string& path, const std::string& query) {
   return sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw().integer(query).or_throw();
+}
+
+inline VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
+
+/// All problems, a line each.
+inline std::string problems_of(const VerifyReport& report) {
+  std::string all;
+  for (const std::string& problem : report.problems) all += problem + "\n";
+  for (const RunReport& run : report.runs) {
+    for (const std::string& problem : run.problems) all += problem + "\n";
+  }
+  return all;
 }
 
 inline Everything full() {

@@ -6,24 +6,9 @@
 #include "loop/run_until.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
-#include "rtdata/sinks/verify.hpp"
 
 using namespace recordings;
 using namespace std::chrono_literals;
-
-namespace {
-
-VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
-
-std::string text_of(const VerifyReport& report) {
-  std::string text;
-  for (const auto& run : report.runs) {
-    for (const auto& problem : run.problems) text += problem + "\n";
-  }
-  return text;
-}
-
-}  // namespace
 
 TEST_SUITE("sinks") {
   TEST_CASE("US-26 sensors of two tiers and the main loop in one recording, which balances") {
@@ -54,7 +39,7 @@ TEST_SUITE("sinks") {
       CHECK(sink.counts().stored == published);
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM shared") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 4);
@@ -97,7 +82,7 @@ TEST_SUITE("sinks") {
       CHECK(loop.runtime().balances());
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") ==
           static_cast<std::int64_t>(dropped));
@@ -133,7 +118,7 @@ TEST_SUITE("sinks") {
       CHECK(loop.runtime().balances());
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= sensors);
   }
@@ -156,7 +141,7 @@ TEST_SUITE("sinks") {
       CHECK(loop.close() == 0);
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= 3);
   }
@@ -187,7 +172,7 @@ TEST_SUITE("sinks") {
       CHECK(dropped > 0);
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM rtdata_ledger WHERE published = 100") == feeds);
     CHECK(number(path, "SELECT sum(dropped_newest) FROM rtdata_ledger") == static_cast<std::int64_t>(dropped));
@@ -228,7 +213,7 @@ TEST_SUITE("sinks") {
       CHECK(sink.counts().stored == published);
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM a") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT max(sequence) FROM a") == static_cast<std::int64_t>(published));
@@ -266,7 +251,7 @@ TEST_SUITE("sinks") {
         CHECK(loop.runtime().balances());
       }
       const VerifyReport report = verified(path);
-      INFO(text_of(report));
+      INFO(problems_of(report));
       CHECK(report.verdict() == Verdict::balanced);
       CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'a'") == 100);
       CHECK(number(path, "SELECT count(*) FROM a") == static_cast<std::int64_t>(taken_first + 10));
@@ -292,7 +277,7 @@ TEST_SUITE("sinks") {
       CHECK(loop.close() == 0);
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::balanced);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 3);
   }
@@ -321,7 +306,7 @@ TEST_SUITE("sinks") {
     }));
     CHECK(number(path, "SELECT count(*) FROM a") >= 10);
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
     CHECK(report.exit_code() == 0);
     const RunInfo& run = report.runs.at(0).info;
@@ -358,7 +343,7 @@ TEST_SUITE("sinks") {
       CHECK(fast.stop_within(10s));
     }
     const VerifyReport report = verified(path);
-    INFO(text_of(report));
+    INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
     CHECK(report.runs.at(0).info.remark.find("tier fast did not come out of handler of hangs") == 0);
     CHECK(report.runs.at(0).info.remark.find("tier other") == std::string::npos);

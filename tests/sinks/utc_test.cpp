@@ -307,14 +307,14 @@ TEST_CASE("US-34 the views follow added fields and changed units, and fields cal
   CHECK(number(path, "SELECT \"UTC~\" FROM \"topic~rtdata_odd~2~utc\" WHERE utc_ns = time") == 6);
   publish(Odd{7, 8}, "topic/utc");  // a topic of any name has its own
   CHECK(number(path, "SELECT count(*) FROM \"topic/utc~utc\"") == 1);
-  CHECK(verify(Recording::open(path).or_throw()).or_throw().verdict() == Verdict::balanced);
+  CHECK(verified(path).verdict() == Verdict::balanced);
 }
 
 TEST_CASE("US-34 verify complains when times of an origin go back, or the UTC line is not that of the clock pairs") {
   const Folder folder;
   const std::string path = make(folder);
   const auto problems = [&] {
-    const auto report = verify(Recording::open(path).or_throw()).or_throw();
+    const auto report = verified(path);
     CHECK(report.verdict() == Verdict::not_balanced);
     return report.text();
   };

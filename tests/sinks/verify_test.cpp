@@ -16,25 +16,13 @@ TEST_SUITE_BEGIN("sinks");
 
 namespace {
 
-VerifyReport report_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
-
-/// All problems, a line each.
-std::string problems_of(const VerifyReport& report) {
-  std::string all;
-  for (const std::string& problem : report.problems) all += problem + "\n";
-  for (const RunReport& run : report.runs) {
-    for (const std::string& problem : run.problems) all += problem + "\n";
-  }
-  return all;
-}
-
 /// What verify says after the change; the recording was balanced before.
 std::string after(const std::string& change) {
   const Folder folder;
   const std::string path = make(folder);
-  REQUIRE_MESSAGE(report_of(path).exit_code() == 0, report_of(path).text());
+  REQUIRE_MESSAGE(verified(path).exit_code() == 0, verified(path).text());
   sql(path, change);
-  const VerifyReport report = report_of(path);
+  const VerifyReport report = verified(path);
   CHECK(report.verdict() == Verdict::not_balanced);
   CHECK(report.exit_code() == 1);
   return problems_of(report);
@@ -90,13 +78,13 @@ TEST_CASE(
     loop.advance(1s);
     loop.close();
   }
-  const VerifyReport report = report_of(path);
+  const VerifyReport report = verified(path);
   CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
 }
 
 TEST_CASE("US-26 a recording is balanced, with its failures and missed ticks") {
   const Folder folder;
-  const VerifyReport report = report_of(make(folder));
+  const VerifyReport report = verified(make(folder));
   REQUIRE(report.runs.size() == 1);
   const RunReport& run = report.runs[0];
   CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
@@ -170,23 +158,47 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
   CHECK(has(after("DELETE FROM rtdata_ledger WHERE origin = 'room'"), "999 rows, but the ledger does not know it"));
 }
 
+TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches of schedule that do not overlap") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 1_kHz}, [] { return Climate{}; });
+    Timer longer(loop, 5ms, [&] {
+      for (int i = 0; i < 6; ++i) {
+        loop.manual_clock().pass(700us);
+        sensor.set_rate(i % 2 == 0 ? 500_Hz : 1_kHz);
+      }
+      sensor.stop();
+      sensor.start();
+    });
+    loop.run_for(100ms);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") > 90);
+}
+
 TEST_CASE("US-26 a run that ended without closing is reported as such, and held to its last account") {
   const Folder folder;
   const std::string path = make(folder);
   sql(path,
       "UPDATE rtdata_run SET state = 'recording', boot_id = '00000000-0000-0000-0000-000000000000'; UPDATE rtdata_utc "
       "SET boot_id = '00000000-0000-0000-0000-000000000000'");
-  VerifyReport report = report_of(path);
+  VerifyReport report = verified(path);
   CHECK(report.verdict() == Verdict::unsealed);
   CHECK(report.exit_code() == 1);
   CHECK(has(report.text(), "not sealed"));
   // Rows after the last account are no mistake, a row missing from before it is.
   sql(path, "UPDATE rtdata_ledger SET rows_up_to = 900, stored = 900 WHERE origin = 'room'");
-  report = report_of(path);
+  report = verified(path);
   CHECK(problems_of(report) == "");
   CHECK(has(report.text(), "99 rows came after the last account"));
   sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 300");
-  CHECK(has(problems_of(report_of(path)), "899 rows, the ledger says 900 stored; sequence"));
+  CHECK(has(problems_of(verified(path)), "899 rows, the ledger says 900 stored; sequence"));
 }
 
 TEST_CASE("US-26 a run that is being recorded by a living process is no mistake") {
@@ -197,7 +209,7 @@ TEST_CASE("US-26 a run that is being recorded by a living process is no mistake"
   std::getline(boot, boot_id);
   sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id +
                 "', pid = " + std::to_string(::getpid()) + "; UPDATE rtdata_utc SET boot_id = '" + boot_id + "'");
-  const VerifyReport report = report_of(path);
+  const VerifyReport report = verified(path);
   CHECK(report.verdict() == Verdict::recording);
   CHECK(report.exit_code() == 0);
   CHECK(has(report.text(), "is still recording"));
@@ -210,13 +222,13 @@ TEST_CASE("US-26 a sealed run says what was lost, and is exit code 0 as long as 
       "UPDATE rtdata_run SET state = 'sealed', lost = 3, remark = 'killed';"
       "DELETE FROM \"room/climate\" WHERE sequence > 996;"
       "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room'");
-  VerifyReport report = report_of(path);
+  VerifyReport report = verified(path);
   CHECK_MESSAGE(report.verdict() == Verdict::sealed, report.text());
   CHECK(report.exit_code() == 0);
   CHECK(report.runs.at(0).unsaved == 3);
   CHECK(has(report.text(), "3 events"));
   sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 5");
-  report = report_of(path);
+  report = verified(path);
   CHECK(report.exit_code() == 1);
   CHECK(has(problems_of(report), "995 rows, the ledger says 996 stored"));
 }
@@ -258,11 +270,11 @@ TEST_CASE("US-26 a million rows are verified in one pass") {
       "1, 500000 "
       "FROM rtdata_run, (VALUES('even'), ('odd')) o;");
   const auto began = std::chrono::steady_clock::now();
-  const VerifyReport report = report_of(path);
-  const auto verified = std::chrono::steady_clock::now();
+  const VerifyReport report = verified(path);
+  const auto checked = std::chrono::steady_clock::now();
   const auto topics = summary(Recording::open(path).or_throw(), 1).or_throw();
   const auto summed = std::chrono::steady_clock::now();
-  MESSAGE("verify: ", (verified - began) / 1ms, " ms, summary: ", (summed - verified) / 1ms, " ms");
+  MESSAGE("verify: ", (checked - began) / 1ms, " ms, summary: ", (summed - checked) / 1ms, " ms");
   CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
   CHECK(report.runs.at(0).rows == 1'001'001);
 }

@@ -1,0 +1,149 @@
+// What nobody thought of: sensors and feeds of three loops are made, moved, sped up, stopped and overrun at random while a
+// sink records. Whatever happened, the recording balances.
+#include <array>
+#include <cstdlib>
+#include <random>
+#include <thread>
+
+#include "recordings.hpp"
+#include "rtdata/loop/tier.hpp"
+
+using namespace recordings;
+using namespace std::chrono_literals;
+
+namespace {
+
+constexpr int names = 12;
+constexpr int topics = 3;
+constexpr int loops = 3;
+
+/// A program that does something else at every step.
+class Chaos {
+ public:
+  Chaos(const std::string& path, unsigned seed)
+      : random_(seed),
+        fast_(loop_, {.name = "fast", .hold_limit = 60s, .ring_bytes = ring_bytes()}),
+        slow_(loop_, {.name = "slow", .hold_limit = 60s, .ring_bytes = ring_bytes()}),
+        sink_(loop_, {.path = path, .sink = {.batch_time = below(2) == 0 ? 1ms : 1ms * (1 + below(100))}}) {
+    loop_.on_error([](const ErrorReport&) {});
+  }
+
+  void run(Duration time) {
+    Ticker steps(loop_, 3ms, [this](const Tick&) { step(); });
+    loop_.run_for(time);
+  }
+  void end() {
+    CHECK(loop_.close(60s) == 0);
+    CHECK(loop_.runtime().balances());
+    CHECK(sink_.counts().balances());
+  }
+
+ private:
+  int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(n)); }
+  std::size_t ring_bytes() { return std::size_t{1} << (10 + below(11)); }
+  Rate rate() { return below(3) == 0 ? 1_kHz : Rate::hertz(10.0 * (1 + below(20))); }
+
+  /// On the thread of one of the three loops.
+  template <class Function>
+  void on(int which, Function function) {
+    switch (which) {
+      case 0: return function(loop_);
+      case 1: return fast_.call(function);
+      default: return slow_.call(function);
+    }
+  }
+  template <class Function>
+  void on_some_loop(Function function) {
+    on(below(loops), function);
+  }
+
+  void step() {
+    const int which = below(names);
+    Sensor<Climate>& sensor = sensors_[static_cast<std::size_t>(which)];
+    Feed<Climate>& feed = feeds_[static_cast<std::size_t>(which % topics)];
+    int& home = homes_[static_cast<std::size_t>(which % topics)];  // only there may the feed publish
+    Subscription& subscription = subscriptions_[static_cast<std::size_t>(below(topics))];
+    const std::string topic = "t" + std::to_string(which % topics);
+    switch (below(14)) {
+      case 0:
+      case 1:
+      case 2:
+        if (!sensor.is_open()) return make(which, sensor, topic);
+        return sensor.set_rate(rate());
+      case 3: return sensor.close();
+      case 4: return sensor.is_open() ? sensor.stop() : void();
+      case 5: return sensor.is_open() ? sensor.start() : void();
+      case 6:
+        if (subscription.is_open()) return subscription.close();
+        return on_some_loop([&](Loop& here) {
+          subscription = here.subscribe<Climate>(topic, [](const Event<Climate>&) {});
+        });
+      case 7: return std::this_thread::sleep_for(1ms * below(30));  // meanwhile rings fill up
+      case 8: return on_some_loop([this](Loop&) { std::this_thread::sleep_for(1ms * below(30)); });
+      case 9: return fast_.is_running() ? fast_.stop() : fast_.start();
+      case 10: return slow_.is_running() ? slow_.stop() : slow_.start();
+      case 11:
+        if (feed.is_open()) return feed.close();
+        home = below(loops);
+        return on(home, [&](Loop& here) { feed = Feed<Climate>(here, {.name = "feed" + topic, .topic = topic}); });
+      default: return feed.is_open() ? on(home, [&](Loop&) { publish(feed); }) : void();
+    }
+  }
+
+  void make(int which, Sensor<Climate>& sensor, const std::string& topic) {
+    const int kind = below(4);
+    on_some_loop([&](Loop& here) {
+      sensor = Sensor<Climate>(
+          here,
+          {.name = "s" + std::to_string(which), .topic = topic, .rate = rate(), .retry_first = 10ms, .start = below(4) != 0},
+          [kind, n = 0]() mutable -> Reading<Climate> {
+            ++n;
+            if (kind == 0 && n % 50 > 45) return Error{Errc::io_failed, "no answer", "", "", ""};
+            if (kind == 1 && n % 3 == 0) return nothing_new;
+            if (kind == 2 && n % 100 == 0) std::this_thread::sleep_for(7ms);
+            return Climate{1.0 * n, 0};
+          });
+    });
+  }
+
+  void publish(Feed<Climate>& feed) {
+    const int count = below(4000);
+    for (int i = 0; i < count; ++i) feed.publish({1.0 * i, 0});
+    if (count % 3 == 0) feed.lost(2);
+    if (count % 5 == 0) feed.repeated();
+  }
+
+  std::mt19937 random_;
+  Loop loop_;
+  Tier fast_;
+  Tier slow_;
+  SqliteSink sink_;
+  std::array<Sensor<Climate>, names> sensors_;
+  std::array<Feed<Climate>, topics> feeds_;
+  std::array<int, topics> homes_{};
+  std::array<Subscription, topics> subscriptions_;
+};
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-26 whatever happens at random on three loops, the recording balances") {
+    const char* const wanted = std::getenv("RTDATA_TEST_SEEDS");  // "FIRST COUNT", to look for more
+    char* rest = nullptr;
+    const unsigned long first = wanted != nullptr ? std::strtoul(wanted, &rest, 10) : 1;
+    const unsigned long count = wanted != nullptr ? std::strtoul(rest, nullptr, 10) : 4;
+    for (unsigned long seed = first; seed < first + count; ++seed) {
+      CAPTURE(seed);
+      const Folder folder;
+      const std::string path = folder / "run.db";
+      {
+        Chaos chaos(path, static_cast<unsigned>(seed));
+        chaos.run(1s);
+        chaos.end();
+      }
+      const VerifyReport report = verified(path);
+      INFO(problems_of(report));
+      CHECK(report.verdict() == Verdict::balanced);
+    }
+  }
+}
