@@ -241,6 +241,14 @@ std::size_t Bridge::send_accounts() {
   return left;
 }
 
+Bridge::Told Bridge::tell_all() {
+  for (const Passage& passage : passages_) {
+    if (!passage.is_given_up) passage.source->close_gap();
+  }
+  const std::size_t left = send_accounts();
+  return {left, ring_.published()};
+}
+
 void Bridge::send_some_accounts() {
   if (!send_notes()) return;
   for (std::size_t i = 0; i < accounts_at_once && accounts_left_ > 0; ++i, --accounts_left_) {
@@ -343,8 +351,18 @@ void Bridge::receive() {
   } while (!take_heard());
 }
 
+void Bridge::receive_up_to(std::size_t position) {
+  to_.runtime.hear_announcements();
+  ring_.look_up_to(position);
+  while (!take_seen()) to_.runtime.hear_announcements();
+}
+
 bool Bridge::take_heard() {
   ring_.look();
+  return take_seen();
+}
+
+bool Bridge::take_seen() {
   while (const std::byte* front = ring_.front()) {
     const auto& record = *reinterpret_cast<const Record*>(front);
     Passage* const passage = record.passage() < heard_.size() ? heard_[record.passage()] : nullptr;

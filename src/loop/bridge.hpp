@@ -153,6 +153,12 @@ class Bridge final : public Listener {
   void turn_done();
   /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received first.
   std::size_t send_accounts();
+  /// All there is to say of the sensors up to now, gaps under way too.
+  struct Told {
+    std::size_t left;      // as `send_accounts` returns it
+    std::size_t position;  // up to which the other side has to take for it, and no more
+  };
+  Told tell_all();
   /// Another loop has the name of this origin: its account is no longer told.
   void give_up(const OriginCore& origin) noexcept;
   // These take it on the other side, too: on either thread, while none of the loops turns.
@@ -165,6 +171,8 @@ class Bridge final : public Listener {
   void hear(Announcement& announcement);
   /// Takes what was sent before the call.
   void receive();
+  /// Takes what was sent before `tell_all` said so.
+  void receive_up_to(std::size_t position);
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
@@ -217,6 +225,8 @@ class Bridge final : public Listener {
   void announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type);
   /// Up to the first record of an origin that is not heard of yet. Returns whether there was none.
   bool take_heard();
+  /// The same, of what was looked at.
+  bool take_seen();
   /// The front of the ring, and those alike behind it.
   void take_events(const EventRecord& first, Passage& passage);
   void take(const Record& record, Passage& passage);

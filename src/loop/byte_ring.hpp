@@ -48,6 +48,7 @@ class ByteRing {
     published_ = head();
     published_head_.store(published_, std::memory_order_release);
   }
+  std::size_t published() const noexcept { return published_; }
   bool has_unpublished() const noexcept { return head() != published_; }
   /// Whether what was not published, with so many bytes more, is enough for the reader to be busy with.
   bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst_; }
@@ -58,6 +59,8 @@ class ByteRing {
 
   /// Sees what has been published up to now. Seldom, as `publish`.
   void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
+  /// The same, but no more than the writer had published when `published` was this.
+  void look_up_to(std::size_t published) noexcept { known_head_ = published; }
   /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {
     if (own_tail_ == known_head_) return nullptr;

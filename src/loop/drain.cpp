@@ -67,7 +67,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
       if (std::find(draining_.begin(), draining_.end(), tier) == draining_.end()) continue;
       const std::string name = "tier " + tier->config.name;
       const std::string where = tier->where();
-      const std::string unknown = "what its sensors did after " + last_heard_of(tier->config.name) + " is not known";
+      const std::string unknown = tier->what_is_unknown();
       runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + name + " did not come out of " + where +
                               ": " + unknown;
       errors.push_back({name,
@@ -76,18 +76,6 @@ class Drain : public std::enable_shared_from_this<Drain> {
     }
     for (const auto& [name, error] : errors) runtime_.report(&loop_.core(), name, error);
     tiers_done();
-  }
-
-  /// When the tier told of its sensors last, by the latest of their ticks and events that is known here.
-  std::string last_heard_of(const std::string& tier) const {
-    Time last = Time::min();
-    for (const SensorStatus& sensor : loop_.runtime().sensors()) {
-      const detail::OriginCore* origin = sensor.loop == tier ? runtime_.find_origin(sensor.name) : nullptr;
-      if (origin == nullptr) continue;
-      last = std::max(last, origin->last_time);
-      if (origin->has_segment()) last = std::max(last, origin->segment(loop_.now()).end);
-    }
-    return last == Time::min() ? "its start" : to_iso8601(last);
   }
 
   void wait_for_reads() {

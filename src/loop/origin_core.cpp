@@ -17,9 +17,14 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
   scheduled_before_ = counts.scheduled;
 }
 
+MonotonicTime OriginCore::last_due() const noexcept {
+  return first_due_ + (static_cast<std::int64_t>(counts.scheduled - scheduled_before_) - 1) * period_;
+}
+
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
   const RuntimeCore& runtime = topic.runtime();
-  if (is_mirror) end = first_due_ + (static_cast<std::int64_t>(counts.scheduled - scheduled_before_) - 1) * period_;
+  const MonotonicTime last = last_due();
+  if (is_mirror || end < last) end = last;  // within a turn, ticks are counted that its end is not told of yet
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
 }
 
@@ -55,8 +60,7 @@ void OriginCore::end_segment(MonotonicTime end) {
   if (!has_segment()) return;
   close_gap();
   const Segment ended = segment(end);
-  const auto ticks = static_cast<std::int64_t>(counts.scheduled - scheduled_before_);
-  first_due_ = std::max(end, first_due_ + (ticks - 1) * period_ + Duration{1});
+  first_due_ = std::max(end, last_due() + Duration{1});
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
 }

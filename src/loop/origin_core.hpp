@@ -97,6 +97,8 @@ class OriginCore {
   Passage* passage = nullptr;     ///< a mirror's, while its bridge exists
 
  private:
+  /// Of the ticks of the segment that were counted; one period before the first, while there is none.
+  MonotonicTime last_due() const noexcept;
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                   std::uint64_t count);
 

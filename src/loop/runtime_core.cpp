@@ -238,6 +238,17 @@ void RuntimeCore::receive_all() {
   for (Bridge* bridge : inbound) bridge->receive();
 }
 
+std::string RuntimeCore::hear_tiers_out(Duration at_most) {
+  std::string unknown;
+  const MonotonicTime end = later(own_loop->now(), at_most);
+  for (TierCore* tier : tiers) {
+    if (tier->hear_out(std::max(end - own_loop->now(), Duration{0}))) continue;
+    unknown += (unknown.empty() ? "" : "; ") + ("tier " + tier->config.name) + " did not come out of " + tier->where() +
+               ": " + tier->what_is_unknown();
+  }
+  return unknown;
+}
+
 void RuntimeCore::announce(Announcement announcement) {
   {
     const std::lock_guard lock(announced_mutex_);

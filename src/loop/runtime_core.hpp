@@ -164,8 +164,11 @@ class RuntimeCore {
 
   // Tiers: each has a runtime core of its own, of which this thread touches none but its own; what one publishes comes to
   // the others through bridges.
-  RuntimeCore* hub = nullptr;       ///< of the main loop; null: this is it
-  std::vector<TierCore*> tiers;     ///< the hub's
+  RuntimeCore* hub = nullptr;    ///< of the main loop; null: this is it
+  std::vector<TierCore*> tiers;  ///< the hub's
+  /// The hub's: knows of each tier up to one instant, and of nothing after it. Returns what it cannot know of tiers that
+  /// do not answer in time; empty: nothing.
+  std::string hear_tiers_out(Duration at_most);
   bool tiers_were_balanced = true;  ///< those that are gone
   bool tiers_had_loss = false;
   std::vector<Bridge*> outbound;         ///< from this loop

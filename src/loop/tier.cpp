@@ -276,6 +276,44 @@ void TierCore::send_last_accounts(Callback<void()> done) {
   main.post(std::move(done));
 }
 
+bool TierCore::hear_out(Duration at_most) {
+  struct Answer {
+    Bridge::Told told{};
+    Latch is_there;
+  };
+  Bridge& bridge = bridge_to_main();
+  const MonotonicTime end = later(main.now(), at_most);
+  while (true) {
+    const auto answer = std::make_shared<Answer>();
+    if (loop.core().runs_elsewhere()) {
+      loop.post([&bridge, answer] {
+        answer->told = bridge.tell_all();
+        answer->is_there.set();
+      });
+      if (!answer->is_there.wait(std::max(end - main.now(), Duration{0}))) return false;
+    } else {
+      answer->told = bridge.tell_all();
+    }
+    if (answer->told.left == 0) {
+      bridge.receive_up_to(answer->told.position);
+      return true;
+    }
+    bridge.receive();  // there was no room for all
+  }
+}
+
+std::string TierCore::what_is_unknown() {
+  // By the latest of its ticks and events that is known on the main loop.
+  Time last = Time::min();
+  for (const SensorStatus& sensor : main.runtime().sensors()) {
+    const OriginCore* origin = sensor.loop == config.name ? main.core().runtime.find_origin(sensor.name) : nullptr;
+    if (origin == nullptr) continue;
+    last = std::max(last, origin->last_time);
+    if (origin->has_segment()) last = std::max(last, origin->segment(main.now()).end);
+  }
+  return "what its sensors did after " + (last == Time::min() ? "its start" : to_iso8601(last)) + " is not known";
+}
+
 Bridge& TierCore::bridge_to_main() noexcept {
   return **std::find_if(bridges_.begin(), bridges_.end(), [this](const auto& bridge) {
     return &bridge->from() == &loop.core() && &bridge->to() == &main.core();

@@ -41,6 +41,12 @@ class TierCore {
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
   void drain(Duration deadline, Callback<void()> done);
 
+  /// On the main loop: takes what the tier has sent and how all its sensors do up to one instant, and nothing after it.
+  /// False: it did not answer in time.
+  bool hear_out(Duration at_most);
+  /// When it does not answer: "what its sensors did after ... is not known".
+  std::string what_is_unknown();
+
   // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
   bool balances() const { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }
   bool has_loss() const { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }

@@ -54,6 +54,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       }
     }
     job_->owner = this;
+    // What tiers published before is not this recording's. One that does not answer is not waited for.
+    [[maybe_unused]] const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
@@ -124,7 +126,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     Call call(*this);
     deadline_ = Timer(loop()->face, [this] { finish_drain(); });
     deadline_.start_at(deadline);
-    begin_closing();
+    begin_closing(deadline);
   }
 
   // ---- batches by time
@@ -290,7 +292,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     const MonotonicTime until = loop()->handled_until();
     account->at = runtime.event_time(loop()->now());
     account->is_last = is_last;
-    account->unknown = is_last ? runtime.unknown_end : "";
+    account->unknown = is_last ? unknown_end_ : "";
     account->origins.clear();
     if (part != next_part) account_topic_ = account_origin_ = 0;
     std::size_t looked_at = 0;
@@ -318,11 +320,15 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   /// Takes no event from here on, and hands over what is left.
-  void begin_closing() {
+  void begin_closing(MonotonicTime deadline) {
     if (closing_) return;
+    RuntimeCore& runtime = loop()->runtime;
+    // What tiers have published and are known to have published is to be the same. Storing needs time, too.
+    unknown_end_ = runtime.unknown_end;
+    if (unknown_end_.empty() && is_attached_)
+      unknown_end_ = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
     closing_ = true;
     remove_taps();
-    RuntimeCore& runtime = loop()->runtime;
     runtime.flush_repeats(RuntimeCore::Repeats::all);  // a user's handler may close this sink: then that does the rest
     if (!is_attached_) return;
     if (!notes_.has_end()) notes_.add(runtime.read_clock("end"));
@@ -377,7 +383,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     std::uint64_t lost = 0;
     if (is_attached_) {
       const MonotonicTime end = later(loop()->now(), config_.close_deadline);
-      begin_closing();
+      begin_closing(end);
       while (is_attached_ && !closed_ && loop()->now() < end) {
         if (!is_storing_) {
           const bool is_retry = retry_.is_running();
@@ -436,6 +442,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool is_account_due_ = false;
   std::size_t account_topic_ = 0;  // where its next part begins
   std::size_t account_origin_ = 0;
+  std::string unknown_end_;  // what the last account does not know
   bool closing_ = false;
   bool has_last_account_ = false;
   bool closed_ = false;

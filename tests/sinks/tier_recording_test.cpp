@@ -123,6 +123,46 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= sensors);
   }
 
+  TEST_CASE("US-26 recordings opened and closed while tiers go on balance, each with what was published meanwhile") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    Loop loop;
+    loop.on_error([](const ErrorReport&) {});
+    Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+    Tier slow(loop, {.name = "slow", .hold_limit = 60s, .ring_bytes = 4096});
+    int reads = 0;
+    Sensor<Climate> sensor(fast.loop(), {.name = "s", .rate = 1_kHz}, [] { return Climate{}; });
+    Sensor<Climate> fails(slow.loop(), {.name = "f", .rate = 500_Hz, .faulted_after = 1000},
+                          [&reads]() -> Result<Climate> {
+                            if (++reads % 50 < 40) return Error{Errc::io_failed, "no answer", "", "", ""};
+                            return Climate{};
+                          });
+    Feed<Climate> feed(fast.loop(), {.name = "feed"});
+    Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+      for (int i = 0; i < 20; ++i) feed.publish({});
+    });
+    loop.run_for(20ms);
+    enum { at_once, from_a_callback, with_the_loop_at_last } how = at_once;
+    SUBCASE("at once") {}
+    SUBCASE("closed from a callback") { how = from_a_callback; }
+    SUBCASE("closed with the loop at last, while a ticker of a tier goes on publishing") {
+      how = with_the_loop_at_last;
+    }
+    for (int run = 0; run < 5; ++run) {
+      SqliteSink sink(loop, {.path = path});
+      loop.run_for(70ms);
+      Timer closes(loop, 20ms, [&] { sink.close(); });
+      if (how == from_a_callback) loop.run_for(50ms);
+      if (how == with_the_loop_at_last && run == 4) CHECK(loop.close() == 0);
+      sink.close();
+    }
+    const VerifyReport report = verified(path);
+    INFO(problems_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(report.runs.size() == 5);
+    CHECK(number(path, "SELECT count(DISTINCT run) FROM s") == 5);
+  }
+
   TEST_CASE("what a sink tells between the end of a schedule on a tier and its next account changes nothing of it") {
     const Folder folder;
     const std::string path = folder / "run.db";
@@ -315,6 +355,29 @@ TEST_SUITE("sinks") {
     CHECK_FALSE(run.lost);
     CHECK_FALSE(loop.runtime().balances());
     let_go = true;
+  }
+
+  TEST_CASE("NFR-1 a recording opened and closed while a tier hangs is closed in time, and says what is not known") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::atomic<unsigned> reads{0};
+    std::atomic<bool> let_go{false};
+    Loop loop;
+    Tier fast(loop, {.hold_limit = 60s});
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
+      if (++reads == 20) {
+        while (!let_go) std::this_thread::sleep_for(1ms);
+      }
+      return Climate{};
+    });
+    CHECK(run_until(loop, [&] { return reads == 20; }));
+    SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
+    sink.close();
+    let_go = true;
+    const VerifyReport report = verified(path);
+    INFO(problems_of(report));
+    CHECK(report.verdict() == Verdict::sealed);
+    CHECK(report.runs.at(0).info.remark.find("tier fast did not come out of sensor a: what its sensors did") == 0);
   }
 
   TEST_CASE("NFR-1 a tier that hangs costs the other tiers and the main loop nothing of their account") {

@@ -158,6 +158,34 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
   CHECK(has(after("DELETE FROM rtdata_ledger WHERE origin = 'room'"), "999 rows, but the ledger does not know it"));
 }
 
+TEST_CASE("US-26 a recording that began after its sensors, and ended before them, balances") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    int reads = 0;
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 100_Hz}, [&]() -> Result<Climate> {
+      if (++reads % 7 == 0) return Error{Errc::io_failed, "no answer", "", "", ""};
+      return Climate{};
+    });
+    loop.run_for(101ms);
+    for (const Rate rate : {200_Hz, 50_Hz, 100_Hz}) {
+      sensor.set_rate(rate);
+      loop.run_for(101ms);
+      SqliteSink sink(loop, {.path = path});
+      loop.run_for(105ms);
+      loop.manual_clock().pass(30ms);
+      loop.run_for(20ms);
+    }
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(report.runs.size() == 3);
+}
+
 TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches of schedule that do not overlap") {
   const Folder folder;
   const std::string path = folder / "run.db";
