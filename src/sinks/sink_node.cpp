@@ -55,7 +55,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
     job_->owner = this;
     // What tiers published before is not this recording's. One that does not answer is not waited for.
-    [[maybe_unused]] const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
+    const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
+    if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }

@@ -362,6 +362,7 @@ TEST_SUITE("sinks") {
     const std::string path = folder / "run.db";
     std::atomic<unsigned> reads{0};
     std::atomic<bool> let_go{false};
+    std::vector<std::string> told;
     Loop loop;
     Tier fast(loop, {.hold_limit = 60s});
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
@@ -371,7 +372,11 @@ TEST_SUITE("sinks") {
       return Climate{};
     });
     CHECK(run_until(loop, [&] { return reads == 20; }));
+    loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
+    CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
+      return line.find("begins although tier fast did not come out of sensor a: what its sensors did after") == 0;
+    }));
     sink.close();
     let_go = true;
     const VerifyReport report = verified(path);
