@@ -65,14 +65,10 @@ class Drain : public std::enable_shared_from_this<Drain> {
     std::vector<std::pair<std::string, Error>> errors;  // told of at the end, since a report may run user code
     for (detail::TierCore* tier : runtime_.tiers) {
       if (std::find(draining_.begin(), draining_.end(), tier) == draining_.end()) continue;
-      const std::string name = "tier " + tier->config.name;
-      const std::string where = tier->where();
-      const std::string unknown = tier->what_is_unknown();
-      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + name + " did not come out of " + where +
-                              ": " + unknown;
-      errors.push_back({name,
-                        {Errc::timed_out, "did not stop in time", "", "it has not come out of " + where,
-                         "look at what blocks there; " + unknown}});
+      tier->add_unknown(runtime_.unknown_end);
+      errors.push_back({"tier " + tier->config.name,
+                        {Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
+                         "look at what blocks there"}});
     }
     for (const auto& [name, error] : errors) runtime_.report(&loop_.core(), name, error);
     tiers_done();

@@ -242,11 +242,14 @@ std::string RuntimeCore::hear_tiers_out(Duration at_most) {
   std::string unknown;
   const MonotonicTime end = later(own_loop->now(), at_most);
   for (TierCore* tier : tiers) {
-    if (tier->hear_out(std::max(end - own_loop->now(), Duration{0}))) continue;
-    unknown += (unknown.empty() ? "" : "; ") + ("tier " + tier->config.name) + " did not come out of " + tier->where() +
-               ": " + tier->what_is_unknown();
+    if (!tier->hear_out(std::max(end - own_loop->now(), Duration{0}))) tier->add_unknown(unknown);
   }
   return unknown;
+}
+
+void RuntimeCore::AllWanted::set(bool is_all_wanted) noexcept {
+  runtime_.is_all_wanted = is_all_wanted;
+  for (const auto& topic : runtime_.topics()) topic->followers_changed();
 }
 
 void RuntimeCore::announce(Announcement announcement) {

@@ -169,6 +169,20 @@ class RuntimeCore {
   /// The hub's: knows of each tier up to one instant, and of nothing after it. Returns what it cannot know of tiers that
   /// do not answer in time; empty: nothing.
   std::string hear_tiers_out(Duration at_most);
+  /// While one lives, other loops send all that they publish, whether anybody here takes it or not: what they publish after
+  /// they were heard out is there for whoever takes it from then on.
+  class AllWanted {
+   public:
+    explicit AllWanted(RuntimeCore& runtime) noexcept : runtime_(runtime) { set(true); }
+    AllWanted(const AllWanted&) = delete;
+    AllWanted& operator=(const AllWanted&) = delete;
+    ~AllWanted() { set(false); }
+
+   private:
+    void set(bool is_all_wanted) noexcept;
+    RuntimeCore& runtime_;
+  };
+  bool is_all_wanted = false;
   bool tiers_were_balanced = true;  ///< those that are gone
   bool tiers_had_loss = false;
   std::vector<Bridge*> outbound;         ///< from this loop

@@ -302,7 +302,7 @@ bool TierCore::hear_out(Duration at_most) {
   }
 }
 
-std::string TierCore::what_is_unknown() {
+void TierCore::add_unknown(std::string& to) {
   // By the latest of its ticks and events that is known on the main loop.
   Time last = Time::min();
   for (const SensorStatus& sensor : main.runtime().sensors()) {
@@ -311,7 +311,8 @@ std::string TierCore::what_is_unknown() {
     last = std::max(last, origin->last_time);
     if (origin->has_segment()) last = std::max(last, origin->segment(main.now()).end);
   }
-  return "what its sensors did after " + (last == Time::min() ? "its start" : to_iso8601(last)) + " is not known";
+  to += (to.empty() ? "tier " : "; tier ") + config.name + " did not come out of " + where() +
+        ": what its sensors did after " + (last == Time::min() ? "its start" : to_iso8601(last)) + " is not known";
 }
 
 Bridge& TierCore::bridge_to_main() noexcept {

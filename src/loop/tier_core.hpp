@@ -44,8 +44,9 @@ class TierCore {
   /// On the main loop: takes what the tier has sent and how all its sensors do up to one instant, and nothing after it.
   /// False: it did not answer in time.
   bool hear_out(Duration at_most);
-  /// When it does not answer: "what its sensors did after ... is not known".
-  std::string what_is_unknown();
+  /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors did
+  /// after ... is not known". Texts of several are joined.
+  void add_unknown(std::string& to);
 
   // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
   bool balances() const { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }

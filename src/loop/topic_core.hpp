@@ -77,6 +77,8 @@ class TopicCore {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
+  /// To be called when who takes its events is, or may be, another. Other loops are told whether anybody here wants theirs.
+  void followers_changed() noexcept;
   /// To be called when the origin's passage over a channel is made.
   void find_way(OriginCore& origin) noexcept;
   /// Queued deliveries of this origin will not happen.
@@ -112,8 +114,6 @@ class TopicCore {
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;
   };
-  /// Other loops are told whether anybody here wants their events.
-  void followers_changed() noexcept;
   void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void move_payload(std::byte* to, void* payload);

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <exception>
 #include <optional>
-#include <unordered_map>
 
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
@@ -10,17 +9,14 @@
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sink.hpp"
-#include "sinks/sink_notes.hpp"
+#include "sinks/sink_account.hpp"
 #include "sinks/sink_queue.hpp"
-#include "sinks/sink_tap.hpp"
 #include "sinks/store_job.hpp"
 
 namespace rtdata {
 namespace detail {
 namespace {
 
-// Accounts of many origins are made in parts, so that none holds the loop for long.
-constexpr std::size_t origins_at_once = 500;
 constexpr Duration pause_between_parts = std::chrono::milliseconds{1};
 
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
@@ -34,6 +30,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         RateMember(config.batch_time, Duration{0}),
         config_(std::move(config)),
         queue_(std::make_shared<SinkQueue>(config_, std::move(writer))),
+        account_(queue_),
         job_(std::make_shared<StoreJob>(queue_)),
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
         retry_(loop.face, [this] { start_storing(); }),
@@ -55,13 +52,17 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
     job_->owner = this;
     // What tiers published before is not this recording's. One that does not answer is not waited for.
+    const RuntimeCore::AllWanted until_all_is_attached(runtime);
     const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
-    if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
+    if (!unknown.empty()) {
+      runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
+      unknown_ = "it began although " + unknown;
+    }
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
     runtime.attach(*this);
-    for (const ClockPair& pair : runtime.clock_pairs()) notes_.add(pair);
+    for (const ClockPair& pair : runtime.clock_pairs()) account_.notes.add(pair);
     loop()->schedule().add(*this);
     is_attached_ = true;
   }
@@ -91,29 +92,20 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       return Error{Errc::bad_description, "cannot record", "topic " + topic.name, "its payload has no description",
                    "give its type a `describe`"};
     }
-    const auto number = static_cast<std::uint32_t>(taps_.size());
-    if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
-    taps_.push_back(std::make_unique<SinkTap>(*this, queue_, topic, number));
-    tap_of_[&topic] = taps_.back().get();
-    topic.add_tap(*taps_.back());
-    return {};
+    return account_.add_topic(topic, *this);
   }
 
-  void on_gap(OriginCore& origin, const Gap& gap) override {
-    if (SinkTap* tap = find_tap(origin)) notes_.add(tap->slot_of(origin), gap, queue_->slot_count());
-  }
+  void on_gap(OriginCore& origin, const Gap& gap) override { account_.add(origin, gap); }
 
-  void on_segment(OriginCore& origin, const Segment& segment) override {
-    if (SinkTap* tap = find_tap(origin)) notes_.add(tap->slot_of(origin), segment);
-  }
+  void on_segment(OriginCore& origin, const Segment& segment) override { account_.add(origin, segment); }
 
-  void on_clock(const ClockPair& pair) override { notes_.add(pair); }
+  void on_clock(const ClockPair& pair) override { account_.notes.add(pair); }
 
   void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override {
-    notes_.add(time, object, error, count);
+    account_.notes.add(time, object, error, count);
   }
 
-  void on_health(Time time, const HealthChange& change) override { notes_.add(time, change); }
+  void on_health(Time time, const HealthChange& change) override { account_.notes.add(time, change); }
 
   SinkStatus status() const override {
     if (last_) return *last_;
@@ -216,11 +208,6 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   ~SinkNode() override = default;
   std::string object_name() const { return "sink " + config_.name; }
 
-  SinkTap* find_tap(const OriginCore& origin) const {
-    const auto tap = tap_of_.find(&origin.topic);
-    return tap != tap_of_.end() ? tap->second : nullptr;
-  }
-
   // ---- SinkTap::Owner
 
   void queue_is_full() override { start_storing(); }
@@ -236,9 +223,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void start_storing() {
     if (is_busy() || closed_ || !is_attached_) return;
-    if (closing_ && !has_last_account_)
-      has_last_account_ = account(all_and_last);  // else all are with the lane, which frees them first
-    job_->closing = has_last_account_;
+    job_->closing = closing_;
     is_storing_ = lane_->submit(job_);
     if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
   }
@@ -269,55 +254,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   /// was handed over.
   bool begin_account() {
     if (next_part_.is_running()) return false;  // the one before is under way
-    is_account_due_ = queue_->free_account() == nullptr;
-    if (is_account_due_) return false;
-    return account(first_part);
+    is_account_due_ = !account_.has_room();
+    return !is_account_due_ && tell(SinkAccount::Part::first);
   }
 
   void account_more() {
     if (closing_ || !is_attached_) return;
-    if (retry_.is_running() || queue_->free_account() == nullptr) {
+    if (retry_.is_running() || !account_.has_room()) {
       next_part_.start(pause_between_parts);
-    } else if (account(next_part)) {
+    } else if (tell(SinkAccount::Part::next)) {
       start_storing();
     }
   }
 
-  enum Part { first_part, next_part, all_and_last };
-  /// There is a free account. False when there is nothing to tell.
-  bool account(Part part) {
-    Account* account = queue_->free_account();
-    if (account == nullptr) return false;
-    const bool is_last = part == all_and_last;
-    RuntimeCore& runtime = loop()->runtime;
-    const MonotonicTime until = loop()->handled_until();
-    account->at = runtime.event_time(loop()->now());
-    account->is_last = is_last;
-    account->unknown = is_last ? unknown_end_ : "";
-    account->origins.clear();
-    if (part != next_part) account_topic_ = account_origin_ = 0;
-    std::size_t looked_at = 0;
-    for (; account_topic_ < taps_.size(); ++account_topic_, account_origin_ = 0) {
-      SinkTap& tap = *taps_[account_topic_];
-      for (const auto& origins = tap.topic().origins(); account_origin_ < origins.size(); ++account_origin_) {
-        if (!is_last && looked_at++ == origins_at_once) {
-          next_part_.start(pause_between_parts);
-          return hand_over(*account);
-        }
-        OriginCore& origin = *origins[account_origin_];
-        if (is_last) origin.close_gap();
-        const OriginAccount now = tap.account_of(origin, until);
-        if (tap.is_news(origin, now) || is_last) account->origins.push_back(now);
-      }
-    }
-    return hand_over(*account);
-  }
-
-  bool hand_over(Account& account) {
-    notes_.move_into(account);
-    if (account.is_empty()) return false;
-    queue_->hand_over_account();
-    return true;
+  bool tell(SinkAccount::Part part) {
+    const Time now = loop()->runtime.event_time(loop()->now());
+    const bool is_last = part == SinkAccount::Part::last;
+    const auto told = account_.tell(part, now, loop()->handled_until(), is_last ? unknown_ : std::string());
+    if (told.has_more) next_part_.start(pause_between_parts);
+    return told.is_something;
   }
 
   /// Takes no event from here on, and hands over what is left.
@@ -325,27 +280,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (closing_) return;
     RuntimeCore& runtime = loop()->runtime;
     // What tiers have published and are known to have published is to be the same. Storing needs time, too.
-    unknown_end_ = runtime.unknown_end;
-    if (unknown_end_.empty() && is_attached_)
-      unknown_end_ = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
+    std::string unknown = runtime.unknown_end;
+    if (unknown.empty() && is_attached_)
+      unknown = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
+    if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
     closing_ = true;
-    remove_taps();
+    account_.end();
     runtime.flush_repeats(RuntimeCore::Repeats::all);  // a user's handler may close this sink: then that does the rest
     if (!is_attached_) return;
-    if (!notes_.has_end()) notes_.add(runtime.read_clock("end"));
+    if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
     if (is_scheduled()) loop()->schedule().remove(*this);
     next_part_.stop();
     queue_->hand_over();
     queue_->keep_own_counts();
+    tell(SinkAccount::Part::last);
     if (retry_.is_running()) {  // one try at once, then the delays begin anew
       retry_.stop();
       retry_delay_ = Duration{0};
     }
     start_storing();
-  }
-
-  void remove_taps() noexcept {
-    for (const auto& tap : taps_) tap->topic().remove_tap(*tap);
   }
 
   void finish_drain() {
@@ -397,7 +350,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       }
       lost = leave();
     }
-    remove_taps();
+    account_.end();
     if (is_scheduled()) loop()->schedule().remove(*this);
     job_->owner = nullptr;
     if (is_storing_) lane_->leave_behind();
@@ -422,11 +375,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   SinkConfig config_;
   std::shared_ptr<SinkQueue> queue_;
+  SinkAccount account_;
   std::shared_ptr<StoreJob> job_;
   std::unique_ptr<Lane> lane_;
-  std::vector<std::unique_ptr<SinkTap>> taps_;
-  std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
-  SinkNotes notes_;
   Timer retry_;
   Timer next_part_;  // of an account
   Timer deadline_;
@@ -441,11 +392,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
-  std::size_t account_topic_ = 0;  // where its next part begins
-  std::size_t account_origin_ = 0;
-  std::string unknown_end_;  // what the last account does not know
+  std::string unknown_;  // what the last account does not know
   bool closing_ = false;
-  bool has_last_account_ = false;
   bool closed_ = false;
 };
 

@@ -146,8 +146,8 @@ bool SinkQueue::hand_over() {
 }
 
 Account* SinkQueue::free_account() {
-  AccountBox& box = accounts_[next_account_];
-  return box.after_ticket.load(std::memory_order_acquire) == 0 ? &box.account : nullptr;
+  const AccountBox& kept = accounts_[(next_account_ + 1) % account_count];
+  return kept.after_ticket.load(std::memory_order_acquire) == 0 ? &accounts_[next_account_].account : nullptr;
 }
 
 void SinkQueue::hand_over_account() {

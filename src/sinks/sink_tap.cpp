@@ -6,6 +6,24 @@
 #include <utility>
 
 namespace rtdata::detail {
+namespace {
+
+/// What was counted from `before` on; what is in flight is so now.
+SensorCounts since(const SensorCounts& before, SensorCounts now) {
+  now.scheduled -= before.scheduled;
+  now.taken -= before.taken;
+  now.published -= before.published;
+  now.late -= before.late;
+  now.missed -= before.missed;
+  now.failed -= before.failed;
+  now.received -= before.received;
+  now.repeated -= before.repeated;
+  now.filtered -= before.filtered;
+  now.lost -= before.lost;
+  return now;
+}
+
+}  // namespace
 
 SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number)
     : owner_(owner),
@@ -13,7 +31,12 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
       topic_(topic),
       number_(number),
       payload_bytes_(topic.type.size),
-      record_bytes_(record_bytes_of(topic.type.size)) {}
+      record_bytes_(record_bytes_of(topic.type.size)) {
+  for (OriginCore* origin : topic.origins()) {
+    origin->close_gap();  // what follows begins another
+    before_.push_back({origin->counts, origin->has_segment() ? origin->segment({}) : Segment{}});
+  }
+}
 
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   Place& place = place_of(origin);
@@ -56,10 +79,25 @@ void SinkTap::make_place(OriginCore& origin) {
 OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {
   const Place& place = place_of(origin);
   const Slot& slot = queue_->slot(place.slot);
-  OriginAccount now{place.slot,          origin.counts,        slot.live->offered,  slot.dropped_newest,
-                    slot.dropped_oldest, place.first_sequence, place.last_sequence, {}};
-  if (origin.has_segment()) now.segment = origin.segment(until);
+  OriginAccount now{place.slot,           origin.counts,       0,
+                    slot.live->offered,   slot.dropped_newest, slot.dropped_oldest,
+                    place.first_sequence, place.last_sequence, {}};
+  if (origin.index < before_.size()) {
+    const SensorCounts& before = before_[origin.index].counts;
+    now.sensor = since(before, now.sensor);
+    now.carried = before.in_flight;
+  }
+  if (origin.has_segment()) now.segment = since_attached(origin, origin.segment(until));
   return now;
+}
+
+Segment SinkTap::since_attached(const OriginCore& origin, Segment segment) const noexcept {
+  if (origin.index >= before_.size()) return segment;
+  const Segment& before = before_[origin.index].segment;
+  if (before.scheduled == 0 || segment.first_due != before.first_due) return segment;
+  segment.first_due += static_cast<std::int64_t>(before.scheduled) * before.period;
+  segment.scheduled -= before.scheduled;
+  return segment;
 }
 
 bool SinkTap::is_news(const OriginCore& origin, const OriginAccount& now) {

@@ -32,6 +32,8 @@ class SinkTap final : public Tap {
   std::uint32_t slot_of(OriginCore& origin) { return place_of(origin).slot; }
   /// The origin's account as it is now, with the segment under way as if it ended at `until`.
   OriginAccount account_of(OriginCore& origin, MonotonicTime until);
+  /// The part of a segment that came due since this was attached; `scheduled` 0: none.
+  Segment since_attached(const OriginCore& origin, Segment segment) const noexcept;
   /// Notes that it is handed over. False: it says what the one before said.
   bool is_news(const OriginCore& origin, const OriginAccount& account);
 
@@ -49,6 +51,11 @@ class SinkTap final : public Tap {
       make_place(origin);
     return places_[origin.index];
   }
+  /// What an origin had counted when this was attached.
+  struct Before {
+    SensorCounts counts;
+    Segment segment;  // under way
+  };
   void make_place(OriginCore& origin);
 
   Owner& owner_;
@@ -59,6 +66,7 @@ class SinkTap final : public Tap {
   const std::size_t record_bytes_;
   std::vector<Place> places_;             // by the origin's index within the topic, as the next
   std::vector<OriginAccount> accounted_;  // as last handed over
+  std::vector<Before> before_;            // of those that were there
 };
 
 }  // namespace rtdata::detail

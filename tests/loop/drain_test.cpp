@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "loop/lane_sensor.hpp"
 #include "loop/observed.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -18,26 +19,7 @@ using observed::Number;
 
 namespace {
 
-/// A device whose reads take the loop's scripted lane time.
-struct SlowDevice final : detail::LaneDevice {
-  struct Read final : detail::Transaction {
-    void transact() noexcept override {}
-  };
-  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
-  detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
-    Number number{1, 0};
-    port.publish(&number);
-    return detail::Sampled::value;
-  }
-  std::string lane_key() const override { return "slow"; }
-  Error given_up_error() const override { return {Errc::timed_out, "no answer", "", "", ""}; }
-};
-
-struct SlowSensor : AnySensor {
-  SlowSensor(Loop& loop, Rate rate)
-      : AnySensor(detail::make_sensor(loop, {.name = "slow", .rate = rate}, detail::payload_type<Number>(),
-                                      std::make_unique<SlowDevice>())) {}
-};
+using SlowSensor = lane_sensor::LaneSensor<Number>;
 
 }  // namespace
 
@@ -81,7 +63,7 @@ TEST_SUITE("loop") {
   TEST_CASE("reads under way on a lane finish and are published and delivered before the end") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(30ms);
-    SlowSensor sensor(loop, 10_Hz);
+    SlowSensor sensor(loop, {.name = "slow", .rate = 10_Hz});
     int delivered = 0;
     const auto subscription = loop.subscribe("#", [&](const EventView&) { ++delivered; });
     loop.advance(110ms);
@@ -98,7 +80,7 @@ TEST_SUITE("loop") {
   TEST_CASE("reads that outlast the deadline are counted as failed") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(500ms);
-    SlowSensor sensor(loop, 1_Hz);
+    SlowSensor sensor(loop, {.name = "slow", .rate = 1_Hz});
     loop.advance(10ms);
     CHECK(loop.close(100ms) == 0);
     CHECK(loop.now().time_since_epoch() <= 120ms);
@@ -181,7 +163,7 @@ TEST_SUITE("loop") {
   TEST_CASE("stop cuts a close short, and the drain that goes on harms nobody") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(500ms);
-    SlowSensor sensor(loop, 1_Hz);
+    SlowSensor sensor(loop, {.name = "slow", .rate = 1_Hz});
     loop.advance(10ms);
     Timer impatient(loop, 50ms, [&] { loop.stop(); });
     CHECK(loop.close() == 0);
@@ -197,7 +179,7 @@ TEST_SUITE("loop") {
     {
       Loop loop(Loop::Manual{});
       loop.script_lane_duration(500ms);
-      SlowSensor sensor(loop, 1_Hz);
+      SlowSensor sensor(loop, {.name = "slow", .rate = 1_Hz});
       loop.advance(10ms);
       loop.drain(1s, [held = std::move(token)](std::uint64_t) { *held = 1; });
       loop.advance(10ms);

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "loop/callback_survey.hpp"
+#include "loop/lane_sensor.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/run_until.hpp"
 #include "loop/runtime_core.hpp"
@@ -639,30 +640,11 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("US-24 a read of a tier that outlasts the end is counted as failed, and its account arrives") {
-    struct Slow final : detail::LaneDevice {
-      struct Read final : detail::Transaction {
-        void transact() noexcept override { ::usleep(700'000); }
-      };
-      std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
-      detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
-        Count count{1};
-        port.publish(&count);
-        return detail::Sampled::value;
-      }
-      std::string lane_key() const override { return "slow"; }
-      Duration give_up_after() const override { return 10s; }
-      Error given_up_error() const override { return {Errc::timed_out, "no answer", "", "", ""}; }
-    };
-    struct SlowSensor : AnySensor {
-      explicit SlowSensor(Loop& loop)
-          : AnySensor(detail::make_sensor(loop, {.name = "slow", .rate = 1_Hz}, detail::payload_type<Count>(),
-                                          std::make_unique<Slow>())) {}
-    };
     Loop loop;
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
     Tier tier(loop, {.name = "fast"});
-    SlowSensor sensor(tier.loop());
+    lane_sensor::LaneSensor<Count> sensor(tier.loop(), {.name = "slow", .rate = 1_Hz}, {.take = 700ms});
     CHECK(run_until(loop, [&] {
       const auto all = loop.runtime().sensors();
       return !all.empty() && all[0].counts.in_flight == 1;

@@ -46,7 +46,7 @@ TEST_CASE("US-26 every change of health is in the recording, with its time and r
 TEST_CASE("US-26 a recording of format 2 has no health, and gets the table when it is recorded into") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path, "DROP TABLE rtdata_health; PRAGMA user_version = 2");
+  make_older(path, 2);
   {
     const auto recording = Recording::open(path).or_throw();
     CHECK(recording.health(1).or_throw().empty());

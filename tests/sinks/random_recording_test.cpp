@@ -5,6 +5,7 @@
 #include <random>
 #include <thread>
 
+#include "loop/lane_sensor.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
 
@@ -65,7 +66,7 @@ class Chaos {
 
   void step() {
     const int which = below(names);
-    Sensor<Climate>& sensor = sensors_[static_cast<std::size_t>(which)];
+    AnySensor& sensor = sensors_[static_cast<std::size_t>(which)];
     Feed<Climate>& feed = feeds_[static_cast<std::size_t>(which % topics)];
     int& home = homes_[static_cast<std::size_t>(which % topics)];  // only there may the feed publish
     Subscription& subscription = subscriptions_[static_cast<std::size_t>(below(topics))];
@@ -113,22 +114,26 @@ class Chaos {
     other_ = SqliteSink(loop_, {.path = other_path_, .sink = config});
   }
 
-  void make(int which, Sensor<Climate>& sensor, const std::string& topic) {
-    const int kind = below(4);
+  void make(int which, AnySensor& sensor, const std::string& topic) {
+    const int kind = below(6);
+    const SensorConfig config{.name = "s" + std::to_string(which),
+                              .topic = topic,
+                              .rate = rate(),
+                              .retry_first = 10ms,
+                              .start = below(4) != 0};
+    const lane_sensor::Reads reads{.take = 1ms * below(20), .fail_every = below(2) * 10};
     on_some_loop([&](Loop& here) {
-      sensor = Sensor<Climate>(here,
-                               {.name = "s" + std::to_string(which),
-                                .topic = topic,
-                                .rate = rate(),
-                                .retry_first = 10ms,
-                                .start = below(4) != 0},
-                               [kind, n = 0]() mutable -> Reading<Climate> {
-                                 ++n;
-                                 if (kind == 0 && n % 50 > 45) return Error{Errc::io_failed, "no answer", "", "", ""};
-                                 if (kind == 1 && n % 3 == 0) return nothing_new;
-                                 if (kind == 2 && n % 100 == 0) std::this_thread::sleep_for(7ms);
-                                 return Climate{1.0 * n, 0};
-                               });
+      if (kind >= 4) {
+        sensor = lane_sensor::LaneSensor<Climate>(here, config, reads);
+        return;
+      }
+      sensor = Sensor<Climate>(here, config, [kind, n = 0]() mutable -> Reading<Climate> {
+        ++n;
+        if (kind == 0 && n % 50 > 45) return Error{Errc::io_failed, "no answer", "", "", ""};
+        if (kind == 1 && n % 3 == 0) return nothing_new;
+        if (kind == 2 && n % 100 == 0) std::this_thread::sleep_for(7ms);
+        return Climate{1.0 * n, 0};
+      });
     });
   }
 
@@ -146,7 +151,7 @@ class Chaos {
   Tier slow_;
   SqliteSink sink_;
   SqliteSink other_;
-  std::array<Sensor<Climate>, names> sensors_;
+  std::array<AnySensor, names> sensors_;
   std::array<Feed<Climate>, topics> feeds_;
   std::array<int, topics> homes_{};
   std::array<Subscription, topics> subscriptions_;

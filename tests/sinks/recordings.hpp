@@ -59,6 +59,13 @@ inline std::int64_t number(const std::string& path, const std::string& query) {
 
 inline VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
 
+/// Makes it one of an older format, without what that one had not.
+inline void make_older(const std::string& path, int format) {
+  sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
+  if (format < 3) sql(path, "DROP TABLE rtdata_health");
+  sql(path, "PRAGMA user_version = " + std::to_string(format));
+}
+
 /// All problems, a line each.
 inline std::string problems_of(const VerifyReport& report) {
   std::string all;

@@ -336,8 +336,10 @@ TEST_CASE("US-34 a recording of the first version is read, and gets columns and 
     clock.set_realtime(noon);
     recorder.loop.advance(10s);
   }
+  sql(path, "DROP VIEW rtdata_run_utc");
+  make_older(path, 1);
   sql(path,
-      "DROP VIEW \"room~utc\"; DROP VIEW rtdata_run_utc; DROP TABLE rtdata_utc; PRAGMA user_version = 1;"
+      "DROP VIEW \"room~utc\"; DROP TABLE rtdata_utc;"
       "CREATE TABLE old(run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL, source TEXT NOT "
       "NULL);"
       "INSERT INTO old SELECT run, monotonic, realtime, occasion FROM rtdata_clock;"

@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "app/commands.hpp"
+#include "loop/lane_sensor.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;
@@ -175,7 +176,7 @@ TEST_CASE("US-26 a recording that began after its sensors, and ended before them
       loop.run_for(101ms);
       SqliteSink sink(loop, {.path = path});
       loop.run_for(105ms);
-      loop.manual_clock().pass(30ms);
+      loop.manual_clock().pass(60ms);
       loop.run_for(20ms);
     }
     CHECK(loop.close() == 0);
@@ -183,7 +184,130 @@ TEST_CASE("US-26 a recording that began after its sensors, and ended before them
   const VerifyReport report = verified(path);
   INFO(problems_of(report));
   CHECK(report.verdict() == Verdict::balanced);
-  CHECK(report.runs.size() == 3);
+  REQUIRE(report.runs.size() == 3);
+  for (const RunReport& run : report.runs) {
+    CAPTURE(run.info.run);
+    CHECK(run.notes.empty());
+    CHECK(run.failed > 0);
+    CHECK(run.missed > 0);
+    const std::string of_run = " WHERE run = " + std::to_string(run.info.run);
+    CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule" + of_run) ==
+          static_cast<std::int64_t>(run.scheduled));
+    CHECK(number(path, "SELECT published - offered FROM rtdata_ledger" + of_run) == 0);
+  }
+  sql(path, "DELETE FROM rtdata_gap WHERE rowid = (SELECT max(rowid) FROM rtdata_gap WHERE run = 2)");
+  CHECK(has(problems_of(verified(path)), "the gaps have"));
+  sql(path, "UPDATE rtdata_schedule SET end = end - period, scheduled = scheduled - 1 WHERE run = 3");
+  CHECK(has(problems_of(verified(path)), "the schedule has"));
+}
+
+TEST_CASE("US-26 a sensor that was silent and stopped before the recording, and started again in it, balances") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    bool is_silent = true;
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 100_Hz}, [&]() -> Reading<Climate> {
+      if (is_silent) return nothing_new;
+      return Climate{};
+    });
+    loop.advance(105ms);
+    sensor.stop();
+    loop.advance(10ms);
+    SqliteSink sink(loop, {.path = path});
+    loop.advance(10ms);
+    is_silent = false;
+    sensor.start();
+    loop.advance(50ms);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(report.runs.at(0).scheduled == 6);
+}
+
+TEST_CASE("US-26 the account has no stretch without ticks, which a later one may begin before") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    Sensor<Climate> sensor(loop, {.name = "s", .rate = 1_Hz}, [] { return Climate{}; });
+    loop.advance(2100ms);
+    SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
+    loop.advance(100ms);  // told of, and without a tick since the recording began
+    sensor.set_rate(100_Hz);
+    loop.advance(50ms);
+    sensor.set_rate(1_Hz);
+    loop.advance(100ms);  // as above
+    sensor.set_rate(50_Hz);
+    loop.advance(2s);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_schedule WHERE scheduled = 0") == 0);
+}
+
+TEST_CASE("US-26 a read that was under way when the recording began is carried into it") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  bool fails = false;
+  bool is_re_rated = false;
+  SUBCASE("and published") {}
+  SUBCASE("and failed, with others after it") { fails = true; }
+  SUBCASE("of a schedule that was over") { is_re_rated = true; }
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.script_lane_duration(30ms);
+    lane_sensor::LaneSensor<Climate> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1000},
+                                            {.fail_every = fails ? 1 : 0});
+    loop.advance(205ms);
+    REQUIRE(sensor.counts().in_flight == 1);
+    if (is_re_rated) sensor.set_rate(20_Hz);
+    loop.advance(2ms);
+    {
+      SqliteSink sink(loop, {.path = path});
+      loop.advance(1s);
+      sink.close();
+    }
+    loop.advance(1s);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT carried FROM rtdata_ledger") == 1);
+  const std::int64_t scheduled = number(path, "SELECT scheduled FROM rtdata_ledger");
+  CHECK(scheduled == (is_re_rated ? 20 : 10));
+  CHECK(number(path, "SELECT taken + failed + missed + in_flight FROM rtdata_ledger") == scheduled + 1);
+  sql(path, "UPDATE rtdata_ledger SET carried = 0");
+  CHECK(has(problems_of(verified(path)), "scheduled is"));
+  sql(path, "UPDATE rtdata_ledger SET carried = 2, scheduled = scheduled - 1");
+  CHECK(has(problems_of(verified(path)), "2 reads were under way when it began, there is at most one."));
+}
+
+TEST_CASE("US-26 an account of format 3, which counted from the beginning of its sensors, is held to what it says") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path,
+      "UPDATE rtdata_ledger SET scheduled = scheduled + 13, taken = taken + 10, published = published + 10, missed = "
+      "missed + 3 WHERE origin = 'room'");
+  CHECK(verified(path).verdict() == Verdict::not_balanced);
+  make_older(path, 3);
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(has(report.text(), "The recording began after the sensor."));
+  CHECK(make(folder) == path);  // recorded into again
+  const VerifyReport both = verified(path);
+  CHECK(both.verdict() == Verdict::balanced);
+  CHECK(both.runs.at(0).info.format == 3);
+  CHECK(both.runs.at(1).info.format == sqlite::schema_version);
+  sql(path, "UPDATE rtdata_ledger SET missed = missed - 10 WHERE run = 1 AND origin = 'room'");
+  CHECK(verified(path).verdict() == Verdict::not_balanced);
 }
 
 TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches of schedule that do not overlap") {

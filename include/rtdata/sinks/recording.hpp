@@ -44,6 +44,9 @@ struct RunInfo {
   RunState state = RunState::recording;
   std::optional<std::uint64_t> lost;  ///< of a sealed run: published and not stored; none: not known
   std::string remark;
+  /// The version of this layout in which it was written (rtdata_run.format). Before 4, accounts count from the beginning
+  /// of the sensor instead of that of the recording.
+  std::int64_t format = 0;
 };
 
 /// One description of a topic; a topic whose fields changed in kind or unit has several.
@@ -55,10 +58,12 @@ struct RecordedTopic {
   std::int64_t first_run = 0;
 };
 
-/// The account of one origin on one topic in one run.
+/// The account of one origin on one topic in one run. For a sensor with a schedule:
+/// scheduled + carried = taken + missed + failed + in_flight.
 struct LedgerEntry {
   std::string topic, origin;
-  SensorCounts sensor;
+  SensorCounts sensor;        ///< since the recording began
+  std::uint64_t carried = 0;  ///< reads that were under way when it began: 0 or 1
   std::uint64_t offered = 0, stored = 0;
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none

@@ -98,13 +98,14 @@ struct Record {
 /// What an origin's account says at the end of a batch.
 struct OriginAccount {
   std::uint32_t slot = 0;
-  SensorCounts sensor;
+  SensorCounts sensor;        ///< since the sink was attached
+  std::uint64_t carried = 0;  ///< reads that were under way then: 0 or 1
   std::uint64_t offered = 0;
   std::uint64_t dropped_newest = 0;
   std::uint64_t dropped_oldest = 0;
   std::uint64_t first_sequence = 0;  ///< of the first event offered to this sink; 0: none yet
   std::uint64_t last_sequence = 0;
-  Segment segment;  ///< under way; period 0: none
+  Segment segment;  ///< under way, from the first tick since then; `scheduled` 0: none
 };
 
 /// All that a recording holds besides events. A writer that keeps no account ignores it.

@@ -150,10 +150,13 @@ Result<Recording> Recording::open(const std::string& path) {
 const std::string& Recording::path() const noexcept { return file_->database.path(); }
 
 Result<std::vector<RunInfo>> Recording::runs() const {
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  const std::string format = *version < 4 ? "3" : "format";
   return all<RunInfo>(*file_,
                       "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
-                      "clock_offset, state, lost, remark"
-                      " FROM rtdata_run ORDER BY run",
+                      "clock_offset, state, lost, remark, " +
+                          format + " FROM rtdata_run ORDER BY run",
                       {}, [](const Statement& row) {
                         RunInfo run;
                         run.run = row.integer(0);
@@ -173,6 +176,7 @@ Result<std::vector<RunInfo>> Recording::runs() const {
                                                                : RunState::recording;
                         if (!row.is_null(13)) run.lost = count_of(row, 13);
                         run.remark = string_of(row, 14);
+                        run.format = row.integer(15);
                         return run;
                       });
 }
@@ -198,13 +202,17 @@ Result<std::vector<RecordedTopic>> Recording::topics() const {
 }
 
 Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  const std::string carried = *version < 4 ? "0" : "carried";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
       "repeated,"
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
-      " last_sequence, pruned, rows_up_to FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+      " last_sequence, pruned, rows_up_to, " +
+          carried + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -220,7 +228,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         int column = 3;
         for (std::uint64_t* count : counts) *count = count_of(row, column++);
         sensor.lost_is_known = !row.is_null(13);
-        entry.rows_up_to = row.integer(column);
+        entry.rows_up_to = row.integer(column++);
+        entry.carried = count_of(row, column);
         return entry;
       });
 }
@@ -263,7 +272,7 @@ Result<UtcLine> Recording::utc_line(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
-  auto version = file_->database.integer("PRAGMA user_version");
+  auto version = file_->version();
   if (!version) return std::move(version).error();
   if (*version < 3) return std::vector<RecordedHealth>{};
   return all<RecordedHealth>(

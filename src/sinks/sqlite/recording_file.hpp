@@ -14,6 +14,8 @@ struct RecordingFile {
 
   /// Like Database::prepare; what does not fit the schema is damaged.
   Result<sqlite::Statement> prepare(const std::string& sql) const;
+  /// Of its layout; it may be an older one than that of this program.
+  Result<std::int64_t> version() const { return database.integer("PRAGMA user_version"); }
   Error damaged(std::string where, std::string why) const;
 };
 

@@ -14,7 +14,7 @@
 namespace rtdata::sqlite {
 
 inline constexpr int application_id = 0x52544441;  // "RTDA"
-inline constexpr int schema_version = 3;           // PRAGMA user_version
+inline constexpr int schema_version = 4;           // PRAGMA user_version
 
 inline constexpr const char* schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_run(
@@ -28,7 +28,9 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
   state TEXT NOT NULL,              -- recording, closed, sealed (it ended without closing, or a tier hung: the remark)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
-  remark TEXT NOT NULL DEFAULT ''   -- of a sealed run: what is known of its end
+  remark TEXT NOT NULL DEFAULT '',  -- of a sealed run: what is known of its end
+  format INTEGER NOT NULL DEFAULT 3 -- the version of this layout in which it was written; before 4 the ledger counted
+                                    -- from the beginning of the sensor
 );
 CREATE TABLE IF NOT EXISTS rtdata_topic(
   topic TEXT NOT NULL, version INTEGER NOT NULL,
@@ -55,6 +57,7 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   first_sequence INTEGER NOT NULL, last_sequence INTEGER NOT NULL,  -- offered; 0: none
   pruned INTEGER NOT NULL DEFAULT 0,           -- rows deleted again by the size or age limit
   rows_up_to INTEGER NOT NULL DEFAULT 0,       -- the topic table's last rowid when this was written
+  carried INTEGER NOT NULL DEFAULT 0,          -- reads that were under way when the recording began
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
@@ -88,6 +91,12 @@ inline constexpr const char* from_version_1 = R"sql(
 ALTER TABLE rtdata_clock ADD COLUMN occasion TEXT NOT NULL DEFAULT '';
 ALTER TABLE rtdata_clock ADD COLUMN accuracy INTEGER;
 UPDATE rtdata_clock SET occasion = source, source = 'system';
+)sql";
+
+/// What `schema` does not do to those of a file of a version before 4.
+inline constexpr const char* from_version_3 = R"sql(
+ALTER TABLE rtdata_run ADD COLUMN format INTEGER NOT NULL DEFAULT 3;
+ALTER TABLE rtdata_ledger ADD COLUMN carried INTEGER NOT NULL DEFAULT 0;
 )sql";
 
 }  // namespace rtdata::sqlite

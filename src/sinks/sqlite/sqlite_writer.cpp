@@ -105,6 +105,7 @@ Result<void> SqliteWriter::make_schema() {
   if (*version == schema_version) return {};
   std::string sql = schema + run_view();
   if (*version == 1) sql += std::string(";") + from_version_1;
+  if (*version >= 1 && *version <= 3) sql += std::string(";") + from_version_3;
   sql += ";PRAGMA application_id=" + std::to_string(application_id) +
          ";PRAGMA user_version=" + std::to_string(schema_version);
   if (auto made = database_.execute(sql); !made || *version == 0) return made;
@@ -128,14 +129,15 @@ Result<void> SqliteWriter::make_schema() {
 Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid) {
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
-      "clock_offset, state) "
-      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording')");
+      "clock_offset, state, format) "
+      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?)");
   if (!insert) return std::move(insert).error();
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
   insert->bind(1, uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
   insert->bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
   insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
+  insert->bind(12, std::int64_t{schema_version});
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
   boot_id_ = run.boot_id;
@@ -161,7 +163,7 @@ Result<void> SqliteWriter::prepare_account() {
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -169,7 +171,8 @@ Result<void> SqliteWriter::prepare_account() {
        "stored=excluded.stored, "
        "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
        "dropped_refused=excluded.dropped_refused, "
-       "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to"},
+       "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
+       "carried=excluded.carried"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
@@ -281,9 +284,9 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     ledger_.bind(19, as_integer(origin.dropped_newest)).bind(20, as_integer(origin.dropped_oldest));
     ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
     ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
-    ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0);
+    ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
     if (auto done = ledger_.run(); !done) return done;
-    if (origin.segment.period.count() > 0) {
+    if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
     }
   }

@@ -71,7 +71,8 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
     }
   }
   last_time = time;
-  if (time < earliest || (time > latest && rowid <= account_ends)) {
+  const bool is_early = time < earliest && !(first_may_be_early && rows + rows_after == 1);
+  if (is_early || (time > latest && rowid <= account_ends)) {
     ++outside;
     say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " +
                                to_iso8601(from_nanoseconds(time)) + ", lies outside of the run");
@@ -169,6 +170,7 @@ Result<VerifyReport> verify(const Recording& recording) {
       constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
       origin.earliest = to_nanoseconds(info.started) - tolerance;
       if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
+      origin.first_may_be_early = entry.carried != 0;
     }
     RunReport& run = report.runs.emplace_back();
     run.info = std::move(info);
@@ -179,7 +181,7 @@ Result<VerifyReport> verify(const Recording& recording) {
     if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned)
       return std::move(scanned).error();
   }
-  auto version = recording.file()->database.integer("PRAGMA user_version");
+  auto version = recording.file()->version();
   if (!version) return std::move(version).error();
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);

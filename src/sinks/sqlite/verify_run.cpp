@@ -16,6 +16,8 @@ struct Findings {
   bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
   std::vector<std::string>& open;
 
+  /// Sealed, and not said what was lost: a tier hung, or the machine went down.
+  bool is_account_known() const { return report.info.state != RunState::sealed || report.info.lost.has_value(); }
   void problem(std::string text) const {
     if (report.problems.size() < most_sentences) {
       report.problems.push_back(std::move(text));
@@ -76,8 +78,9 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
                   " more rows are out of order.");
   }
   for (const std::string& sentence : rows.outside_sentences) {
-    // What numbers its own time (a GPS receiver) may well be outside.
-    entry.sensor.has_schedule ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
+    // What numbers its own time (a GPS receiver) may well be outside, and what a tier that hung had begun before.
+    const bool is_bound = entry.sensor.has_schedule && found.is_account_known();
+    is_bound ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
   }
   if (rows.outside > rows.outside_sentences.size()) {
     found.note(place + number(rows.outside - rows.outside_sentences.size()) + " more times lie outside of the run.");
@@ -110,8 +113,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     std::uint64_t explained = entry.dropped() + entry.pruned;
     // What was never committed at the end may be beyond the last sequence of the account.
     if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
-    const bool is_known = found.is_exact || found.report.info.lost.has_value();
-    if (absent < explained || (absent > explained && is_known)) {
+    if (absent < explained || (absent > explained && found.is_account_known())) {
       found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " +
                     number(entry.last_sequence) + (absent == 1 ? " is" : " are") + " not there, the ledger says " +
                     number(entry.dropped()) + " dropped" +
@@ -142,11 +144,16 @@ void check_sum(const Findings& found, const std::string& place, Term whole, std:
                 number(sum) + ".");
 }
 
+/// Otherwise from that of the sensor, which may be older.
+bool counts_from_its_beginning(const Findings& found) { return found.report.info.format >= 4; }
+
 void check_account(const Findings& found, const LedgerEntry& entry) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const SensorCounts& s = entry.sensor;
   if (s.has_schedule) {
-    check_sum(found, place, {"scheduled", s.scheduled},
+    const Term scheduled = entry.carried == 0 ? Term{"scheduled", s.scheduled}
+                                              : Term{"scheduled + carried", s.scheduled + entry.carried};
+    check_sum(found, place, scheduled,
               {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
     check_sum(found, place, {"taken", s.taken},
               {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}});
@@ -156,9 +163,12 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
     check_sum(found, place, {"received", s.received},
               {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"failed", s.failed}});
   }
-  if (s.published < entry.offered) {
-    found.inexact(place + number(entry.offered) + " offered to the recording, but only " + number(s.published) +
-                  " published.");
+  if (entry.carried > 1) {
+    found.problem(place + number(entry.carried) + " reads were under way when it began, there is at most one.");
+  }
+  if (s.published < entry.offered || (s.published > entry.offered && counts_from_its_beginning(found))) {
+    found.inexact(place + number(s.published) + " published, but " + number(entry.offered) +
+                  " offered to the recording.");
   }
   const Term dropped{"dropped", entry.dropped()}, stored{"stored", entry.stored};
   if (found.is_exact || found.report.info.state == RunState::sealed) {
@@ -174,8 +184,10 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
   }
 }
 
-/// Whether the recording began after the sensor, whose counts are from its beginning. Segments by time.
-bool began_after(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments) {
+/// Whether the account counts more than the recording has, since it began after the sensor. Segments by time.
+bool counts_from_before(const Findings& found, const LedgerEntry& entry,
+                        const std::vector<const RecordedSegment*>& segments) {
+  if (counts_from_its_beginning(found)) return false;
   return entry.sensor.published > entry.offered ||
          (!segments.empty() && segments.front()->segment.first_due < found.report.info.started);
 }
@@ -201,7 +213,7 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
     }
     before = &segment;
   }
-  if (sum < entry.sensor.scheduled && began_after(found, entry, segments)) {
+  if (sum < entry.sensor.scheduled && counts_from_before(found, entry, segments)) {
     found.note(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " +
                number(entry.sensor.scheduled) + " scheduled. The recording began after the sensor.");
   } else if (sum != entry.sensor.scheduled) {
@@ -233,6 +245,8 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
         segments.begin(), segments.end(), gap->first,
         [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
     if (after == segments.begin()) {
+      // The failure of the read that was under way when the recording began, and what failed right after it.
+      if (entry.carried != 0 && gap == gaps.front() && gap->kind == "failed") continue;
       found.inexact(place + which + " lies before the schedule.");
       continue;
     }
@@ -255,7 +269,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     const std::string text = place + "the gaps have " + number(in_gaps) + " " + kind + ", the ledger says " +
                              number(counted) + ".";
     if (in_gaps > counted) return found.inexact(text);
-    if (began_after(found, entry, segments)) return found.note(text + " The recording began after the sensor.");
+    if (counts_from_before(found, entry, segments)) return found.note(text + " The recording began after the sensor.");
     if (found.is_exact) {
       found.problem(text);
     } else {
@@ -292,7 +306,7 @@ void note_end(const Findings& found) {
   if (info.state == RunState::sealed) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
-                         : "It ended without closing: what was lost after the last account is not known.");
+                         : "Its account is not complete: what was lost is not known.");
     if (!info.remark.empty()) found.note(info.remark);
     if (info.lost && *info.lost != found.report.unsaved) {
       found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) +

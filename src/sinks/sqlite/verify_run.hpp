@@ -26,7 +26,8 @@ struct OriginRows {
   std::int64_t run = 0;
   std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
-  std::uint64_t rows = 0;  // up to account_ends
+  bool first_may_be_early = false;  // its read was under way when the recording began
+  std::uint64_t rows = 0;           // up to account_ends
   std::uint64_t rows_after = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;
   std::int64_t last_time = INT64_MIN;

@@ -1,0 +1,68 @@
+#include "sinks/sink_account.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+// Accounts of many origins are made in parts, so that none holds the loop for long.
+constexpr std::size_t origins_at_once = 500;
+
+}  // namespace
+
+Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
+  const auto number = static_cast<std::uint32_t>(taps_.size());
+  if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+  taps_.push_back(std::make_unique<SinkTap>(owner, queue_, topic, number));
+  tap_of_[&topic] = taps_.back().get();
+  topic.add_tap(*taps_.back());
+  return {};
+}
+
+void SinkAccount::end() noexcept {
+  for (const auto& tap : taps_) tap->topic().remove_tap(*tap);
+}
+
+SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
+  const auto tap = tap_of_.find(&origin.topic);
+  return tap != tap_of_.end() ? tap->second : nullptr;
+}
+
+void SinkAccount::add(OriginCore& origin, const Gap& gap) {
+  if (SinkTap* tap = find_tap(origin)) notes.add(tap->slot_of(origin), gap, queue_->slot_count());
+}
+
+void SinkAccount::add(OriginCore& origin, const Segment& segment) {
+  SinkTap* tap = find_tap(origin);
+  if (tap == nullptr) return;
+  const Segment recorded = tap->since_attached(origin, segment);
+  if (recorded.scheduled > 0) notes.add(tap->slot_of(origin), recorded);
+}
+
+SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, const std::string& unknown) {
+  const bool is_last = part == Part::last;
+  Account& account = is_last ? queue_->last_account() : *queue_->free_account();
+  account.at = at;
+  account.is_last = is_last;
+  account.unknown = unknown;
+  account.origins.clear();
+  bool has_more = false;
+  if (part != Part::next) next_topic_ = next_origin_ = 0;
+  std::size_t looked_at = 0;
+  for (; next_topic_ < taps_.size() && !has_more; ++next_topic_, next_origin_ = 0) {
+    SinkTap& tap = *taps_[next_topic_];
+    for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size(); ++next_origin_) {
+      has_more = !is_last && looked_at++ == origins_at_once;
+      if (has_more) break;
+      OriginCore& origin = *origins[next_origin_];
+      if (is_last) origin.close_gap();
+      const OriginAccount now = tap.account_of(origin, until);
+      if (tap.is_news(origin, now) || is_last) account.origins.push_back(now);
+    }
+    if (has_more) break;
+  }
+  notes.move_into(account);
+  const bool is_something = !account.is_empty();
+  if (is_something) queue_->hand_over_account();
+  return {is_something, has_more};
+}
+
+}  // namespace rtdata::detail

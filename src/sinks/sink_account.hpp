@@ -1,0 +1,50 @@
+// What a sink records of the runtime: the events of its topics, and the account of who published them. Loop's thread.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "sinks/sink_notes.hpp"
+#include "sinks/sink_queue.hpp"
+#include "sinks/sink_tap.hpp"
+
+namespace rtdata::detail {
+
+class SinkAccount {
+ public:
+  explicit SinkAccount(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
+
+  /// Takes the events of a topic from now on. Errors: the writer's.
+  Result<void> add_topic(TopicCore& topic, SinkTap::Owner& owner);
+  /// Takes none any more.
+  void end() noexcept;
+
+  void add(OriginCore& origin, const Gap& gap);
+  void add(OriginCore& origin, const Segment& segment);
+  SinkNotes notes;  ///< what else is to be told
+
+  /// A part of it, or all, of the origins that changed since the last one.
+  enum class Part { first, next, last };  // the last one is of all origins, in one go
+  struct Told {
+    bool is_something = false;  ///< handed over to the queue
+    bool has_more = false;      ///< another part follows
+  };
+  /// Whether `tell` may be called: not while all are on their way. There is always room for the last one.
+  bool has_room() { return queue_->free_account() != nullptr; }
+  /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what the last one does not know, and why.
+  Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown = {});
+
+ private:
+  SinkTap* find_tap(const OriginCore& origin) const;
+
+  const std::shared_ptr<SinkQueue> queue_;
+  std::vector<std::unique_ptr<SinkTap>> taps_;
+  std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
+  std::size_t next_topic_ = 0;  // where the next part begins
+  std::size_t next_origin_ = 0;
+};
+
+}  // namespace rtdata::detail
