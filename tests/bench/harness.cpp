@@ -102,24 +102,18 @@ bool Report::write_json() const {
   return file.good();
 }
 
-std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit, int pairs) {
+std::vector<Figure> measure_rounds(std::vector<Figure> figures, const std::function<Round(int)>& round, int rounds) {
   struct Series {
     std::vector<double> values, limits, ratios, controls;
   };
   std::vector<Series> series(figures.size());
-  limit();
-  value();
-  for (int pair = 0; pair < pairs; ++pair) {
-    const auto before = limit();
-    const auto ours = value();
-    const auto after = limit();
-    const auto& near = pair % 2 == 0 ? before : after;  // the value comes after its limit as often as before it
-    const auto& far = pair % 2 == 0 ? after : before;
+  for (int number = 0; number < rounds; ++number) {
+    const Round taken = round(number);
     for (std::size_t i = 0; i < figures.size(); ++i) {
-      series[i].values.push_back(ours[i]);
-      series[i].limits.push_back(near[i]);
-      series[i].ratios.push_back(ours[i] / near[i]);
-      series[i].controls.push_back(far[i] / near[i]);
+      series[i].values.push_back(taken.value[i]);
+      series[i].limits.push_back(taken.limit[i]);
+      series[i].ratios.push_back(taken.value[i] / taken.limit[i]);
+      series[i].controls.push_back(taken.again[i] / taken.limit[i]);
     }
   }
   for (std::size_t i = 0; i < figures.size(); ++i) {
@@ -129,6 +123,19 @@ std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& va
     figures[i].control = median(series[i].controls);
   }
   return figures;
+}
+
+std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit, int pairs) {
+  limit();
+  value();
+  const auto round = [&](int number) {
+    const auto before = limit();
+    const auto ours = value();
+    const auto after = limit();
+    // The value comes after its limit as often as before it.
+    return number % 2 == 0 ? Round{ours, before, after} : Round{ours, after, before};
+  };
+  return measure_rounds(std::move(figures), round, pairs);
 }
 
 Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit,

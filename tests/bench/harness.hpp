@@ -50,8 +50,13 @@ class Report {
 /// One measurement gives a number for each figure.
 using Measure = std::function<std::vector<double>()>;
 
-/// Both are called once unmeasured, then in rounds of limit, value, limit, every second one in reverse. `figures` come
-/// with name, unit and reach.
+/// What one round gives, a number for each figure: of the library, the limit, and the limit once more.
+struct Round {
+  std::vector<double> value, limit, again;
+};
+/// The number of the round is given. `figures` come with name, unit and reach.
+std::vector<Figure> measure_rounds(std::vector<Figure> figures, const std::function<Round(int)>& round, int rounds);
+/// Both are called once unmeasured, then in rounds of limit, value, limit, every second one in reverse.
 std::vector<Figure> measure_pairs(std::vector<Figure> figures, const Measure& value, const Measure& limit,
                                   int pairs = 9);
 Figure measure_pair(Figure figure, const std::function<double()>& value, const std::function<double()>& limit,

@@ -80,14 +80,14 @@ std::vector<double> tier_lateness(const rtdata::Tier::Config& config, std::size_
   return percentiles(std::move(lateness));
 }
 
-std::vector<double> bare_lateness(std::size_t ticks) {
+/// From the first tick on, `due` or a whole number of periods later.
+std::vector<double> bare_lateness(std::size_t ticks, std::int64_t due = on_grid(monotonic_ns())) {
   std::vector<double> lateness;
   lateness.reserve(ticks);
   std::thread([&] {
     ::prctl(PR_SET_TIMERSLACK, 1UL);
     if (!rtdata::set_scheduling(real_time)) return;
     const BareTimer timer;
-    std::int64_t due = on_grid(monotonic_ns());
     timer.arm(due);
     while (lateness.size() < ticks) {
       timer.wait();
@@ -99,6 +99,41 @@ std::vector<double> bare_lateness(std::size_t ticks) {
     }
   }).join();
   return percentiles(std::move(lateness));
+}
+
+/// A tier and two bare loops at the same time, a third of a period after each other: what the machine does to one of them
+/// it does to all, so that their tails can be compared.
+Round lateness_at_once(std::size_t ticks, bool is_other_first) {
+  Round round;
+  std::atomic<std::int64_t> first{0};
+  rtdata::Loop main;
+  rtdata::Tier fast(main, fast_tier());
+  std::vector<double> lateness;
+  lateness.reserve(ticks);
+  std::binary_semaphore has_begun{0};
+  std::binary_semaphore is_done{0};
+  rtdata::Ticker ticker(fast.loop(), period, [&](const rtdata::Tick& tick) {
+    const std::int64_t due = tick.due.time_since_epoch().count();
+    if (lateness.size() == ticks) return;
+    lateness.push_back(static_cast<double>(monotonic_ns() - due));
+    if (lateness.size() == 1) {
+      first = due;
+      has_begun.release();
+    }
+    if (lateness.size() == ticks) is_done.release();
+  });
+  fast.start();
+  has_begun.acquire();
+  const auto bare = [&](std::int64_t thirds) {
+    return bare_lateness(ticks, first + 10 * millisecond + thirds * millisecond / 3);
+  };
+  std::thread other([&] { round.again = bare(is_other_first ? 1 : 2); });
+  round.limit = bare(is_other_first ? 2 : 1);
+  other.join();
+  is_done.acquire();
+  fast.stop();
+  round.value = percentiles(std::move(lateness));
+  return round;
 }
 
 /// The same three of cyclictest, on this thread's processor; empty when it cannot be run.
@@ -134,13 +169,21 @@ void add_wanted(Report& report, const std::vector<Figure>& figures) {
 }
 
 void bench_lateness(Report& report) {
-  if (!report.wants("rt_lateness_p50") && !report.wants("rt_lateness_p99") && !report.wants("rt_lateness_p999")) return;
   constexpr std::size_t ticks = 3000;
-  add_wanted(report, measure_pairs(
-                         {{.name = "rt_lateness_p50", .unit = "us", .reach = 1.05},
-                          {.name = "rt_lateness_p99", .unit = "us", .reach = 1.1},
-                          {.name = "rt_lateness_p999", .unit = "us", .reach = 1.25}},
-                         [] { return tier_lateness(fast_tier(), ticks); }, [] { return bare_lateness(ticks); }, 7));
+  const bool wants_tail = report.wants("rt_lateness_p99") || report.wants("rt_lateness_p999");
+  if (report.wants("rt_lateness_p50")) {  // what disturbs the machine does not change it: each runs alone
+    add_wanted(report, measure_pairs(
+                           {{.name = "rt_lateness_p50", .unit = "us", .reach = 1.05}, {}, {}},
+                           [] { return tier_lateness(fast_tier(), ticks); }, [] { return bare_lateness(ticks); }, 7));
+  }
+  if (wants_tail) {
+    add_wanted(report, measure_rounds(
+                           {{},
+                            {.name = "rt_lateness_p99", .unit = "us", .reach = 1.1},
+                            {.name = "rt_lateness_p999", .unit = "us", .reach = 1.25}},
+                           [](int number) { return lateness_at_once(ticks, number % 2 != 0); }, 8));
+  }
+  if (!wants_tail && !report.wants("rt_lateness_p50")) return;
   const auto cyclic = cyclictest(ticks);
   report.remark("cyclictest: " + (cyclic.empty() ? "not installed" : text_of(cyclic)));
 }
@@ -199,9 +242,9 @@ void bench_loaded(Report& report) {
   if (!report.wants("rt_lateness_load_p99")) return;
   constexpr std::size_t ticks = 2000;
   const Load load(report.options().disk);
-  add_wanted(report, measure_pairs(
+  add_wanted(report, measure_rounds(
                          {{}, {.name = "rt_lateness_load_p99", .unit = "us", .reach = 1.15}, {}},
-                         [] { return tier_lateness(fast_tier(), ticks); }, [] { return bare_lateness(ticks); }, 7));
+                         [](int number) { return lateness_at_once(ticks, number % 2 != 0); }, 8));
 }
 
 // ---- bridges
@@ -424,58 +467,60 @@ void bench_bridge(Report& report) {
 
 #ifdef RTDATA_BENCH_SQLITE
 
-constexpr std::size_t isolation_ticks = 2000;
+/// Spans of ticks with the disturbance and without it, turn by turn, so that what else happens to the machine happens to
+/// both. The beginning of a span, in which the last one's disturbance ends, is not looked at.
+constexpr unsigned span_ticks = 400;
+constexpr unsigned settling_ticks = 150;
+constexpr unsigned spans_a_round = 24;
 
-/// The fast tier's lateness, publishing. `disturb` puts on the normal one what disturbs it, and keeps it.
-template <class Disturb>
-double fast_p99(Disturb disturb) {
-  std::vector<double> lateness;
-  lateness.reserve(isolation_ticks);
+/// The fast tier's lateness while a handler of the normal tier blocks again and again and its events are recorded, and
+/// twice without.
+Round isolation_round(const std::string& path) {
+  enum Span { disturbed, quiet, quiet_again, kinds };
+  std::vector<double> lateness[kinds];
+  for (auto& series : lateness) series.reserve(std::size_t{span_ticks} * spans_a_round / kinds);
   const int fast_cpu = ::sched_getcpu();
   settle_other_thread();
   {
     rtdata::Loop main;
+    main.on_error([](const rtdata::ErrorReport&) {});  // that the handler holds the loop
     auto config = fast_tier();
     config.cpus = {fast_cpu};
     rtdata::Tier fast(main, config);
-    rtdata::Feed<Single> feed(fast.loop(), {.name = "feed"});
+    rtdata::Feed<Single> followed(fast.loop(), {.name = "followed"});
+    rtdata::Feed<Single> other(fast.loop(), {.name = "other"});
+    unsigned count = 0;
     rtdata::Ticker ticker(fast.loop(), period, [&](const rtdata::Tick& tick) {
-      if (lateness.size() == isolation_ticks) return;
-      lateness.push_back(static_cast<double>(monotonic_ns() - tick.due.time_since_epoch().count()));
-      feed.publish({lateness.back()});
-      if (lateness.size() == isolation_ticks) main.stop();
+      if (count == span_ticks * spans_a_round) return;
+      const double late = static_cast<double>(monotonic_ns() - tick.due.time_since_epoch().count());
+      const unsigned round = count / (kinds * span_ticks);
+      const unsigned place = count / span_ticks % kinds;
+      // The two quiet ones change places.
+      const auto kind = static_cast<Span>(place == disturbed || round % 2 == 0 ? place : kinds - place);
+      if (count % span_ticks >= settling_ticks) lateness[kind].push_back(late);
+      (kind == disturbed ? followed : other).publish({late});
+      if (++count == span_ticks * spans_a_round) main.stop();
     });
-    [[maybe_unused]] const auto disturbing = disturb(main);
+    const auto handler = main.subscribe("followed", [](const rtdata::EventView& event) {
+      if (event.sequence() % 110 == 0) std::this_thread::sleep_for(std::chrono::milliseconds{100});
+    });
+    const rtdata::SqliteSink sink(
+        main, {.path = path,
+               .sink = {.topics = {"followed"}, .batch_rows = 50, .batch_time = std::chrono::milliseconds{50}}});
     main.run();
     fast.stop();
   }
   settle_thread();
-  return percentile(lateness, 0.99) / 1e3;
+  const auto p99 = [](std::vector<double>& series) { return std::vector<double>{percentile(series, 0.99) / 1e3}; };
+  return {p99(lateness[disturbed]), p99(lateness[quiet]), p99(lateness[quiet_again])};
 }
-
-struct Disturbing {
-  rtdata::Subscription handler;
-  rtdata::SqliteSink sink;
-};
 
 void bench_isolation(Report& report) {
   if (!report.wants("isolation")) return;
   const Scratch file(report.options().disk, "isolation.db");
-  const auto disturbed = [&] {
-    return fast_p99([&](rtdata::Loop& main) {
-      main.on_error([](const rtdata::ErrorReport&) {});  // that the handler holds the loop
-      Disturbing disturbing;
-      disturbing.handler = main.subscribe("feed", [](const rtdata::EventView& event) {
-        if (event.sequence() % 110 == 0) std::this_thread::sleep_for(std::chrono::milliseconds{100});
-      });
-      disturbing.sink = rtdata::SqliteSink(
-          main, {.path = file.path(), .sink = {.batch_rows = 50, .batch_time = std::chrono::milliseconds{50}}});
-      return disturbing;
-    });
-  };
-  report.add(measure_pair(
-      {.name = "isolation", .unit = "us", .reach = 1.2}, disturbed,
-      [] { return fast_p99([](rtdata::Loop&) { return 0; }); }, 7));
+  add_wanted(report, measure_rounds(
+                         {{.name = "isolation", .unit = "us", .reach = 1.2}},
+                         [&](int) { return isolation_round(file.path()); }, 7));
 }
 
 // ---- recording without loss

@@ -16,8 +16,8 @@ using namespace rtdata;
 
 /// How its reads go.
 struct Reads {
-  Duration take{0};     // on a loop in real time
-  int fail_every = 0;   // 1: all; 0: none
+  Duration take{0};    // on a loop in real time
+  int fail_every = 0;  // 1: all; 0: none
 };
 
 template <class Payload>
