@@ -335,6 +335,7 @@ void Bridge::hear(Announcement& announcement) {
   }
   if (channel->mirror_ != nullptr) {
     if (OriginCore* known = here.find_origin(announcement.name)) {
+      ++here.names_taken_over;
       // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
       for (Bridge* bridge : here.inbound) bridge->take_heard();
       for (Bridge* bridge : here.outbound) bridge->give_up(*known);

@@ -68,7 +68,10 @@ void OriginCore::end_segment(MonotonicTime end) {
 void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
   --counts.in_flight;
   ++counts.failed;
+  const bool is_of_last_segment = due < first_due_;  // a gap lies in one segment
+  if (is_of_last_segment) close_gap();
   extend_gap(Gap::Kind::failed, reason, due, due, 1);
+  if (is_of_last_segment) close_gap();
 }
 
 void OriginCore::fail_tick(std::string_view reason, MonotonicTime due) {

@@ -239,17 +239,40 @@ void RuntimeCore::receive_all() {
 }
 
 std::string RuntimeCore::hear_tiers_out(Duration at_most) {
-  std::string unknown;
   const MonotonicTime end = later(own_loop->now(), at_most);
-  for (TierCore* tier : tiers) {
-    if (!tier->hear_out(std::max(end - own_loop->now(), Duration{0}))) tier->add_unknown(unknown);
-  }
+  std::vector<TierCore*> silent;
+  std::uint64_t known_names = 0;
+  do {
+    receive_all();
+    known_names = names_taken_over;
+    for (TierCore* tier : tiers) tier->ask_account();
+    silent.clear();
+    for (TierCore* tier : tiers) {
+      if (!tier->hear_out(end)) silent.push_back(tier);
+    }
+    // To keep the order of what two tiers publish by one name, more was taken than the tiers had told of: once more.
+  } while (names_taken_over != known_names && own_loop->now() < end);
+  std::string unknown;
+  for (TierCore* tier : silent) tier->add_unknown(unknown);
   return unknown;
 }
 
-void RuntimeCore::AllWanted::set(bool is_all_wanted) noexcept {
-  runtime_.is_all_wanted = is_all_wanted;
+RuntimeCore::Wanted::Wanted(RuntimeCore& runtime, const std::vector<std::string>& patterns)
+    : runtime_(runtime), patterns_(patterns) {
+  runtime_.wanted_.push_back(&patterns_);
   for (const auto& topic : runtime_.topics()) topic->followers_changed();
+}
+
+RuntimeCore::Wanted::~Wanted() {
+  std::erase(runtime_.wanted_, &patterns_);
+  for (const auto& topic : runtime_.topics()) topic->followers_changed();
+}
+
+bool RuntimeCore::is_wanted(std::string_view topic) const noexcept {
+  return std::any_of(wanted_.begin(), wanted_.end(), [&](const std::vector<std::string>* wanted) {
+    return std::any_of(wanted->begin(), wanted->end(),
+                       [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+  });
 }
 
 void RuntimeCore::announce(Announcement announcement) {

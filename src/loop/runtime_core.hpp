@@ -67,6 +67,8 @@ class SensorEntry : public Node {
   /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
   virtual void stop_schedule(MonotonicTime end) = 0;
   virtual bool is_reading() const noexcept = 0;
+  /// A read on the stack, if there is one, is in flight in the account from now on.
+  virtual void count_read_begun() noexcept {}
   /// Nothing when there is nothing to read: the program feeds it.
   virtual std::optional<SensorLoad> load() const { return {}; }
 };
@@ -169,21 +171,22 @@ class RuntimeCore {
   /// The hub's: knows of each tier up to one instant, and of nothing after it. Returns what it cannot know of tiers that
   /// do not answer in time; empty: nothing.
   std::string hear_tiers_out(Duration at_most);
-  /// While one lives, other loops send all that they publish, whether anybody here takes it or not: what they publish after
-  /// they were heard out is there for whoever takes it from then on.
-  class AllWanted {
+  /// While one lives, other loops send what they publish on topics of these patterns, whether anybody here takes it or
+  /// not: what they publish after they were heard out is there for whoever takes it from then on.
+  class Wanted {
    public:
-    explicit AllWanted(RuntimeCore& runtime) noexcept : runtime_(runtime) { set(true); }
-    AllWanted(const AllWanted&) = delete;
-    AllWanted& operator=(const AllWanted&) = delete;
-    ~AllWanted() { set(false); }
+    Wanted(RuntimeCore& runtime, const std::vector<std::string>& patterns);
+    Wanted(const Wanted&) = delete;
+    Wanted& operator=(const Wanted&) = delete;
+    ~Wanted();
 
    private:
-    void set(bool is_all_wanted) noexcept;
     RuntimeCore& runtime_;
+    const std::vector<std::string>& patterns_;
   };
-  bool is_all_wanted = false;
-  bool tiers_were_balanced = true;  ///< those that are gone
+  bool is_wanted(std::string_view topic) const noexcept;
+  std::uint64_t names_taken_over = 0;  ///< that were heard of here, by a loop from another
+  bool tiers_were_balanced = true;     ///< those that are gone
   bool tiers_had_loss = false;
   std::vector<Bridge*> outbound;         ///< from this loop
   std::vector<Bridge*> inbound;          ///< to this loop
@@ -241,6 +244,7 @@ class RuntimeCore {
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:
+  std::vector<const std::vector<std::string>*> wanted_;
   struct Kept {
     Listener* listener;  // whose refusal it is, if it still listens; null: a report
     LoopCore* loop;

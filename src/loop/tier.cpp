@@ -276,30 +276,35 @@ void TierCore::send_last_accounts(Callback<void()> done) {
   main.post(std::move(done));
 }
 
-bool TierCore::hear_out(Duration at_most) {
-  struct Answer {
-    Bridge::Told told{};
-    Latch is_there;
+struct TierCore::Answer {
+  Bridge::Told told{};
+  Latch is_there;
+};
+
+void TierCore::ask_account() {
+  answer_ = std::make_shared<Answer>();
+  const auto tell = [&bridge = bridge_to_main(), answer = answer_] {
+    answer->told = bridge.tell_all();
+    answer->is_there.set();
   };
+  if (loop.core().runs_elsewhere()) {
+    loop.post(tell);
+  } else {
+    tell();
+  }
+}
+
+bool TierCore::hear_out(MonotonicTime end) {
   Bridge& bridge = bridge_to_main();
-  const MonotonicTime end = later(main.now(), at_most);
-  while (true) {
-    const auto answer = std::make_shared<Answer>();
-    if (loop.core().runs_elsewhere()) {
-      loop.post([&bridge, answer] {
-        answer->told = bridge.tell_all();
-        answer->is_there.set();
-      });
-      if (!answer->is_there.wait(std::max(end - main.now(), Duration{0}))) return false;
-    } else {
-      answer->told = bridge.tell_all();
-    }
-    if (answer->told.left == 0) {
-      bridge.receive_up_to(answer->told.position);
+  while (answer_->is_there.wait(std::max(end - main.now(), Duration{0}))) {
+    if (answer_->told.left == 0) {
+      bridge.receive_up_to(answer_->told.position);
       return true;
     }
     bridge.receive();  // there was no room for all
+    ask_account();
   }
+  return false;
 }
 
 void TierCore::add_unknown(std::string& to) {

@@ -41,9 +41,12 @@ class TierCore {
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
   void drain(Duration deadline, Callback<void()> done);
 
-  /// On the main loop: takes what the tier has sent and how all its sensors do up to one instant, and nothing after it.
-  /// False: it did not answer in time.
-  bool hear_out(Duration at_most);
+  // On the main loop, one after the other
+  /// Asks the tier to tell how all its sensors do.
+  void ask_account();
+  /// Takes what the tier has sent up to the instant of which it told then, and nothing after it. False: it did not answer
+  /// by `end`.
+  bool hear_out(MonotonicTime end);
   /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors did
   /// after ... is not known". Texts of several are joined.
   void add_unknown(std::string& to);
@@ -63,6 +66,7 @@ class TierCore {
   std::vector<std::string> warnings;
 
  private:
+  struct Answer;
   void make_bridges();
   Bridge& bridge_to_main() noexcept;
   /// On its thread; `done` on the main loop.
@@ -83,6 +87,7 @@ class TierCore {
   std::atomic<std::uint64_t> answered_{0};
   MonotonicTime asked_at_{};
   bool is_stuck_ = false;
+  std::shared_ptr<Answer> answer_;  // to `ask_account`; shared with the tier, which may be late
   int latency_fd_ = -1;
 };
 

@@ -90,16 +90,19 @@ void SensorNode::begin_schedule() {
 
 void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period()); }
 
+void SensorNode::count_read_begun() noexcept {
+  if (port_ != nullptr && !std::exchange(port_->is_begun_, true)) origin_.begin_read();
+}
+
 void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;
-  if (const Tick* tick = port_ != nullptr ? std::exchange(port_->uncounted_, nullptr) : nullptr) {
-    if (what == EndOf::rate) {
-      origin_.read_at_once(tick->lateness());
-    } else if (port_->published_) {
-      origin_.read_at_once(tick->lateness());
+  count_read_begun();
+  if (port_ != nullptr && what == EndOf::activity) {
+    if (port_->published_) {
+      origin_.end_read(port_->tick_->lateness());
       ++origin_.counts.published;
     } else {
-      origin_.fail_tick(stopped, tick->due);
+      origin_.fail_read(stopped, port_->tick_->due);
     }
   }
   // Ticks that came due and are overdue by more than the tolerance were missed; one that is due just now has not begun.
@@ -241,11 +244,13 @@ bool SensorNode::make_ready(const Tick& tick) {
   }
   port_ = nullptr;
   device_is_open_ = static_cast<bool>(opened);
-  const bool is_counted = port.uncounted_ == nullptr;
-  if (is_counted) ++origin_.counts.repeated;  // as taken, by the change of rate
-  if (opened) return !is_counted;
-  if (!is_counted) origin_.fail_tick(opened.error().id(), tick.due);  // before anybody is told, who may stop it
-  failed(opened.error(), tick.now);
+  if (opened && !port.is_begun_) return true;
+  if (opened) {  // the schedule of this tick may be over
+    origin_.end_read(tick.lateness());
+    ++origin_.counts.repeated;
+    return false;
+  }
+  fail(port, opened.error(), tick);
   return false;
 }
 
@@ -302,17 +307,23 @@ void SensorNode::read_inline(const Tick& tick) {
   }
   if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
   port_ = nullptr;
-  if (port.uncounted_ == nullptr) {  // it changed its rate meanwhile, which has counted it as taken
-    took(sampled == Sampled::failed ? Sampled::nothing_new : sampled, port.published_);
-    return;
+  if (sampled == Sampled::failed) [[unlikely]]
+    return fail(port, *port.error_, tick);
+  if (port.is_begun_) [[unlikely]] {
+    origin_.end_read(tick.lateness());
+  } else {
+    origin_.read_at_once(tick.lateness());
   }
-  if (sampled == Sampled::failed) [[unlikely]] {
-    origin_.fail_tick(port.error_->id(), tick.due);
-    failed(*port.error_, tick.now);
-    return;
-  }
-  origin_.read_at_once(tick.lateness());
   took(sampled, port.published_);
+}
+
+void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
+  if (port.is_begun_) {
+    origin_.fail_read(error.id(), tick.due);
+  } else {
+    origin_.fail_tick(error.id(), tick.due);
+  }
+  failed(error, tick.now);  // only now, since who is told may stop the sensor
 }
 
 void SensorNode::recovered() {

@@ -22,6 +22,7 @@ class SensorNode final : public SourceNode, public RateMember {
   CallbackTimes callback_times() const noexcept override { return times; }
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
+  void count_read_begun() noexcept override;
   std::optional<SensorLoad> load() const override;
 
   void tick(const Tick& tick) override;
@@ -53,6 +54,8 @@ class SensorNode final : public SourceNode, public RateMember {
   void submit(const Tick& tick);
   void took(Sampled sampled, bool published);
   void recovered();
+  /// A read on the loop, or the opening before it, has failed.
+  void fail(const SamplePort& port, const Error& error, const Tick& tick);
   void failed(const Error& error, MonotonicTime now);
   void cancel_transaction();
 

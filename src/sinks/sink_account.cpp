@@ -39,23 +39,21 @@ void SinkAccount::add(OriginCore& origin, const Segment& segment) {
 
 SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, const std::string& unknown) {
   const bool is_last = part == Part::last;
-  Account& account = is_last ? queue_->last_account() : *queue_->free_account();
+  Account& account = queue_->next_account();
   account.at = at;
   account.is_last = is_last;
   account.unknown = unknown;
   account.origins.clear();
-  bool has_more = false;
   if (part != Part::next) next_topic_ = next_origin_ = 0;
-  std::size_t looked_at = 0;
-  for (; next_topic_ < taps_.size() && !has_more; ++next_topic_, next_origin_ = 0) {
+  bool has_more = false;
+  for (std::size_t looked_at = 0; next_topic_ < taps_.size(); ++next_topic_, next_origin_ = 0) {
     SinkTap& tap = *taps_[next_topic_];
-    for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size(); ++next_origin_) {
-      has_more = !is_last && looked_at++ == origins_at_once;
-      if (has_more) break;
+    for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size() && !has_more; ++next_origin_) {
       OriginCore& origin = *origins[next_origin_];
       if (is_last) origin.close_gap();
       const OriginAccount now = tap.account_of(origin, until);
       if (tap.is_news(origin, now) || is_last) account.origins.push_back(now);
+      has_more = !is_last && ++looked_at == origins_at_once;
     }
     if (has_more) break;
   }

@@ -32,10 +32,10 @@ class SinkAccount {
     bool is_something = false;  ///< handed over to the queue
     bool has_more = false;      ///< another part follows
   };
-  /// Whether `tell` may be called: not while all are on their way. There is always room for the last one.
-  bool has_room() { return queue_->free_account() != nullptr; }
-  /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what the last one does not know, and why.
-  Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown = {});
+  /// Whether `tell` may be called: not while too many are on their way. There is always room for the last one.
+  bool has_room() const noexcept { return queue_->has_account(); }
+  /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what is not known, and why; empty: nothing.
+  Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
 
  private:
   SinkTap* find_tap(const OriginCore& origin) const;

@@ -52,12 +52,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
     job_->owner = this;
     // What tiers published before is not this recording's. One that does not answer is not waited for.
-    const RuntimeCore::AllWanted until_all_is_attached(runtime);
+    const RuntimeCore::Wanted until_all_is_attached(runtime, config_.topics);
     const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
-    if (!unknown.empty()) {
-      runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
-      unknown_ = "it began although " + unknown;
-    }
+    if (!unknown.empty()) unknown_ = "it began although " + unknown;
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
@@ -65,6 +62,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     for (const ClockPair& pair : runtime.clock_pairs()) account_.notes.add(pair);
     loop()->schedule().add(*this);
     is_attached_ = true;
+    if (!unknown.empty())
+      runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);  // last: user code
   }
 
   // ---- Recorder
@@ -269,31 +268,30 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   bool tell(SinkAccount::Part part) {
     const Time now = loop()->runtime.event_time(loop()->now());
-    const bool is_last = part == SinkAccount::Part::last;
-    const auto told = account_.tell(part, now, loop()->handled_until(), is_last ? unknown_ : std::string());
+    const auto told = account_.tell(part, now, loop()->handled_until(), unknown_);
     if (told.has_more) next_part_.start(pause_between_parts);
     return told.is_something;
   }
 
   /// Takes no event from here on, and hands over what is left.
   void begin_closing(MonotonicTime deadline) {
-    if (closing_) return;
     RuntimeCore& runtime = loop()->runtime;
-    // What tiers have published and are known to have published is to be the same. Storing needs time, too.
+    if (!is_attached_ || closing_) return;
+    runtime.flush_repeats(RuntimeCore::Repeats::all);
+    if (!is_attached_ || closing_) return;  // a user's handler has closed this sink
+    // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
+    // runs between here and the last account. Storing needs time, too.
     std::string unknown = runtime.unknown_end;
-    if (unknown.empty() && is_attached_)
-      unknown = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
+    if (unknown.empty()) unknown = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
     closing_ = true;
     account_.end();
-    runtime.flush_repeats(RuntimeCore::Repeats::all);  // a user's handler may close this sink: then that does the rest
-    if (!is_attached_) return;
     if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
-    if (is_scheduled()) loop()->schedule().remove(*this);
     next_part_.stop();
     queue_->hand_over();
-    queue_->keep_own_counts();
     tell(SinkAccount::Part::last);
+    queue_->keep_own_counts();
+    if (is_scheduled()) loop()->schedule().remove(*this);
     if (retry_.is_running()) {  // one try at once, then the delays begin anew
       retry_.stop();
       retry_delay_ = Duration{0};

@@ -145,9 +145,8 @@ bool SinkQueue::hand_over() {
   return is_due;
 }
 
-Account* SinkQueue::free_account() {
-  const AccountBox& kept = accounts_[(next_account_ + 1) % account_count];
-  return kept.after_ticket.load(std::memory_order_acquire) == 0 ? &accounts_[next_account_].account : nullptr;
+bool SinkQueue::has_account() const noexcept {
+  return accounts_[(next_account_ + 1) % account_count].after_ticket.load(std::memory_order_acquire) == 0;
 }
 
 void SinkQueue::hand_over_account() {

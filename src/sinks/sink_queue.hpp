@@ -78,10 +78,10 @@ class SinkQueue {
   bool is_batch_due() const noexcept {
     return rows_since_handover_ >= config_.batch_rows || 2 * full_chunks_ >= chunks_.size();
   }
-  /// An account to fill, or null while all are on their way but the one that is kept for the last.
-  Account* free_account();
-  /// For the end: there always is one, since what there is to tell is of now.
-  Account& last_account() { return accounts_[next_account_].account; }
+  /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
+  /// there is to tell cannot wait.
+  bool has_account() const noexcept;
+  Account& next_account() noexcept { return accounts_[next_account_].account; }
   /// Queues it behind all that was handed over before.
   void hand_over_account();
   /// Its number.

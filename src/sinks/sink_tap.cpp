@@ -5,11 +5,14 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/runtime_core.hpp"
+
 namespace rtdata::detail {
 namespace {
 
 /// What was counted from `before` on; what is in flight is so now.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
+  static_assert(sizeof now == 11 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;
   now.taken -= before.taken;
   now.published -= before.published;
@@ -34,6 +37,7 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
       record_bytes_(record_bytes_of(topic.type.size)) {
   for (OriginCore* origin : topic.origins()) {
     origin->close_gap();  // what follows begins another
+    if (origin->sensor != nullptr) origin->sensor->count_read_begun();
     before_.push_back({origin->counts, origin->has_segment() ? origin->segment({}) : Segment{}});
   }
 }

@@ -427,6 +427,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a recording that begins while a tier hangs, which then goes on, is not called complete") {
     const Folder folder;
     const std::string path = folder / "run.db";
+    const std::string killed = folder / "killed.db";
     std::atomic<unsigned> reads{0};
     std::atomic<bool> let_go{false};
     Loop loop;
@@ -439,15 +440,91 @@ TEST_SUITE("sinks") {
       return Climate{};
     });
     CHECK(run_until(loop, [&] { return reads == 20; }));
-    SqliteSink sink(loop, {.path = path});
+    SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
     let_go = true;
-    CHECK(run_until(loop, [&] { return reads >= 100; }));
+    CHECK(run_until(loop, [&] { return reads >= 100 && sink.counts().stored >= 20; }));
+    CHECK(verified(path).verdict() == Verdict::recording);
+    CHECK(verified(path).text().find("it began although tier fast did not come out of sensor a") != std::string::npos);
+    for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, killed + part);
     CHECK(loop.close() == 0);
+    {
+      Loop next;
+      next.runtime().on_log([](const LogRecord&) {});
+      SqliteSink seals(next, {.path = killed});
+    }
+    const VerifyReport sealed = verified(killed);
+    INFO(problems_of(sealed));
+    CHECK(sealed.verdict() == Verdict::sealed);
+    CHECK_FALSE(sealed.runs.at(0).info.lost);
+    CHECK(sealed.runs.at(0).info.remark.find("it began although tier fast") == 0);
+    CHECK(sealed.runs.at(0).info.remark.find("; run 1 ended without closing") != std::string::npos);
     const VerifyReport report = verified(path);
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
     CHECK(report.runs.at(0).info.remark.find("it began although tier fast did not come out of sensor a") == 0);
     CHECK(report.text().find("Its account is not complete") != std::string::npos);
+  }
+
+  TEST_CASE("NFR-1 a tier that hangs costs recordings that begin and end nothing of the account of other tiers") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    std::atomic<bool> hangs{false};
+    std::atomic<bool> let_go{false};
+    Loop loop;
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+    Tier other(loop, {.name = "other", .hold_limit = 60s});
+    Sensor<Climate> there(other.loop(), {.name = "there", .rate = 1_kHz}, [] { return Climate{}; });
+    Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+      hangs = true;
+      while (!let_go) std::this_thread::sleep_for(1ms);
+    });
+    CHECK(run_until(loop, [&] { return hangs.load(); }));
+    SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
+    loop.run_for(50ms);
+    sink.close();
+    let_go = true;
+    const VerifyReport report = verified(path);
+    INFO(problems_of(report));
+    CHECK(report.verdict() == Verdict::sealed);
+    CHECK(report.runs.at(0).info.remark.find("tier fast") != std::string::npos);
+    CHECK(report.runs.at(0).info.remark.find("tier other") == std::string::npos);
+    CHECK(number(path, "SELECT published FROM rtdata_ledger WHERE origin = 'there'") >= 40);
+    CHECK(number(path, "SELECT published - offered FROM rtdata_ledger WHERE origin = 'there'") == 0);
+  }
+
+  TEST_CASE(
+      "US-26 a recording that is opened while a tier takes a name over has all that others publish from then on") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop({.hold_limit = 60s});
+      Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+      Tier busy(loop, {.name = "busy", .hold_limit = 60s});
+      Feed<Climate> feed(busy.loop(), {.name = "feed"});
+      Ticker ticker(busy.loop(), 100us, [&](const Tick&) {
+        for (int i = 0; i < 10; ++i) feed.publish({});
+      });
+      Feed<Climate> moves;
+      loop.run_for(10ms);
+      for (int run = 0; run < 10; ++run) {
+        Feed<Climate>(loop, {.name = "moves"}).close();
+        fast.loop().post([&] {  // while the recording waits for what this tier tells
+          std::this_thread::sleep_for(5ms);
+          moves = Feed<Climate>(fast.loop(), {.name = "moves"});
+        });
+        SqliteSink sink(loop, {.path = path});
+        loop.run_for(3ms);
+        sink.close();
+        fast.call([&](Loop&) { moves.close(); });
+      }
+      CHECK(loop.close() == 0);
+    }
+    const VerifyReport report = verified(path);
+    INFO(problems_of(report));
+    CHECK(report.verdict() == Verdict::balanced);
+    CHECK(report.runs.size() == 10);
   }
 
   TEST_CASE("NFR-1 a tier that hangs costs the other tiers and the main loop nothing of their account") {

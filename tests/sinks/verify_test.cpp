@@ -289,6 +289,94 @@ TEST_CASE("US-26 a read that was under way when the recording began is carried i
   CHECK(has(problems_of(verified(path)), "2 reads were under way when it began, there is at most one."));
 }
 
+TEST_CASE("US-26 a recording that a sensor's own reading function opens, or closes, balances") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  bool is_re_rated = false;
+  bool is_closed = false;
+  bool fails = false;
+  SUBCASE("opened") {}
+  SUBCASE("opened, with a change of rate") { is_re_rated = true; }
+  SUBCASE("opened, and failed") { fails = true; }
+  SUBCASE("opened and closed later, with changes of rate") { is_re_rated = is_closed = true; }
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    SqliteSink sink;
+    int reads = 0;
+    Sensor<Climate> sensor;
+    sensor = Sensor<Climate>(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Result<Climate> {
+      ++reads;
+      if (reads == 5) {
+        loop.manual_clock().pass(5ms);
+        if (is_re_rated) sensor.set_rate(1_kHz);
+        sink = SqliteSink(loop, {.path = path});
+        if (fails) return Error{Errc::io_failed, "no answer", "", "", ""};
+      }
+      if (reads == 50 && is_closed) {
+        sensor.set_rate(10_Hz);
+        sink.close();
+      }
+      return Climate{};
+    });
+    loop.advance(1s);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT carried FROM rtdata_ledger") == 1);
+}
+
+TEST_CASE("US-26 a rate that is changed while a read is under way that fails then divides the gap") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.script_lane_duration(30ms);
+    SqliteSink sink(loop, {.path = path});
+    lane_sensor::LaneSensor<Climate> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1000},
+                                            {.fail_every = 1});
+    loop.advance(205ms);
+    REQUIRE(sensor.counts().in_flight == 1);
+    sensor.set_rate(20_Hz);
+    loop.advance(1s);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE kind = 'failed'") >= 3);
+}
+
+TEST_CASE("US-26 what a handler of errors publishes when a recording is closed is in it") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    Feed<Climate> alarms(loop, {.name = "alarms"});
+    int reports = 0;
+    loop.on_error([&](const ErrorReport&) {
+      ++reports;
+      alarms.publish({});
+    });
+    Sensor<Climate> fails(loop, {.name = "f", .rate = 10_Hz, .faulted_after = 1000}, []() -> Result<Climate> {
+      return Error{Errc::io_failed, "no answer", "", "", ""};
+    });
+    SqliteSink sink(loop, {.path = path});
+    loop.advance(1500ms);  // one report is written, the others are held back
+    const int before = reports;
+    sink.close();
+    CHECK(reports == before + 1);
+    CHECK(loop.close() == 0);
+  }
+  const VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(number(path, "SELECT count(*) FROM alarms") >= 2);
+}
+
 TEST_CASE("US-26 an account of format 3, which counted from the beginning of its sensors, is held to what it says") {
   const Folder folder;
   const std::string path = make(folder);

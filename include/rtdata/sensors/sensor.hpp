@@ -110,11 +110,11 @@ class SamplePort {
 
  private:
   friend class SensorNode;
-  SamplePort(SensorNode& sensor, Time time, const Tick* uncounted)
-      : sensor_(&sensor), time_(time), uncounted_(uncounted) {}
+  SamplePort(SensorNode& sensor, Time time, const Tick* tick) : sensor_(&sensor), time_(time), tick_(tick) {}
   SensorNode* sensor_;
   Time time_;
-  const Tick* uncounted_;  // of a read on the loop: its tick, until it is counted
+  const Tick* tick_;       // of a read on the loop
+  bool is_begun_ = false;  // counted as such; most reads on the loop are counted when they have ended
   bool published_ = false;
   std::optional<Error> error_;
 };

@@ -131,7 +131,7 @@ struct Account {
   };
   Time at{};
   bool is_last = false;                ///< the sink closes: nothing follows
-  std::string unknown = {};            ///< of the last one: what is not in it, and why; empty: it is complete
+  std::string unknown = {};            ///< what no account of this sink has, and why; empty: nothing
   std::vector<OriginAccount> origins;  ///< those that changed; of many, a part
   std::vector<GapEntry> gaps;          ///< closed since the last account
   std::vector<SegmentEntry> segments;  ///< ended since the last account

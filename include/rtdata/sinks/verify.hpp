@@ -31,7 +31,7 @@ namespace rtdata {
 
 enum class Verdict {
   balanced,
-  sealed,        ///< ended without closing; a later start wrote down what was lost, and that agrees
+  sealed,        ///< not closed, and a later start wrote down what was lost, or a tier hung; what is there agrees
   recording,     ///< its process is alive: agrees as far as its last account goes
   unsealed,      ///< its process is gone without closing, and nothing was sealed yet
   not_balanced,  ///< something does not agree

@@ -152,7 +152,7 @@ const std::string& Recording::path() const noexcept { return file_->database.pat
 Result<std::vector<RunInfo>> Recording::runs() const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
-  const std::string format = *version < 4 ? "3" : "format";
+  const std::string format = *version < sqlite::first_version_of_own_account ? "3" : "format";
   return all<RunInfo>(*file_,
                       "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
                       "clock_offset, state, lost, remark, " +
@@ -204,7 +204,7 @@ Result<std::vector<RecordedTopic>> Recording::topics() const {
 Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
-  const std::string carried = *version < 4 ? "0" : "carried";
+  const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "

@@ -16,6 +16,9 @@ namespace rtdata::sqlite {
 inline constexpr int application_id = 0x52544441;  // "RTDA"
 inline constexpr int schema_version = 4;           // PRAGMA user_version
 
+/// Accounts count from the beginning of the recording; before, from that of the sensor.
+inline constexpr int first_version_of_own_account = 4;
+
 inline constexpr const char* schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_run(
   run INTEGER PRIMARY KEY,
@@ -26,9 +29,9 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   started INTEGER NOT NULL,         -- time of the start
   ended INTEGER,                    -- time of the last account
   clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
-  state TEXT NOT NULL,              -- recording, closed, sealed (it ended without closing, or a tier hung: the remark)
+  state TEXT NOT NULL,              -- recording, closed, sealed (not closed, or a tier hung at its beginning or end)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
-  remark TEXT NOT NULL DEFAULT '',  -- of a sealed run: what is known of its end
+  remark TEXT NOT NULL DEFAULT '',  -- what is known of what is not known
   format INTEGER NOT NULL DEFAULT 3 -- the version of this layout in which it was written; before 4 the ledger counted
                                     -- from the beginning of the sensor
 );

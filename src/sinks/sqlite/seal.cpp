@@ -14,6 +14,7 @@ struct OpenRun {
   std::int64_t run;
   std::string uuid;
   std::int64_t ended;
+  std::string remark;  // not empty: its account lacks something anyway
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -144,15 +145,15 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
     if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
       return std::move(sealed).error();
   }
-  std::string remark = "run " + std::to_string(run.run) + " ended without closing at " +
-                       to_iso8601(from_nanoseconds(last_time));
+  std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
+                       " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
   remark += is_known ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
                      : "; what was published after that is unknown";
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
   if (!update) return std::move(update).error();
   update->bind(1, last_time).bind(3, remark).bind(4, run.run);
-  if (is_known) {
+  if (is_known && run.remark.empty()) {
     update->bind(2, lost);
   } else {
     update->bind_null(2);
@@ -166,13 +167,13 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
 Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
   std::vector<OpenRun> open;
   {
-    auto query = database.prepare("SELECT run, uuid, ended FROM rtdata_run WHERE state = 'recording'");
+    auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
     if (!query) return std::move(query).error();
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
       if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2)});
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
     }
   }
   std::vector<std::string> remarks;

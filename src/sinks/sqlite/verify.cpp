@@ -38,6 +38,10 @@ bool is_alive(const RunInfo& run) {
   return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
 }
 
+bool is_account_known(const RunInfo& run) {
+  return run.state == RunState::recording ? run.remark.empty() : run.state == RunState::closed || run.lost.has_value();
+}
+
 void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequence) {
   const auto say = [](std::vector<std::string>& to, std::string text) {
     if (to.size() < most_sentences) to.push_back(std::move(text));
@@ -71,7 +75,7 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
     }
   }
   last_time = time;
-  const bool is_early = time < earliest && !(first_may_be_early && rows + rows_after == 1);
+  const bool is_early = time < earliest && !(is_first_carried && rows + rows_after == 1);
   if (is_early || (time > latest && rowid <= account_ends)) {
     ++outside;
     say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " +
@@ -168,9 +172,10 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.run = info.run;
       if (!is_ended) origin.account_ends = entry.rows_up_to;
       constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
-      origin.earliest = to_nanoseconds(info.started) - tolerance;
+      // A tier that hung when the recording began may have begun something before.
+      if (detail::is_account_known(info)) origin.earliest = to_nanoseconds(info.started) - tolerance;
       if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
-      origin.first_may_be_early = entry.carried != 0;
+      origin.is_first_carried = entry.carried != 0;
     }
     RunReport& run = report.runs.emplace_back();
     run.info = std::move(info);

@@ -4,6 +4,7 @@
 #include <array>
 
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -16,8 +17,6 @@ struct Findings {
   bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
   std::vector<std::string>& open;
 
-  /// Sealed, and not said what was lost: a tier hung, or the machine went down.
-  bool is_account_known() const { return report.info.state != RunState::sealed || report.info.lost.has_value(); }
   void problem(std::string text) const {
     if (report.problems.size() < most_sentences) {
       report.problems.push_back(std::move(text));
@@ -78,9 +77,8 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
                   " more rows are out of order.");
   }
   for (const std::string& sentence : rows.outside_sentences) {
-    // What numbers its own time (a GPS receiver) may well be outside, and what a tier that hung had begun before.
-    const bool is_bound = entry.sensor.has_schedule && found.is_account_known();
-    is_bound ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
+    // What numbers its own time (a GPS receiver) may well be outside.
+    entry.sensor.has_schedule ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
   }
   if (rows.outside > rows.outside_sentences.size()) {
     found.note(place + number(rows.outside - rows.outside_sentences.size()) + " more times lie outside of the run.");
@@ -113,7 +111,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     std::uint64_t explained = entry.dropped() + entry.pruned;
     // What was never committed at the end may be beyond the last sequence of the account.
     if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
-    if (absent < explained || (absent > explained && found.is_account_known())) {
+    if (absent < explained || (absent > explained && is_account_known(found.report.info))) {
       found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " +
                     number(entry.last_sequence) + (absent == 1 ? " is" : " are") + " not there, the ledger says " +
                     number(entry.dropped()) + " dropped" +
@@ -145,7 +143,9 @@ void check_sum(const Findings& found, const std::string& place, Term whole, std:
 }
 
 /// Otherwise from that of the sensor, which may be older.
-bool counts_from_its_beginning(const Findings& found) { return found.report.info.format >= 4; }
+bool counts_from_its_beginning(const Findings& found) {
+  return found.report.info.format >= sqlite::first_version_of_own_account;
+}
 
 void check_account(const Findings& found, const LedgerEntry& entry) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
@@ -222,6 +222,19 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
   }
 }
 
+/// Whether a gap that lies before the schedule is the failure of the read that was under way when the recording began,
+/// with what failed right after it.
+bool is_of_carried(const LedgerEntry& entry, const RecordedGap& gap, const std::vector<const RecordedGap*>& gaps,
+                   const std::vector<const RecordedSegment*>& segments) {
+  if (entry.carried == 0 || &gap != gaps.front() || gap.kind != "failed") return false;
+  if (segments.empty() || gap.last < segments.front()->segment.first_due)
+    return gap.count == 1 && gap.first == gap.last;
+  Segment after = segments.front()->segment;
+  const bool is_one_schedule = after.period.count() > 0 && (after.first_due - gap.first) % after.period == Duration{0};
+  after.end = gap.last;
+  return is_one_schedule && gap.count <= after.computed() + 1;
+}
+
 void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
                 const std::vector<const RecordedGap*>& gaps) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
@@ -245,8 +258,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
         segments.begin(), segments.end(), gap->first,
         [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
     if (after == segments.begin()) {
-      // The failure of the read that was under way when the recording began, and what failed right after it.
-      if (entry.carried != 0 && gap == gaps.front() && gap->kind == "failed") continue;
+      if (is_of_carried(entry, *gap, gaps, segments)) continue;
       found.inexact(place + which + " lies before the schedule.");
       continue;
     }
@@ -303,11 +315,11 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
 /// What is known of the end of a run that was not closed.
 void note_end(const Findings& found) {
   const RunInfo& info = found.report.info;
+  if (!info.remark.empty()) found.note(info.remark);
   if (info.state == RunState::sealed) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
                          : "Its account is not complete: what was lost is not known.");
-    if (!info.remark.empty()) found.note(info.remark);
     if (info.lost && *info.lost != found.report.unsaved) {
       found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) +
                     " not saved.");

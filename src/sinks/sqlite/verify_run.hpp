@@ -26,8 +26,8 @@ struct OriginRows {
   std::int64_t run = 0;
   std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
-  bool first_may_be_early = false;  // its read was under way when the recording began
-  std::uint64_t rows = 0;           // up to account_ends
+  bool is_first_carried = false;  // its read was under way when the recording began
+  std::uint64_t rows = 0;         // up to account_ends
   std::uint64_t rows_after = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;
   std::int64_t last_time = INT64_MIN;
@@ -50,6 +50,9 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
 
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
 Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report);
+
+/// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
+bool is_account_known(const RunInfo& run);
 
 /// Whether the process that records this run is alive on this machine.
 bool is_alive(const RunInfo& run);

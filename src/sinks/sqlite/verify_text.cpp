@@ -20,8 +20,9 @@ std::string conclusion(Verdict verdict) {
     case Verdict::balanced:
       return "balanced: rows, gaps and schedule agree with the account.";
     case Verdict::sealed:
-      return "sealed: a run ended without closing; what is there agrees with the account, and what was lost is written "
-             "down.";
+      return "sealed: a run was not closed, or a tier hung; what is there agrees with the account, and what is known "
+             "of "
+             "the rest is written down.";
     case Verdict::recording:
       return "recording: what is there agrees with the last account; look again when it is closed.";
     case Verdict::unsealed:
