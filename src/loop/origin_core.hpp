@@ -37,11 +37,11 @@ class OriginCore {
     ++counts.scheduled;
     ++counts.in_flight;
   }
-  /// The read begun `lateness` after due has ended well.
-  void end_read(Duration lateness) noexcept {
+  /// A read has ended well. Whether it was late is for who began it to know: `late_after` may be another since.
+  void end_read(bool is_late) noexcept {
     --counts.in_flight;
     ++counts.taken;
-    if (lateness > late_after) ++counts.late;
+    if (is_late) ++counts.late;
     if (gap_is_open_) [[unlikely]]
       close_gap();
   }

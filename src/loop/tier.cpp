@@ -294,16 +294,15 @@ void TierCore::ask_account() {
   }
 }
 
-bool TierCore::hear_out(MonotonicTime end) {
+bool TierCore::hear_out(Duration at_most) {
   Bridge& bridge = bridge_to_main();
-  while (answer_->is_there.wait(std::max(end - main.now(), Duration{0}))) {
-    if (answer_->told.left == 0) {
-      bridge.receive_up_to(answer_->told.position);
-      return true;
-    }
-    bridge.receive();  // there was no room for all
-    ask_account();
+  if (!answer_->is_there.wait(at_most)) return false;
+  if (answer_->told.left == 0) {
+    bridge.receive_up_to(answer_->told.position);
+    return true;
   }
+  bridge.receive();
+  ask_account();
   return false;
 }
 

@@ -44,9 +44,9 @@ class TierCore {
   // On the main loop, one after the other
   /// Asks the tier to tell how all its sensors do.
   void ask_account();
-  /// Takes what the tier has sent up to the instant of which it told then, and nothing after it. False: it did not answer
-  /// by `end`.
-  bool hear_out(MonotonicTime end);
+  /// Takes what the tier has sent up to the instant of which it told then, and nothing after it. False: it has not answered
+  /// yet, or there was no room for all it had to tell, and it was asked again.
+  bool hear_out(Duration at_most);
   /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors did
   /// after ... is not known". Texts of several are joined.
   void add_unknown(std::string& to);

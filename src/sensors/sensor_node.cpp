@@ -70,6 +70,7 @@ void SensorNode::start() {
     if (opened) close_device();
     return;
   }
+  if (is_running()) return;  // started by it
   device_is_open_ = static_cast<bool>(opened);
   begin_schedule();  // before anybody is told, who may stop it
   if (opened) {
@@ -91,7 +92,9 @@ void SensorNode::begin_schedule() {
 void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period()); }
 
 void SensorNode::count_read_begun() noexcept {
-  if (port_ != nullptr && !std::exchange(port_->is_begun_, true)) origin_.begin_read();
+  if (port_ == nullptr || std::exchange(port_->is_begun_, true)) return;
+  port_->is_late_ = port_->tick_->lateness() > origin_.late_after;
+  origin_.begin_read();
 }
 
 void SensorNode::end_schedule(EndOf what) {
@@ -99,7 +102,7 @@ void SensorNode::end_schedule(EndOf what) {
   count_read_begun();
   if (port_ != nullptr && what == EndOf::activity) {
     if (port_->published_) {
-      origin_.end_read(port_->tick_->lateness());
+      origin_.end_read(port_->is_late_);
       ++origin_.counts.published;
     } else {
       origin_.fail_read(stopped, port_->tick_->due);
@@ -186,7 +189,7 @@ void SensorNode::held(Duration took) {
 void SensorNode::cancel_transaction() {
   if (lane_side_ == nullptr || lane_side_->transaction == nullptr) return;
   const auto transaction = std::exchange(lane_side_->transaction, nullptr);
-  if (origin_.counts.in_flight == 0) return;
+  if (port_ != nullptr || origin_.counts.in_flight == 0) return;  // what is in flight is not this
   origin_.fail_read(stopped, transaction->due_);
   transaction->owner_ = nullptr;
   transaction->is_unwanted_.store(true, std::memory_order_relaxed);
@@ -215,7 +218,7 @@ void SensorNode::close_device() noexcept {
   try {
     device_->close();
   } catch (...) {
-    report(thrown("close() threw"));
+    if (is_open()) report(thrown("close() threw"));
   }
 }
 
@@ -238,15 +241,15 @@ bool SensorNode::make_ready(const Tick& tick) {
   SamplePort port(*this, Time{}, &tick);  // the device may stop the sensor, or change its rate, as it may in a read
   port_ = &port;
   const Result<void> opened = open_device();
-  if (port.sensor_ == nullptr) {
-    if (opened) close_device();
+  if (port.sensor_ == nullptr) {  // it was stopped; and if it was started again, opened again
+    if (opened && !device_is_open_) close_device();
     return false;
   }
   port_ = nullptr;
   device_is_open_ = static_cast<bool>(opened);
   if (opened && !port.is_begun_) return true;
   if (opened) {  // the schedule of this tick may be over
-    origin_.end_read(tick.lateness());
+    origin_.end_read(port.is_late_);
     ++origin_.counts.repeated;
     return false;
   }
@@ -310,7 +313,7 @@ void SensorNode::read_inline(const Tick& tick) {
   if (sampled == Sampled::failed) [[unlikely]]
     return fail(port, *port.error_, tick);
   if (port.is_begun_) [[unlikely]] {
-    origin_.end_read(tick.lateness());
+    origin_.end_read(port.is_late_);
   } else {
     origin_.read_at_once(tick.lateness());
   }
@@ -361,6 +364,7 @@ void SensorNode::submit(const Tick& tick) {
     transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
   }
   transaction->due_ = tick.due;
+  transaction->late_after_ = origin_.late_after;
   origin_.begin_read();
   if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
   if (!lane->submit(transaction)) {
@@ -398,7 +402,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
     failed(*port.error_, loop()->now());
     return;
   }
-  origin_.end_read(transaction.began_ - transaction.due_);
+  origin_.end_read(transaction.began_ - transaction.due_ > transaction.late_after_);
   took(sampled, port.published_);
 }
 

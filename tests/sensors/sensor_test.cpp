@@ -3,11 +3,13 @@
 #include <doctest/doctest.h>
 
 #include <functional>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "loop/lane_sensor.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "sensors/fixture.hpp"
@@ -159,6 +161,75 @@ TEST_CASE("US-5 a reading is late beyond the larger of 1 ms and a tenth of the p
   }
 }
 
+TEST_CASE("US-5 a reading is late by the schedule at which it was due, also when the rate changes meanwhile") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  loop.script_lane_duration(3ms);
+  Timer hog(loop, 95ms, [&] { loop.manual_clock().pass(10ms); });  // the tick of 100 ms begins 5 ms late
+  SUBCASE("in the read") {
+    Sensor<Number> sensor;
+    sensor = Sensor<Number>(loop, {.name = "s", .rate = 10_Hz}, [&] {
+      if (loop.now().time_since_epoch() == 105ms) sensor.set_rate(1_kHz);
+      return Number{1};
+    });
+    loop.advance(200ms);
+    CHECK(sensor.counts().taken > 90);
+    CHECK(sensor.counts().late == 0);
+    CHECK(sensor.counts().balances());
+  }
+  SUBCASE("while a lane reads") {
+    lane_sensor::LaneSensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz});
+    Timer changes(loop, 106ms, [&] { sensor.set_rate(1_kHz); });
+    loop.advance(200ms);
+    CHECK(sensor.counts().taken > 20);
+    CHECK(sensor.counts().late == 0);
+    CHECK(sensor.counts().balances());
+  }
+}
+
+TEST_CASE("US-9 the opening of a lane's device that changes the rate and stops the sensor ends one read") {
+  struct Device final : detail::LaneDevice {
+    explicit Device(std::function<Result<void>()> open_) : opens(std::move(open_)) {}
+    struct Read final : detail::Transaction {
+      void transact() noexcept override {}
+    };
+    Result<void> open() override { return opens(); }
+    std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
+    detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
+      return port.fail({Errc::io_failed, "no answer", "", "", ""});
+    }
+    std::string lane_key() const override { return "device"; }
+    Error given_up_error() const override { return {Errc::timed_out, "no answer", "", "", ""}; }
+    std::function<Result<void>()> opens;
+  };
+  struct Made : AnySensor {
+    Made() = default;
+    Made(Loop& loop, std::function<Result<void>()> open)
+        : AnySensor(detail::make_sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1},
+                                        detail::payload_type<Number>(), std::make_unique<Device>(std::move(open)))) {}
+  };
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  int opened = 0;
+  Made sensor;
+  const auto open = [&]() -> Result<void> {
+    if (++opened == 2) {
+      sensor.set_rate(20_Hz);
+      sensor.stop();
+    }
+    return {};
+  };
+  sensor = Made(loop, open);
+  loop.advance(500ms);
+  CHECK(opened == 2);
+  CHECK(sensor.counts().in_flight == 0);
+  CHECK(sensor.counts().failed == sensor.counts().scheduled);
+  sensor.start();
+  loop.advance(500ms);
+  CHECK(sensor.counts().failed > 2);
+  CHECK(loop.runtime().balances());
+}
+
 TEST_CASE("US-9 a sensor may stop, start, close and re-rate itself from within read") {
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
@@ -251,8 +322,8 @@ TEST_CASE("US-9 a sensor that cannot start may be stopped or closed by the handl
   CHECK(loop.runtime().balances());
 }
 
-TEST_CASE("US-9 a device may stop, close or re-rate its sensor while it is opened") {
-  enum class Act { stop, close, rate };
+TEST_CASE("US-9 a device may stop, restart, close or re-rate its sensor while it is opened") {
+  enum class Act { stop, restart, close, rate };
   const auto check = [](Act act, bool at_start) {
     CAPTURE(static_cast<int>(act));
     CAPTURE(at_start);
@@ -264,7 +335,8 @@ TEST_CASE("US-9 a device may stop, close or re-rate its sensor while it is opene
     Sensor<Number> sensor;
     const auto when_opened = [&] {
       if (!std::exchange(acts, false)) return;
-      if (act == Act::stop) sensor.stop();
+      if (act == Act::stop || act == Act::restart) sensor.stop();
+      if (act == Act::restart) sensor.start();
       if (act == Act::close) sensor.close();
       if (act == Act::rate) sensor.set_rate(100_Hz);
     };
@@ -291,12 +363,18 @@ TEST_CASE("US-9 a device may stop, close or re-rate its sensor while it is opene
       CHECK(sensor.health() == Health::ok);
     }
     if (act == Act::stop && !at_start) CHECK_FALSE(sensor.is_running());
+    if (act == Act::restart) {
+      CHECK(sensor.is_running());
+      const std::uint64_t before = sensor.counts().published;
+      loop.advance(100ms);
+      CHECK(sensor.counts().published == before + 1);
+    }
     CHECK(loop.runtime().balances());
     sensor.close();
     CHECK(closed == (at_start ? 1 : 2));  // what was opened is closed
     CHECK(loop.runtime().balances());
   };
-  for (const Act act : {Act::stop, Act::close, Act::rate}) {
+  for (const Act act : {Act::stop, Act::restart, Act::close, Act::rate}) {
     check(act, true);
     check(act, false);
   }

@@ -1,4 +1,5 @@
 // Sensors on tiers, recorded by a sink of the main loop.
+#include <array>
 #include <atomic>
 #include <deque>
 #include <thread>
@@ -474,7 +475,12 @@ TEST_SUITE("sinks") {
     loop.on_error([](const ErrorReport&) {});
     loop.runtime().on_log([](const LogRecord&) {});
     Tier fast(loop, {.name = "fast", .hold_limit = 60s});
-    Tier other(loop, {.name = "other", .hold_limit = 60s});
+    Tier other(loop, {.name = "other", .hold_limit = 60s, .ring_bytes = 4096});
+    std::array<Feed<Climate>, 50> feeds;  // their accounts have no room in the ring all at once
+    for (std::size_t i = 0; i < feeds.size(); ++i)
+      feeds[i] = Feed<Climate>(other.loop(), {.name = "f" + std::to_string(i)});
+    Ticker publishes(other.loop(), 5ms,
+                     [&](const Tick& tick) { feeds[tick.due.time_since_epoch() / 5ms % 50].publish({}); });
     Sensor<Climate> there(other.loop(), {.name = "there", .rate = 1_kHz}, [] { return Climate{}; });
     Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
       hangs = true;

@@ -115,6 +115,7 @@ class SamplePort {
   Time time_;
   const Tick* tick_;       // of a read on the loop
   bool is_begun_ = false;  // counted as such; most reads on the loop are counted when they have ended
+  bool is_late_ = false;   // of one that is begun
   bool published_ = false;
   std::optional<Error> error_;
 };

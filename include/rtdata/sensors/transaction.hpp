@@ -30,6 +30,7 @@ class Transaction : public LaneJob {
   SensorNode* owner_ = nullptr;           // null once the sensor does not want it any more
   std::atomic<bool> is_unwanted_{false};  // the same for the lane's thread, when it was not begun yet
   MonotonicTime due_{};
+  Duration late_after_{0};  // of the schedule at which it was due
   MonotonicTime began_{};
   LoopCore* loop_ = nullptr;  // on manual loops, whose clock it takes; null otherwise
 };

@@ -76,11 +76,12 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
   }
   last_time = time;
   const bool is_early = time < earliest && !(is_first_carried && rows + rows_after == 1);
-  if (is_early || (time > latest && rowid <= account_ends)) {
-    ++outside;
-    say(outside_sentences, "the time of sequence " + std::to_string(sequence) + ", " +
-                               to_iso8601(from_nanoseconds(time)) + ", lies outside of the run");
-  }
+  if (!is_early && (time <= latest || rowid > account_ends)) return;
+  const std::string text = "the time of sequence " + std::to_string(sequence) + ", " +
+                           to_iso8601(from_nanoseconds(time)) + ", lies outside of the run";
+  if (is_early && may_begin_early) return say(early_sentences, text);
+  ++outside;
+  say(outside_sentences, text);
 }
 
 Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
@@ -172,8 +173,8 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.run = info.run;
       if (!is_ended) origin.account_ends = entry.rows_up_to;
       constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
-      // A tier that hung when the recording began may have begun something before.
-      if (detail::is_account_known(info)) origin.earliest = to_nanoseconds(info.started) - tolerance;
+      origin.earliest = to_nanoseconds(info.started) - tolerance;
+      origin.may_begin_early = !detail::is_account_known(info);
       if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
       origin.is_first_carried = entry.carried != 0;
     }

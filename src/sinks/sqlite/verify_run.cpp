@@ -76,6 +76,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     found.problem(place + number(rows.not_ascending + rows.times_back - rows.sentences.size()) +
                   " more rows are out of order.");
   }
+  for (const std::string& sentence : rows.early_sentences) found.note(place + sentence + ".");
   for (const std::string& sentence : rows.outside_sentences) {
     // What numbers its own time (a GPS receiver) may well be outside.
     entry.sensor.has_schedule ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");

@@ -27,6 +27,7 @@ struct OriginRows {
   std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
   bool is_first_carried = false;  // its read was under way when the recording began
+  bool may_begin_early = false;   // so may more of them have been, where a tier hung
   std::uint64_t rows = 0;         // up to account_ends
   std::uint64_t rows_after = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;
@@ -36,6 +37,7 @@ struct OriginRows {
   std::uint64_t not_ascending = 0, times_back = 0, outside = 0;
   std::vector<std::string> sentences;          // about order
   std::vector<std::string> outside_sentences;  // about times outside of the run
+  std::vector<std::string> early_sentences;    // about those before it that may be
 
   void add(std::int64_t rowid, std::int64_t time, std::uint64_t sequence);
 };
