@@ -76,6 +76,13 @@ inline std::string problems_of(const VerifyReport& report) {
   return all;
 }
 
+inline VerifyReport check_balanced(const std::string& path) {
+  VerifyReport report = verified(path);
+  INFO(problems_of(report));
+  CHECK(report.verdict() == Verdict::balanced);
+  return report;
+}
+
 inline Everything full() {
   Everything e = payloads::full();
   e.numbers[1] = std::numeric_limits<float>::infinity();

@@ -11,6 +11,22 @@
 using namespace recordings;
 using namespace std::chrono_literals;
 
+namespace {
+
+/// A reading function whose 20th call does not return until it is let go.
+struct Hanging {
+  Climate read() {
+    if (++reads == 20) {
+      while (!is_let_go) std::this_thread::sleep_for(1ms);
+    }
+    return Climate{};
+  }
+  std::atomic<unsigned> reads{0};
+  std::atomic<bool> is_let_go{false};
+};
+
+}  // namespace
+
 TEST_SUITE("sinks") {
   TEST_CASE("US-26 sensors of two tiers and the main loop in one recording, which balances") {
     const Folder folder;
@@ -39,9 +55,7 @@ TEST_SUITE("sinks") {
       for (const SensorStatus& sensor : loop.runtime().sensors()) published += sensor.counts.published;
       CHECK(sink.counts().stored == published);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM shared") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 4);
     CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") ==
@@ -82,9 +96,7 @@ TEST_SUITE("sinks") {
       CHECK(dropped > 0);
       CHECK(loop.runtime().balances());
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'feed'") ==
           static_cast<std::int64_t>(dropped));
     CHECK(number(path, "SELECT count(*) FROM feed") == static_cast<std::int64_t>(20 * 500 - dropped));
@@ -118,9 +130,7 @@ TEST_SUITE("sinks") {
       loop.close(60s);
       CHECK(loop.runtime().balances());
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= sensors);
   }
 
@@ -157,9 +167,7 @@ TEST_SUITE("sinks") {
       if (how == with_the_loop_at_last && run == 4) CHECK(loop.close() == 0);
       sink.close();
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    const VerifyReport report = check_balanced(path);
     CHECK(report.runs.size() == 5);
     CHECK(number(path, "SELECT count(DISTINCT run) FROM s") == 5);
   }
@@ -218,9 +226,7 @@ TEST_SUITE("sinks") {
       CHECK(run_until(loop, [&] { return reads > 100; }));
       CHECK(loop.close() == 0);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") >= 3);
   }
 
@@ -249,9 +255,7 @@ TEST_SUITE("sinks") {
       dropped = sink.counts().all_dropped();
       CHECK(dropped > 0);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM rtdata_ledger WHERE published = 100") == feeds);
     CHECK(number(path, "SELECT sum(dropped_newest) FROM rtdata_ledger") == static_cast<std::int64_t>(dropped));
     CHECK(number(path, "SELECT count(*) FROM t") == 100 * feeds - static_cast<std::int64_t>(dropped));
@@ -290,9 +294,7 @@ TEST_SUITE("sinks") {
       published = loop.runtime().sensors().at(0).counts.published;
       CHECK(sink.counts().stored == published);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM a") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT max(sequence) FROM a") == static_cast<std::int64_t>(published));
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 8);
@@ -328,9 +330,7 @@ TEST_SUITE("sinks") {
         CHECK(loop.close() == 0);
         CHECK(loop.runtime().balances());
       }
-      const VerifyReport report = verified(path);
-      INFO(problems_of(report));
-      CHECK(report.verdict() == Verdict::balanced);
+      check_balanced(path);
       CHECK(number(path, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'a'") == 100);
       CHECK(number(path, "SELECT count(*) FROM a") == static_cast<std::int64_t>(taken_first + 10));
       CHECK(number(path, "SELECT max(sequence) FROM a") == static_cast<std::int64_t>(taken_first + 110));
@@ -354,29 +354,21 @@ TEST_SUITE("sinks") {
       loop.run_for(50ms);
       CHECK(loop.close() == 0);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    check_balanced(path);
     CHECK(number(path, "SELECT count(*) FROM rtdata_schedule") == 3);
   }
 
   TEST_CASE("NFR-1 a tier whose callback hangs does not keep the recording from being closed") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    std::atomic<bool> let_go{false};
+    Hanging hanging;
     Loop loop;
     std::vector<std::string> told;
     loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     Tier fast(loop, {});
     SqliteSink sink(loop, {.path = path});
-    std::atomic<unsigned> reads{0};
-    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
-      if (++reads == 20) {
-        while (!let_go) std::this_thread::sleep_for(1ms);
-      }
-      return Climate{};
-    });
-    CHECK(run_until(loop, [&] { return reads == 20; }));
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
+    CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
     loop.run_for(20ms);  // what it read before has come
     loop.close(1s);
     CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
@@ -392,31 +384,25 @@ TEST_SUITE("sinks") {
     CHECK(run.ended);
     CHECK_FALSE(run.lost);
     CHECK_FALSE(loop.runtime().balances());
-    let_go = true;
+    hanging.is_let_go = true;
   }
 
   TEST_CASE("NFR-1 a recording opened and closed while a tier hangs is closed in time, and says what is not known") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    std::atomic<unsigned> reads{0};
-    std::atomic<bool> let_go{false};
+    Hanging hanging;
     std::vector<std::string> told;
     Loop loop;
     Tier fast(loop, {.hold_limit = 60s});
-    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
-      if (++reads == 20) {
-        while (!let_go) std::this_thread::sleep_for(1ms);
-      }
-      return Climate{};
-    });
-    CHECK(run_until(loop, [&] { return reads == 20; }));
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
+    CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
     loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
     CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
       return line.find("begins although tier fast did not come out of sensor a: what its sensors did after") == 0;
     }));
     sink.close();
-    let_go = true;
+    hanging.is_let_go = true;
     const VerifyReport report = verified(path);
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
@@ -429,21 +415,15 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     const std::string killed = folder / "killed.db";
-    std::atomic<unsigned> reads{0};
-    std::atomic<bool> let_go{false};
+    Hanging hanging;
     Loop loop;
     loop.on_error([](const ErrorReport&) {});
     Tier fast(loop, {.hold_limit = 60s});
-    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] {
-      if (++reads == 20) {
-        while (!let_go) std::this_thread::sleep_for(1ms);
-      }
-      return Climate{};
-    });
-    CHECK(run_until(loop, [&] { return reads == 20; }));
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
+    CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
     SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
-    let_go = true;
-    CHECK(run_until(loop, [&] { return reads >= 100 && sink.counts().stored >= 20; }));
+    hanging.is_let_go = true;
+    CHECK(run_until(loop, [&] { return hanging.reads >= 100 && sink.counts().stored >= 20; }));
     CHECK(verified(path).verdict() == Verdict::recording);
     CHECK(verified(path).text().find("it began although tier fast did not come out of sensor a") != std::string::npos);
     for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, killed + part);
@@ -527,9 +507,7 @@ TEST_SUITE("sinks") {
       }
       CHECK(loop.close() == 0);
     }
-    const VerifyReport report = verified(path);
-    INFO(problems_of(report));
-    CHECK(report.verdict() == Verdict::balanced);
+    const VerifyReport report = check_balanced(path);
     CHECK(report.runs.size() == 10);
   }
 

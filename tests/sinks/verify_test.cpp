@@ -181,9 +181,7 @@ TEST_CASE("US-26 a recording that began after its sensors, and ended before them
     }
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  const VerifyReport report = check_balanced(path);
   REQUIRE(report.runs.size() == 3);
   for (const RunReport& run : report.runs) {
     CAPTURE(run.info.run);
@@ -221,9 +219,7 @@ TEST_CASE("US-26 a sensor that was silent and stopped before the recording, and 
     loop.advance(50ms);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  const VerifyReport report = check_balanced(path);
   CHECK(report.runs.at(0).scheduled == 6);
 }
 
@@ -244,9 +240,7 @@ TEST_CASE("US-26 the account has no stretch without ticks, which a later one may
     loop.advance(2s);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT count(*) FROM rtdata_schedule WHERE scheduled = 0") == 0);
 }
 
@@ -276,9 +270,7 @@ TEST_CASE("US-26 a read that was under way when the recording began is carried i
     loop.advance(1s);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT carried FROM rtdata_ledger") == 1);
   const std::int64_t scheduled = number(path, "SELECT scheduled FROM rtdata_ledger");
   CHECK(scheduled == (is_re_rated ? 20 : 10));
@@ -322,9 +314,7 @@ TEST_CASE("US-26 a recording that a sensor's own reading function opens, or clos
     loop.advance(1s);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT carried FROM rtdata_ledger") == 1);
 }
 
@@ -344,9 +334,7 @@ TEST_CASE("US-26 a rate that is changed while a read is under way that fails the
     loop.advance(1s);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE kind = 'failed'") >= 3);
 }
 
@@ -371,9 +359,7 @@ TEST_CASE("US-26 what a handler of errors publishes when a recording is closed i
     CHECK(reports == before + 1);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT count(*) FROM alarms") >= 2);
 }
 
@@ -385,9 +371,7 @@ TEST_CASE("US-26 an account of format 3, which counted from the beginning of its
       "missed + 3 WHERE origin = 'room'");
   CHECK(verified(path).verdict() == Verdict::not_balanced);
   make_older(path, 3);
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  const VerifyReport report = check_balanced(path);
   CHECK(has(report.text(), "The recording began after the sensor."));
   CHECK(make(folder) == path);  // recorded into again
   const VerifyReport both = verified(path);
@@ -416,9 +400,7 @@ TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches
     loop.run_for(100ms);
     CHECK(loop.close() == 0);
   }
-  const VerifyReport report = verified(path);
-  INFO(problems_of(report));
-  CHECK(report.verdict() == Verdict::balanced);
+  check_balanced(path);
   CHECK(number(path, "SELECT sum(scheduled) FROM rtdata_schedule") > 90);
 }
 
