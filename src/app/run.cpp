@@ -96,8 +96,9 @@ class Run {
     }
     if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
     System system(loop, registry_, plan);
-    signals_.attach(loop, {[&](const char* signal) { stop(loop, signal); }, [&] { return account_of(runtime).queued; },
-                           [this](const char* signal, std::uint64_t queued) { end_at_once(signal, queued); }});
+    signals_.attach(loop,
+                    {[&](const char* signal) { stop(loop, signal); }, [&] { return account_of(runtime).queued; },
+                     [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
@@ -206,9 +207,11 @@ class Run {
   }
 
   /// On the signals' thread.
-  [[noreturn]] void end_at_once(const char* signal, std::uint64_t queued) {
-    const std::string text = std::string("ended at once by a second ") + signal + ": " + std::to_string(queued) +
-                             " queued events were not stored";
+  [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued) {
+    const std::string
+        text = std::string("ended at once by a second ") + signal + ": " +
+               (queued ? std::to_string(*queued) + " queued events were not stored"
+                       : "how many queued events were not stored is not known, because the loop is held by a callback");
     log_.write(LogLevel::error, "program", text);
     log_.wait_until_written(std::chrono::seconds{1});
     const std::string line = "\nrtdata: " + text + "\n";
@@ -236,7 +239,6 @@ class Run {
   }
 
   void show(const Runtime& runtime, Service& service) {
-    signals_.look();
     if (shows_ % redraws_per_line == 0 && shows_ > 0) (void)service.tell("STATUS=" + progress(account_of(runtime)));
     if (const int failed = log_.counts().last_errno.load(); failed != 0 && !log_failure_told_) {
       log_failure_told_ = true;

@@ -6,7 +6,6 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <condition_variable>
 #include <mutex>
 #include <thread>
@@ -25,13 +24,11 @@ struct StopSignals::State {
   Actions actions;
   const char* pending = nullptr;  // came before there was a loop
   int count = 0;
-  std::atomic<std::uint64_t> last_queued{0};
 
   struct Answer {
     std::mutex mutex;
     std::condition_variable is_there;
-    bool known = false;
-    std::uint64_t queued = 0;
+    std::optional<std::uint64_t> queued;
   };
 
   void run() {
@@ -59,17 +56,16 @@ struct StopSignals::State {
     }
   }
 
-  std::uint64_t ask() {
+  std::optional<std::uint64_t> ask() {
     auto answer = std::make_shared<Answer>();
     loop->post([this, answer] {
       const std::lock_guard lock(answer->mutex);
       answer->queued = actions.queued();
-      answer->known = true;
       answer->is_there.notify_one();
     });
     std::unique_lock lock(answer->mutex);
-    answer->is_there.wait_for(lock, std::chrono::milliseconds{200}, [&] { return answer->known; });
-    return answer->known ? answer->queued : last_queued.load();
+    answer->is_there.wait_for(lock, std::chrono::milliseconds{500}, [&] { return answer->queued.has_value(); });
+    return answer->queued;
   }
 };
 
@@ -107,7 +103,5 @@ void StopSignals::detach() noexcept {
   const std::lock_guard lock(state_->mutex);
   state_->loop = nullptr;
 }
-
-void StopSignals::look() { state_->last_queued.store(state_->actions.queued()); }
 
 }  // namespace rtdata::app

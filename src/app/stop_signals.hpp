@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "rtdata/loop/loop.hpp"
@@ -23,15 +24,12 @@ class StopSignals {
     std::function<void(const char* signal)> first;
     /// On the loop: how many events wait to be stored.
     std::function<std::uint64_t()> queued;
-    /// On the signals' thread. `queued`: as it was now (or, when the loop does not answer, at the last look). Does not
-    /// return.
-    std::function<void(const char* signal, std::uint64_t queued)> second;
+    /// On the signals' thread. `queued`: as it is now; nothing when the loop does not answer. Does not return.
+    std::function<void(const char* signal, std::optional<std::uint64_t> queued)> second;
   };
   /// `loop` must live until `detach`. A signal that came before counts as the first.
   void attach(Loop& loop, Actions actions);
   void detach() noexcept;
-  /// On the loop, now and then.
-  void look();
 
  private:
   struct State;

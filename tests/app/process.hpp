@@ -11,6 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <fstream>
@@ -77,12 +78,26 @@ class Process {
     ::posix_spawn_file_actions_addchdir_np(&actions, folder.path().c_str());
     std::vector<char*> argv;
     arguments.insert(arguments.begin(), program);
-    for (std::string& argument : arguments) argv.push_back(argument.data());
+    for (std::string& argument : arguments) {
+      argv.push_back(argument.data());
+      command_ += (command_.empty() ? "" : " ") + argument;
+    }
     argv.push_back(nullptr);
-    if (::posix_spawn(&pid_, program.c_str(), &actions, nullptr, argv.data(), environ) != 0) pid_ = -1;
+    // Under nohup, too, it hears every signal.
+    posix_spawnattr_t attributes;
+    ::posix_spawnattr_init(&attributes);
+    sigset_t signals;
+    ::sigfillset(&signals);
+    ::posix_spawnattr_setsigdefault(&attributes, &signals);
+    ::sigemptyset(&signals);
+    ::posix_spawnattr_setsigmask(&attributes, &signals);
+    ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETSIGMASK);
+    if (::posix_spawn(&pid_, program.c_str(), &actions, &attributes, argv.data(), environ) != 0) pid_ = -1;
+    ::posix_spawnattr_destroy(&attributes);
     ::posix_spawn_file_actions_destroy(&actions);
     ::close(out_child);
     ::close(err_child);
+    living().push_back(this);
   }
   Process(const Process&) = delete;
   Process& operator=(const Process&) = delete;
@@ -93,6 +108,15 @@ class Process {
     }
     ::close(out_);
     ::close(err_);
+    std::erase(living(), this);
+  }
+
+  /// What those that live have written so far: shown with a check that fails.
+  static std::string all_output() {
+    std::string text;
+    for (const Process* one : living())
+      text += one->command_ + "\n--- stdout\n" + one->out + "--- stderr\n" + one->err + "---\n";
+    return text;
   }
 
   void signal(int number) const {
@@ -144,6 +168,12 @@ class Process {
   }
 
   std::chrono::steady_clock::time_point limit_ = std::chrono::steady_clock::now() + std::chrono::seconds{60};
+  static std::vector<Process*>& living() {
+    static std::vector<Process*> processes;
+    return processes;
+  }
+
+  std::string command_;
   pid_t pid_ = -1;
   int out_ = -1;
   int err_ = -1;

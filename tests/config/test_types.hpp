@@ -35,7 +35,7 @@ struct CounterConfig {
     return parameter_list(
         parameter("first", &CounterConfig::first, "where it begins"),
         parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
-        parameter("hang_at", &CounterConfig::hang_at, "the reading that never returns; 0: none"),
+        parameter("hang_at", &CounterConfig::hang_at, "the reading that never returns, and says so on stderr; 0: none"),
         parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
   }
   friend ReadTime read_time(const CounterConfig& config) {
@@ -48,7 +48,10 @@ struct Counter {
   std::uint64_t count = 0;
   Result<Count> read() {
     const std::uint64_t number = config.first + count++;
-    while (config.hang_at != 0 && count >= config.hang_at) ::pause();
+    if (config.hang_at != 0 && count >= config.hang_at) {
+      [[maybe_unused]] const ssize_t size = ::write(STDERR_FILENO, "it hangs now\n", 13);
+      for (;;) ::pause();
+    }
     if (config.hold.count() > 0) {
       timespec wait{config.hold.count() / 1'000'000'000, config.hold.count() % 1'000'000'000};
       ::nanosleep(&wait, nullptr);  // the tests that ask for it want a loop that is held
