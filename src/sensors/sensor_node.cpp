@@ -64,10 +64,11 @@ void SensorNode::start() {
     rare_->retry_at = {};
   }
   if (device_is_open_) return begin_schedule();
+  LoopCore& on = *loop();
   const Result<void> opened = open_device();
   if (!opened && settings().is_required) throw SetupError(opened.error());
   if (!is_open()) {  // closed by its own device
-    if (opened) close_device();
+    if (opened) close_device(on);
     return;
   }
   if (is_running()) return;  // started by it
@@ -133,7 +134,7 @@ void SensorNode::stop() {
   if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
   origin_.close_gap();
   origin_.topic.cancel(origin_);
-  if (std::exchange(device_is_open_, false)) close_device();
+  if (std::exchange(device_is_open_, false)) close_device(*loop());
 }
 
 void SensorNode::set_rate(Rate rate) {
@@ -214,11 +215,13 @@ Result<void> SensorNode::open_device() noexcept {
   }
 }
 
-void SensorNode::close_device() noexcept {
+void SensorNode::close_device(LoopCore& on) noexcept {
   try {
     device_->close();
   } catch (...) {
-    if (is_open()) report(thrown("close() threw"));
+    const Error error = thrown("close() threw");
+    if (is_open()) return report(error);
+    on.runtime.report(&on, object_name(), error);
   }
 }
 
@@ -240,9 +243,10 @@ bool SensorNode::make_ready(const Tick& tick) {
   if (device_is_open_) return true;
   SamplePort port(*this, Time{}, &tick);  // the device may stop the sensor, or change its rate, as it may in a read
   port_ = &port;
+  LoopCore& on = *loop();
   const Result<void> opened = open_device();
   if (port.sensor_ == nullptr) {  // it was stopped; and if it was started again, opened again
-    if (opened && !device_is_open_) close_device();
+    if (opened && !device_is_open_) close_device(on);
     return false;
   }
   port_ = nullptr;
@@ -344,7 +348,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
                                                        : std::min(2 * state.retry_delay, state.retry_longest);
     state.retry_at = now + with_jitter(state.retry_delay, origin_.name, failures_);
-    if (std::exchange(device_is_open_, false)) close_device();
+    if (std::exchange(device_is_open_, false)) close_device(*loop());
   }
   report(error);
   if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);

@@ -42,7 +42,8 @@ class SensorNode final : public SourceNode, public RateMember {
   /// Opens the device again, or reads it again, when its time has come. False: the tick at which it may not is counted.
   bool make_ready(const Tick& tick);
   Result<void> open_device() noexcept;
-  void close_device() noexcept;
+  /// `on`: told when the sensor is closed already.
+  void close_device(LoopCore& on) noexcept;
   /// The error of the exception that is being handled.
   Error thrown(const char* what) const;
   void begin_schedule();

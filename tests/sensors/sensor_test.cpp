@@ -397,6 +397,41 @@ TEST_CASE("US-27 a device whose close throws is closed, and told of") {
   CHECK(errors[0].find("stuck") != std::string::npos);
 }
 
+TEST_CASE("US-27 a device whose close throws when its sensor is closed, or closes it while it is opened, is told of") {
+  for (const bool while_opened : {false, true}) {
+    Loop loop{Loop::Manual{}};
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    struct Device {
+      Sensor<Number>& sensor;
+      const bool& closes;
+      Result<void> open() {
+        if (closes) sensor.close();
+        return {};
+      }
+      Number read() { return {1}; }
+      void close() { throw std::runtime_error("stuck"); }
+    };
+    Sensor<Number> sensor;
+    bool closes = false;
+    sensor = Sensor<Number>(loop, {.name = "s", .rate = 10_Hz}, Device{sensor, closes});
+    loop.advance(1s);
+    if (while_opened) {
+      sensor.stop();
+      loop.advance(2s);  // the same error within a second would be joined to it
+      errors.clear();
+      closes = true;
+      sensor.start();
+      CHECK_FALSE(sensor.is_open());
+    }
+    sensor.close();
+    REQUIRE_MESSAGE(errors.size() == 1, while_opened);
+    CHECK(errors[0].find("close() threw") != std::string::npos);
+    CHECK(errors[0].find("stuck") != std::string::npos);
+    CHECK(loop.runtime().balances());
+  }
+}
+
 TEST_CASE("US-27 a handler of errors may set another in its own place, or none") {
   Loop loop{Loop::Manual{}};
   std::vector<std::string> log;

@@ -411,6 +411,34 @@ TEST_SUITE("sinks") {
     CHECK(remark.find("; tier fast did not come out of sensor a: what its sensors did") != std::string::npos);
   }
 
+  TEST_CASE("NFR-1 a handler of log records that throws keeps no recording from beginning while a tier hangs") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    Hanging hanging;
+    unsigned told = 0;
+    std::vector<std::string> errors;
+    Loop loop;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    Tier fast(loop, {.hold_limit = 60s});
+    Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
+    CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
+    loop.runtime().on_log([&](const LogRecord&) {
+      ++told;
+      throw std::runtime_error("the log is full");
+    });
+    SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
+    CHECK(told > 0);
+    CHECK(std::any_of(errors.begin(), errors.end(),
+                      [](const std::string& error) { return error.find("the log is full") != std::string::npos; }));
+    loop.runtime().on_log(nullptr);
+    hanging.is_let_go = true;
+    CHECK(run_until(loop, [&] { return hanging.reads >= 100 && sink.counts().stored >= 20; }));
+    CHECK(loop.close() == 0);
+    const VerifyReport report = verified(path);
+    INFO(problems_of(report));
+    CHECK(report.verdict() == Verdict::sealed);
+  }
+
   TEST_CASE("NFR-1 a recording that begins while a tier hangs, which then goes on, is not called complete") {
     const Folder folder;
     const std::string path = folder / "run.db";
