@@ -1,0 +1,217 @@
+#include <stdlib.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#ifdef RTDATA_WITH_SQLITE
+#include <sqlite3.h>
+
+#include "rtdata/sinks/sqlite.hpp"
+#endif
+#include "app/bench_measure.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using SteadyClock = std::chrono::steady_clock;
+
+double seconds_of(Duration duration) { return std::chrono::duration<double>(duration).count(); }
+
+struct BenchSample {
+  double a = 0, b = 0, c = 0, d = 0;
+  RTDATA_FIELDS(BenchSample, (a, "V"), (b, "V"), (c, "V"), (d, "V"))
+};
+
+/// Batches of events are handed over while another program may have the processor: that is no fault to tell of.
+const Loop::Config unwatched{.hold_limit = std::chrono::hours{1}};
+
+}  // namespace
+
+double measure_topic(Duration duration) {
+  Loop loop(unwatched);
+  const auto topic = loop.topic<BenchSample>("bench");
+  double sum = 0;
+  std::uint64_t seen = 0;
+  const auto subscription = topic.subscribe(loop, [&](const Event<BenchSample>& event) {
+    sum += event->a;
+    ++seen;
+  });
+  const auto begin = SteadyClock::now();
+  const auto end = begin + duration;
+  while (SteadyClock::now() < end) {
+    stop_if_interrupted();
+    for (int i = 0; i < 500; ++i) topic.publish({static_cast<double>(i), 1, 2, 3});
+    loop.poll();
+  }
+  const double result = static_cast<double>(seen) / seconds_of(SteadyClock::now() - begin);
+  return sum > 0 ? result : 0;
+}
+
+double measure_bare_ring(Duration duration) {
+  std::vector<Event<BenchSample>> ring(1024);
+  double sum = 0;
+  std::uint64_t seen = 0;
+  Callback<void(const Event<BenchSample>&)> handler = [&](const Event<BenchSample>& event) {
+    sum += event->a;
+    ++seen;
+  };
+  SystemClock clock;
+  const auto begin = SteadyClock::now();
+  const auto end = begin + duration;
+  while (SteadyClock::now() < end) {
+    stop_if_interrupted();
+    for (std::size_t i = 0; i < 500; ++i) {
+      Event<BenchSample>& event = ring[i];
+      event.time = Time{clock.monotonic().time_since_epoch()};
+      event.sequence = seen + i;
+      event.data = {static_cast<double>(i), 1, 2, 3};
+    }
+    for (std::size_t i = 0; i < 500; ++i) handler(ring[i]);
+  }
+  const double result = static_cast<double>(seen) / seconds_of(SteadyClock::now() - begin);
+  return sum > 0 ? result : 0;
+}
+
+#ifdef RTDATA_WITH_SQLITE
+namespace {
+
+/// A folder of its own, removed at the end.
+class TemporaryFolder {
+ public:
+  explicit TemporaryFolder(const std::string& parent) : path_(parent + "/rtdata-bench-XXXXXX") {
+    if (::mkdtemp(path_.data()) == nullptr) {
+      throw SetupError(system_error(errno, "cannot make a folder for the recording", parent));
+    }
+  }
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  ~TemporaryFolder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+};
+
+constexpr std::size_t rows_per_commit = 500;
+
+Json stored_json(double rows_per_second, std::vector<double>& commits) {
+  std::sort(commits.begin(), commits.end());
+  const auto at = [&](double fraction) {
+    if (commits.empty()) return Json();
+    return Json(commits[static_cast<std::size_t>(fraction * static_cast<double>(commits.size() - 1))] * 1e9);
+  };
+  return {{"rows_per_s", rows_per_second},
+          {"commits", commits.size()},
+          {"commit_p50_ns", at(0.5)},
+          {"commit_p99_ns", at(0.99)},
+          {"commit_max_ns", at(1)}};
+}
+
+/// Rows as fast as the sink takes them; then single batches, from handing over to the news that they are stored.
+Json measure_sink(const std::string& folder, Duration duration) {
+  Loop loop(unwatched);
+  std::string failed;
+  loop.on_error([&](const ErrorReport& report) { failed = report.error.text(); });
+  SqliteConfig config{.path = folder + "/rtdata.db"};
+  config.sink.batch_rows = rows_per_commit;
+  SqliteSink sink(loop, config);
+  const auto topic = loop.topic<BenchSample>("bench");
+  const auto publish = [&](std::size_t rows) {
+    for (std::size_t i = 0; i < rows; ++i) topic.publish({static_cast<double>(i), 1, 2, 3});
+  };
+  const auto wait_until_at_most = [&](std::uint64_t queued) {
+    while (sink.counts().queued > queued && failed.empty()) {
+      stop_if_interrupted();
+      loop.run_for(std::chrono::microseconds{100});
+    }
+  };
+  constexpr std::uint64_t waiting = 20 * rows_per_commit;
+  const auto begin = SteadyClock::now();
+  while (SteadyClock::now() - begin < duration * 2 / 3 && failed.empty()) {
+    publish(rows_per_commit);
+    loop.poll();
+    wait_until_at_most(waiting);
+  }
+  sink.flush();
+  wait_until_at_most(0);
+  const auto counts = sink.counts();
+  const double rows_per_second = static_cast<double>(counts.stored) / seconds_of(SteadyClock::now() - begin);
+  std::vector<double> commits;
+  const auto begin_single = SteadyClock::now();
+  while (SteadyClock::now() - begin_single < duration / 3 && failed.empty()) {
+    const auto from = SteadyClock::now();
+    publish(rows_per_commit);
+    sink.flush();
+    wait_until_at_most(0);
+    commits.push_back(seconds_of(SteadyClock::now() - from));
+  }
+  const std::uint64_t lost = loop.close();
+  Json json = stored_json(rows_per_second, commits);
+  json["dropped"] = counts.all_dropped() + lost;
+  if (!failed.empty()) json["error"] = failed;
+  return json;
+}
+
+/// The same columns by SQLite alone, on this thread: prepared, WAL, synchronous=NORMAL, as many rows a transaction.
+Json measure_bare_sqlite(const std::string& folder, Duration duration) {
+  sqlite3* database = nullptr;
+  if (::sqlite3_open((folder + "/bare.db").c_str(), &database) != SQLITE_OK) {
+    ::sqlite3_close(database);
+    return {{"error", "cannot open the database"}};
+  }
+  const auto execute = [&](const char* sql) {
+    return ::sqlite3_exec(database, sql, nullptr, nullptr, nullptr) == SQLITE_OK;
+  };
+  bool works = execute("PRAGMA journal_mode=WAL") && execute("PRAGMA synchronous=NORMAL") &&
+               execute(
+                   "CREATE TABLE bench(run INTEGER, time INTEGER, origin INTEGER, sequence INTEGER, a REAL, b REAL, c "
+                   "REAL, d REAL)");
+  sqlite3_stmt* insert = nullptr;
+  works = works && ::sqlite3_prepare_v2(database, "INSERT INTO bench VALUES(?,?,?,?,?,?,?,?)", -1, &insert, nullptr) ==
+                       SQLITE_OK;
+  std::vector<double> commits;
+  std::int64_t rows = 0;
+  const auto begin = SteadyClock::now();
+  while (works && SteadyClock::now() - begin < duration) {
+    stop_if_interrupted();
+    const auto from = SteadyClock::now();
+    works = execute("BEGIN");
+    for (std::size_t i = 0; works && i < rows_per_commit; ++i) {
+      ::sqlite3_bind_int64(insert, 1, 1);
+      ::sqlite3_bind_int64(insert, 2, from.time_since_epoch().count());
+      ::sqlite3_bind_int64(insert, 3, 1);
+      ::sqlite3_bind_int64(insert, 4, ++rows);
+      for (int column = 5; column <= 8; ++column) ::sqlite3_bind_double(insert, column, static_cast<double>(i));
+      works = ::sqlite3_step(insert) == SQLITE_DONE;
+      ::sqlite3_reset(insert);
+    }
+    works = works && execute("COMMIT");
+    commits.push_back(seconds_of(SteadyClock::now() - from));
+  }
+  const double rows_per_second = static_cast<double>(rows) / seconds_of(SteadyClock::now() - begin);
+  ::sqlite3_finalize(insert);
+  ::sqlite3_close(database);
+  Json json = stored_json(rows_per_second, commits);
+  if (!works) json["error"] = "a statement failed";
+  return json;
+}
+
+}  // namespace
+
+nlohmann::ordered_json measure_storage(const std::string& parent, Duration duration) {
+  const TemporaryFolder folder(parent);
+  Json json{{"folder", parent}};
+  json["rtdata"] = measure_sink(folder.path(), duration / 2);
+  json["limit"] = measure_bare_sqlite(folder.path(), duration / 2);
+  return json;
+}
+#endif
+
+}  // namespace rtdata::app
