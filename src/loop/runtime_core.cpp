@@ -396,8 +396,10 @@ bool Runtime::has_loss() const {
   for (const SinkStatus& sink : sinks()) {
     if (sink.counts.all_dropped() > 0) return true;
   }
-  for (const auto& topic : core_->topics()) {
-    if (topic->subscription_counts().dropped > 0) return true;
+  if (core_->hub != nullptr) {
+    for (const auto& topic : core_->topics()) {
+      if (topic->subscription_counts().dropped > 0) return true;
+    }
   }
   return core_->tiers_had_loss || std::any_of(core_->tiers.begin(), core_->tiers.end(),
                                               [](const detail::TierCore* tier) { return tier->has_loss(); });

@@ -249,10 +249,8 @@ TEST_SUITE("loop") {
     std::vector<double> seen;
     const auto subscription = topic.subscribe(loop, [&](const Event<Number>& e) { seen.push_back(e->value); });
     const auto other = topic.subscribe(loop, [](const Event<Number>&) {});
-    CHECK_FALSE(runtime.has_loss());
     for (int i = 0; i < 20; ++i) topic.publish({static_cast<double>(i), 0});
     loop.poll();
-    CHECK(runtime.has_loss());
     CHECK(seen == std::vector<double>{0, 1, 2, 3, 4, 5, 6, 7});
     CHECK(subscription.counts().dropped == 12);
     CHECK(other.counts().dropped == 12);

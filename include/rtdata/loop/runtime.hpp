@@ -125,8 +125,8 @@ class Runtime {
   /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed. Here and in the next,
   /// a tier that runs counts as it was when the main loop was drained last.
   bool balances() const;
-  /// Something was missed, failed or lost, dropped by a sink or for a subscription, or could not be taken from a tier,
-  /// which was reported.
+  /// Something was missed, failed or lost, dropped by a sink or for a subscription on a tier, or could not be taken
+  /// from a tier, which was reported.
   bool has_loss() const;
 
   detail::RuntimeCore& core() noexcept { return *core_; }
