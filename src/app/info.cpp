@@ -45,6 +45,7 @@ std::string padded(std::string text, std::size_t width) {
 /// At most 80 columns unless numbers are very large; a long name has a line of its own.
 void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
   constexpr std::size_t name_width = 17;
+  bool is_complete = true;
   out << "  topic               rows     Hz wanted late p50     p99     max missed dropped\n";
   for (const TopicSummary& topic : topics) {
     std::string name = "  " + topic.topic;
@@ -53,22 +54,26 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
       name.clear();
     }
     name.resize(name_width, ' ');
+    is_complete = is_complete && topic.is_complete;
+    const auto count_of = [&](std::uint64_t count) { return std::to_string(count) + (topic.is_complete ? "" : "+"); };
     const auto late = [&](Duration duration) {
       return topic.has_lateness ? short_duration(duration) : std::string("-");
     };
-    out << name << padded(std::to_string(topic.rows), 9) << padded(hertz(topic.reached_hertz), 7)
+    out << name << padded(std::to_string(topic.rows), 9)
+        << padded(" " + (topic.reached_hertz > 0 ? hertz(topic.reached_hertz) : "-"), 7)
         << padded(topic.wanted_hertz > 0 ? hertz(topic.wanted_hertz) : "-", 7) << padded(late(topic.lateness_p50), 9)
         << padded(late(topic.lateness_p99), 8) << padded(late(topic.lateness_max), 8)
-        << padded(std::to_string(topic.missed), 7) << padded(std::to_string(topic.dropped), 8) << "\n";
+        << padded(count_of(topic.missed), 7) << padded(count_of(topic.dropped), 8) << "\n";
     std::string losses;
     const auto add = [&](std::uint64_t count, const char* what) {
-      if (count != 0) losses += (losses.empty() ? "" : ", ") + std::to_string(count) + " " + what;
+      if (count != 0) losses += (losses.empty() ? "" : ", ") + count_of(count) + " " + what;
     };
     add(topic.failed, "failed");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
     if (!losses.empty()) out << "    " << losses << "\n";
   }
+  if (!is_complete) out << "  +: up to the last account; the run was not closed, `rtdata verify` says what is known\n";
 }
 
 void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
@@ -112,7 +117,10 @@ Json json_of(const TopicSummary& topic) {
             {"missed", topic.missed},
             {"failed", topic.failed},
             {"dropped", topic.dropped},
-            {"late", topic.late}};
+            {"late", topic.late},
+            {"is_complete", topic.is_complete}};
+  if (!(topic.wanted_hertz > 0)) json["wanted_hz"] = Json();
+  if (!(topic.reached_hertz > 0)) json["reached_hz"] = Json();
   json["lost"] = topic.lost ? Json(*topic.lost) : Json();
   const auto lateness = [&](Duration value) { return topic.has_lateness ? Json(value.count()) : Json(); };
   json["lateness_p50_ns"] = lateness(topic.lateness_p50);

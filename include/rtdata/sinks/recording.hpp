@@ -223,12 +223,14 @@ struct TopicSummary {
   std::string topic;
   std::size_t origins = 0;
   std::uint64_t rows = 0;
-  double wanted_hertz = 0;   ///< from the schedule, summed over the origins; 0: no schedule
-  double reached_hertz = 0;  ///< rows in the scheduled time; without a schedule, in the run
+  double wanted_hertz = 0;  ///< from the schedule, summed over the origins; 0: no schedule
+  /// Rows in the scheduled time, as far as it is accounted for; without a schedule, in the run. 0: not known.
+  double reached_hertz = 0;
   /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
   std::uint64_t missed = 0, failed = 0, dropped = 0, late = 0;
+  bool is_complete = false;           ///< those counts are of the whole run: it was closed; else up to its last account
   std::optional<std::uint64_t> lost;  ///< none: the sources number nothing
   std::optional<Time> first, last;    ///< none without rows
 };

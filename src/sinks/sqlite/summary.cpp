@@ -54,7 +54,9 @@ class Histogram {
 struct OriginTimes {
   std::vector<Segment> segments;
   std::size_t current = 0;
-  std::uint64_t rows = 0;
+  std::int64_t rows_up_to = 0;  // of its last account
+  std::uint64_t rows = 0, accounted_rows = 0;
+  Time first = Time::max(), last = Time::min();
 
   /// The segment that a time belongs to, or null. Times ascend, so it is mostly that of the time before.
   const Segment* segment_of(Time time) {
@@ -77,7 +79,7 @@ struct TopicTimes {
 };
 
 Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
-  auto statement = file.prepare("SELECT t.time, t.origin FROM " + sqlite::quoted(topic.table) +
+  auto statement = file.prepare("SELECT t.time, t.origin, t.rowid FROM " + sqlite::quoted(topic.table) +
                                 " t WHERE t.run = ? ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
   statement->bind(1, run);
@@ -95,8 +97,11 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
       current = &found->second;
       name = found->first;
     }
-    ++current->rows;
     const Time time = from_nanoseconds(ns);
+    ++current->rows;
+    if (statement->integer(2) <= current->rows_up_to) ++current->accounted_rows;
+    current->first = std::min(current->first, time);
+    current->last = std::max(current->last, time);
     TopicSummary& summary = into.summary;
     ++summary.rows;
     if (!summary.first || time < *summary.first) summary.first = time;
@@ -107,7 +112,7 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
   }
 }
 
-/// `length`: of the run.
+/// `length`: of the run, when it was closed.
 void add_rates(TopicTimes& topic, Duration length) {
   for (const auto& [name, origin] : topic.origins) {
     double seconds = 0, ticks = 0;
@@ -117,9 +122,12 @@ void add_rates(TopicTimes& topic, Duration length) {
     }
     if (seconds > 0) {
       topic.summary.wanted_hertz += ticks / seconds;
-      topic.summary.reached_hertz += static_cast<double>(origin.rows) / seconds;
+      topic.summary.reached_hertz += static_cast<double>(origin.accounted_rows) / seconds;
     } else if (length.count() > 0) {
       topic.summary.reached_hertz += static_cast<double>(origin.rows) * 1e9 / static_cast<double>(length.count());
+    } else if (origin.last > origin.first) {
+      topic.summary.reached_hertz += static_cast<double>(origin.rows - 1) * 1e9 /
+                                     static_cast<double>((origin.last - origin.first).count());
     }
   }
 }
@@ -138,13 +146,16 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
   auto runs = recording.runs();
   if (!runs) return std::move(runs).error();
   Duration length{0};
+  bool is_complete = false;
   for (const RunInfo& info : *runs) {
-    if (info.run == run && info.ended) length = *info.ended - info.started;
+    if (info.run != run || info.state != RunState::closed) continue;
+    is_complete = true;
+    if (info.ended) length = *info.ended - info.started;
   }
   std::map<std::string, TopicTimes> topics;
   for (const LedgerEntry& entry : *ledger) {
     TopicTimes& topic = topics[entry.topic];
-    topic.origins[entry.origin];
+    topic.origins[entry.origin].rows_up_to = entry.rows_up_to;
     TopicSummary& sum = topic.summary;
     sum.missed += entry.sensor.missed;
     sum.failed += entry.sensor.failed;
@@ -164,6 +175,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     TopicSummary& sum = topic.summary;
     sum.topic = name;
     sum.origins = topic.origins.size();
+    sum.is_complete = is_complete;
     add_rates(topic, length);
     if (topic.lateness.total() != 0) {
       sum.has_lateness = true;
