@@ -120,7 +120,8 @@ class Run {
         loop.run();
       }
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
-      loop.close(deadline);
+      is_closing_ = true;
+      not_stored_ = loop.close(deadline);
     }
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
@@ -201,6 +202,11 @@ class Run {
   }
 
   void stop(Loop& loop, const char* signal) {
+    if (is_closing_) {  // stopping the loop would end that
+      say(LogLevel::info, "program",
+          std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+      return;
+    }
     say(LogLevel::info, "program",
         std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
     loop.stop();
@@ -273,15 +279,17 @@ class Run {
     const std::string verdict = std::string(balances          ? "ledger balances"
                                             : unknown.empty() ? "ledger does NOT balance"
                                                               : "the account is NOT complete: " + unknown) +
+                                (not_stored_ > 0 ? "; " + std::to_string(not_stored_) + " events were NOT stored"
+                                                 : "") +
                                 (has_loss ? "; something was lost: " : ": ") + progress(account);
-    log_.write(balances ? LogLevel::info : LogLevel::error, "program", verdict);
+    log_.write(balances && not_stored_ == 0 ? LogLevel::info : LogLevel::error, "program", verdict);
     if (options_.talk == Talk::normal) {
       const std::string text = summary(account, paths) + "\n" + verdict + "\n";
       (uses_stdout ? messages_ : terminal()).write(text);
     } else if (!balances) {
       messages_.write("rtdata: error: " + verdict + "\n");
     }
-    if (!balances) return exit_other;
+    if (!balances || not_stored_ > 0) return exit_other;
     return has_loss && options_.on_loss == OnLoss::fail ? exit_loss : exit_good;
   }
 
@@ -295,6 +303,8 @@ class Run {
   std::atomic<bool> view_is_shown_{false};
   std::string note_;
   unsigned shows_ = 0;
+  bool is_closing_ = false;
+  std::uint64_t not_stored_ = 0;  // when it ended: they are lost
   bool log_failure_told_ = false;
 };
 
