@@ -184,14 +184,14 @@ bool Bridge::send(const Note& note) noexcept {
 
 void Bridge::on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) {
   if (!is_to_main_) return;
-  to_.post([&to = to_, time, object = std::string(object), error, count] {
+  from_.runtime.tell_hub([&to = to_, time, object = std::string(object), error, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_error(time, object, error, count);
   });
 }
 
 void Bridge::on_health(Time time, const HealthChange& change) {
   if (!is_to_main_) return;
-  to_.post([&to = to_, time, change] {
+  from_.runtime.tell_hub([&to = to_, time, change] {
     for (Listener* listener : to.runtime.recorders) listener->on_health(time, change);
   });
 }

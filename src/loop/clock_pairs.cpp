@@ -10,9 +10,30 @@
 
 namespace rtdata::detail {
 
+namespace {
+
+/// Both clocks at one instant: read again when the processor was taken away in between, which would look like a step.
+std::pair<MonotonicTime, Time> both_times(Clock& clock) noexcept {
+  constexpr Duration close_enough = std::chrono::microseconds{100};
+  std::pair<MonotonicTime, Time> best;
+  Duration narrowest = Duration::max();
+  for (int tries = 0; tries < 10 && narrowest > close_enough; ++tries) {
+    const MonotonicTime before = clock.monotonic();
+    const Time realtime = clock.realtime();
+    const Duration width = clock.monotonic() - before;
+    if (width >= narrowest) continue;
+    narrowest = width;
+    best = {before + width / 2, realtime};
+  }
+  return best;
+}
+
+}  // namespace
+
 void RuntimeCore::use_clock(Clock& clock) {
   clock_ = &clock;
-  start_ = {clock.monotonic(), clock.realtime(), "system", clock.accuracy(), "start"};
+  const auto [at, realtime] = both_times(clock);
+  start_ = {at, realtime, "system", clock.accuracy(), "start"};
   offset_ = start_.realtime.time_since_epoch() - start_.monotonic.time_since_epoch();
   last_offset_ = offset_;
   system_ = {start_, start_, start_.accuracy};
@@ -33,9 +54,7 @@ bool is_step(Duration moved) noexcept {
 }  // namespace
 
 ClockPair RuntimeCore::read_clock(const char* occasion) noexcept {
-  const MonotonicTime before = clock_->monotonic();
-  const Time realtime = clock_->realtime();
-  const MonotonicTime at = before + (clock_->monotonic() - before) / 2;
+  const auto [at, realtime] = both_times(*clock_);
   const Duration offset = realtime.time_since_epoch() - at.time_since_epoch();
   return {at, is_step(offset - last_offset_) ? realtime : Time{at.time_since_epoch() + last_offset_}, "system",
           clock_->accuracy(), occasion};

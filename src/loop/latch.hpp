@@ -1,6 +1,7 @@
 // Set by one thread, waited for by others.
 #pragma once
 
+#include <algorithm>
 #include <condition_variable>
 #include <mutex>
 
@@ -27,7 +28,8 @@ class Latch {
   /// Whether it is set, waited for at most so long.
   bool wait(Duration at_most) const noexcept {
     std::unique_lock lock(mutex_);
-    return signal_.wait_for(lock, at_most, [this] { return is_set_; });
+    constexpr Duration longest = std::chrono::hours{24 * 365};  // now and it are not to overflow
+    return signal_.wait_for(lock, std::min(at_most, longest), [this] { return is_set_; });
   }
 
  private:

@@ -156,7 +156,9 @@ void LoopCore::watch_clock() {
 
 void LoopCore::arm_clock() noexcept {
   itimerspec never{};
-  never.it_value.tv_sec = std::numeric_limits<std::int32_t>::max();
+  constexpr std::int64_t year_2200 = 7'258'118'400;
+  using Seconds = decltype(never.it_value.tv_sec);
+  never.it_value.tv_sec = static_cast<Seconds>(std::min<std::int64_t>(year_2200, std::numeric_limits<Seconds>::max()));
   ::timerfd_settime(side_->clock_fd, TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET, &never, nullptr);
 }
 

@@ -82,9 +82,10 @@ class LoopCore {
 
   // A tier's loop belongs to its thread, also between two runs.
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
-  void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_relaxed); }
+  /// What the thread did is seen by who sees that it has gone.
+  void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_release); }
   bool runs_elsewhere() const noexcept {
-    const std::thread::id thread = bound_to_.load(std::memory_order_relaxed);
+    const std::thread::id thread = bound_to_.load(std::memory_order_acquire);
     return thread != std::thread::id{} && thread != std::this_thread::get_id();
   }
   /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here.

@@ -12,7 +12,7 @@ class PriorityMutex {
     pthread_mutexattr_t attributes;
     ::pthread_mutexattr_init(&attributes);
     ::pthread_mutexattr_setprotocol(&attributes, PTHREAD_PRIO_INHERIT);
-    ::pthread_mutex_init(&mutex_, &attributes);
+    if (::pthread_mutex_init(&mutex_, &attributes) != 0) ::pthread_mutex_init(&mutex_, nullptr);  // no such kernel
     ::pthread_mutexattr_destroy(&attributes);
   }
   PriorityMutex(const PriorityMutex&) = delete;

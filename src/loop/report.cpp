@@ -11,29 +11,43 @@
 
 namespace rtdata::detail {
 
-constexpr std::uint32_t most_lines_under_way = 1000;  // from tiers to a main loop that does not take them
-
-void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) {
-  if (hub != nullptr && !on_log) {
-    if (hub->lines_under_way_.fetch_add(1, std::memory_order_relaxed) >= most_lines_under_way) {
-      hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
-      hub->lines_dropped_.fetch_add(1, std::memory_order_relaxed);
-      return;
-    }
-    hub->own_loop->post([hub = hub, level, object = std::string(object), text = std::string(text),
-                         id = std::string(error_id)] {
-      hub->lines_under_way_.fetch_sub(1, std::memory_order_relaxed);
-      if (const auto dropped = hub->lines_dropped_.exchange(0, std::memory_order_relaxed)) {
-        hub->log(LogLevel::warning, "log", std::to_string(dropped) + " lines of tiers were dropped: too many at once");
-      }
-      hub->log(level, object, text, id);
-    });
-  } else if (on_log) {
-    on_log({level, event_time(clock_->monotonic()), object, text, error_id});
-  } else if (level >= LogLevel::warning) {
-    std::fprintf(stderr, "rtdata: %s: %.*s: %.*s\n", level == LogLevel::error ? "error" : "warning",
-                 static_cast<int>(object.size()), object.data(), static_cast<int>(text.size()), text.data());
+void RuntimeCore::tell_hub(Callback<void()> what) {
+  constexpr std::uint32_t most_under_way = 1000;  // to a main loop that does not take them
+  if (hub->reports_under_way_.fetch_add(1, std::memory_order_relaxed) >= most_under_way) {
+    hub->reports_under_way_.fetch_sub(1, std::memory_order_relaxed);
+    hub->reports_dropped_.fetch_add(1, std::memory_order_relaxed);
+    return;
   }
+  hub->own_loop->post([hub = hub, what = std::move(what)]() mutable {
+    hub->reports_under_way_.fetch_sub(1, std::memory_order_relaxed);
+    if (const auto dropped = hub->reports_dropped_.exchange(0, std::memory_order_relaxed)) {
+      hub->log(
+          LogLevel::warning, "log",
+          std::to_string(dropped) + " lines, errors and changes of health of tiers were dropped: too many at once");
+    }
+    what();
+  });
+}
+
+void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text,
+                      std::string_view error_id) noexcept try {
+  if (hub != nullptr && !on_log) {
+    return tell_hub([hub = hub, level, object = std::string(object), text = std::string(text),
+                     id = std::string(error_id)] { hub->log(level, object, text, id); });
+  }
+  const char* note = "";
+  if (on_log) {
+    try {
+      return on_log({level, event_time(clock_->monotonic()), object, text, error_id});
+    } catch (...) {  // whoever is told of it would tell the log
+      note = " (and the handler of log records threw)";
+    }
+  } else if (level < LogLevel::warning) {
+    return;
+  }
+  std::fprintf(stderr, "rtdata: %s: %.*s: %.*s%s\n", level == LogLevel::error ? "error" : "warning",
+               static_cast<int>(object.size()), object.data(), static_cast<int>(text.size()), text.data(), note);
+} catch (...) {  // out of memory: nothing is left to tell it to
 }
 
 void RuntimeCore::report_all_kept() {
@@ -54,6 +68,7 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
   for (Repeat& repeat : repeats_) {
     if (repeat.object != object || repeat.error.code != error.code) continue;
     if (now - repeat.last_written < std::chrono::seconds{1}) {
+      repeat.error = error;  // the latest is written
       if (repeat.held_back++ == 0 && loop != nullptr)
         loop->flush_repeats_at(repeat.last_written + std::chrono::seconds{1});
       return;
@@ -122,7 +137,7 @@ void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& er
   std::string text = error.text();
   if (count > 1) text += " (" + std::to_string(count) + " times)";
   log(LogLevel::error, object, text, error.id());
-} catch (...) {  // out of memory, or the handler of log records threw: nothing is left to tell it to
+} catch (...) {  // out of memory: nothing is left to tell it to
 }
 
 }  // namespace rtdata::detail

@@ -43,7 +43,9 @@ void LoopCore::call_there(Callback<void()> function) {
     if (runtime.hub != nullptr)
       runtime.hub->log(LogLevel::warning, "loop " + config.name,
                        "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
-    is_done.acquire();
+    while (!is_done.try_acquire_for(std::chrono::milliseconds{100})) {
+      if (!runs_elsewhere()) run_posted();  // a tier that was given up has ended meanwhile
+    }
   }
   if (thrown) std::rethrow_exception(thrown);
 }
@@ -60,7 +62,8 @@ void LoopCore::run_posted() {
     const MonotonicTime from = now();
     begins(nullptr);
     call_user("posted function", function);
-    time_callback(times, from, now(), [] { return std::string("posted function"); });
+    if (held_last_ < from)  // nothing that it called was blamed
+      time_callback(times, from, now(), [] { return std::string("posted function"); });
   }
   running_posted_.clear();
 }

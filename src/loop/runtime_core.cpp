@@ -384,8 +384,8 @@ bool Runtime::balances() const {
   for (const auto& topic : core_->topics()) {
     if (!topic->subscription_counts().balances()) return false;
   }
-  return core_->tiers_were_balanced && std::all_of(core_->tiers.begin(), core_->tiers.end(),
-                                                   [](const detail::TierCore* tier) { return tier->balances(); });
+  return core_->tiers_were_balanced &&
+         std::all_of(core_->tiers.begin(), core_->tiers.end(), [](detail::TierCore* tier) { return tier->balances(); });
 }
 
 bool Runtime::has_loss() const {
@@ -401,8 +401,8 @@ bool Runtime::has_loss() const {
       if (topic->subscription_counts().dropped > 0) return true;
     }
   }
-  return core_->tiers_had_loss || std::any_of(core_->tiers.begin(), core_->tiers.end(),
-                                              [](const detail::TierCore* tier) { return tier->has_loss(); });
+  return core_->tiers_had_loss ||
+         std::any_of(core_->tiers.begin(), core_->tiers.end(), [](detail::TierCore* tier) { return tier->has_loss(); });
 }
 
 }  // namespace rtdata

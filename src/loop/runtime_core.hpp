@@ -217,7 +217,10 @@ class RuntimeCore {
   }
   OriginCore& find_or_make_origin(std::string_view name, TopicCore& topic);
 
-  void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {});
+  /// Throws nothing, also when the program's handler does.
+  void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
+  /// On a tier: `what` is called on the main loop. Too much at once is dropped, and told of.
+  void tell_hub(Callback<void()> what);
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
   /// the same object within a second are joined.
   void report(LoopCore* loop, std::string_view object, const Error& error);
@@ -292,8 +295,8 @@ class RuntimeCore {
   std::unordered_set<OriginCore, ByName, ByName> origins_;
   std::vector<Repeat> repeats_;
   // The hub's, counted by all loops: lines of the log that tiers have sent and it has not taken.
-  std::atomic<std::uint32_t> lines_under_way_{0};
-  std::atomic<std::uint64_t> lines_dropped_{0};
+  std::atomic<std::uint32_t> reports_under_way_{0};  // from tiers, see tell_hub
+  std::atomic<std::uint64_t> reports_dropped_{0};
   std::vector<Kept> kept_;
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;

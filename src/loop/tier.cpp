@@ -50,7 +50,7 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
   if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
   if (config.name.empty() || config.name == main.config().name)
     refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
-  for (const TierCore* tier : hub.tiers) {
+  for (TierCore* tier : hub.tiers) {
     if (tier->config.name == config.name)
       refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");
     if (tier->is_running())
@@ -87,6 +87,19 @@ Runtime& below(Loop& main, Runtime& runtime) {
   for (std::size_t i = 0; i < bytes; i += 1024) memory[i] = 0;
 }
 
+/// How much of this thread's stack may still be touched.
+std::size_t stack_left() {
+  constexpr std::size_t reserve = 32 * 1024;  // for what is called before and after
+  pthread_attr_t attributes;
+  void* lowest = nullptr;
+  std::size_t size = 0;
+  if (::pthread_getattr_np(::pthread_self(), &attributes) != 0) return 0;
+  ::pthread_attr_getstack(&attributes, &lowest, &size);
+  ::pthread_attr_destroy(&attributes);
+  const auto left = static_cast<std::size_t>(reinterpret_cast<char*>(&attributes) - static_cast<char*>(lowest));
+  return left > reserve ? left - reserve : 0;
+}
+
 }  // namespace
 
 TierCore::TierCore(Loop& main_, Tier::Config config_)
@@ -114,8 +127,11 @@ void TierCore::make_bridges() {
 TierCore::~TierCore() {
   // Bridges to other tiers are taken down while none of the two sides turns.
   const auto tiers = main.core().runtime.tiers;
-  if (tiers.size() > 1) {
-    for (TierCore* tier : tiers) tier->stop();
+  std::vector<TierCore*> interrupted;
+  for (TierCore* tier : tiers) {
+    if (tier == this || !tier->is_running()) continue;
+    tier->stop();
+    interrupted.push_back(tier);
   }
   stop();
   for (Bridge* bridge : runtime.core().outbound) bridge->hand_over();  // there is room for what the end brings
@@ -133,10 +149,21 @@ TierCore::~TierCore() {
   }
   bridges_.clear();
   std::erase(main.core().runtime.tiers, this);
+  for (TierCore* tier : interrupted) tier->start_again();
+}
+
+void TierCore::start_again() noexcept {
+  try {
+    start();
+  } catch (const SetupError& error) {
+    main.core().runtime.log(LogLevel::error, "tier " + config.name, error.what(), error.error().id());
+  }
 }
 
 void TierCore::warn(const Error& error) {
   warnings.push_back(error.text());
+  if (std::find(told_.begin(), told_.end(), warnings.back()) != told_.end()) return;  // at an earlier start
+  told_.push_back(warnings.back());
   main.core().post([&hub = main.core().runtime, name = "tier " + config.name, text = error.text(),
                     id = std::string(error.id())] { hub.log(LogLevel::warning, name, text, id); });
 }
@@ -165,7 +192,7 @@ void TierCore::set_up_thread() {
             "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it "
             "runs unlocked"});
     }
-    touch_stack(config.stack);
+    touch_stack(std::min(config.stack, stack_left()));
     if (auto set = set_scheduling({config.policy, config.priority}); !set) warn(set.error());
   }
   if (config.keep_cpu_awake) {
@@ -196,6 +223,7 @@ void TierCore::start() {
       set_up_thread();
       is_set_up.release();
       run();
+      loop.core().unbind();
       ended_.set();
     });
     is_set_up.acquire();
@@ -215,12 +243,10 @@ void TierCore::run() {
 void TierCore::stop() noexcept {
   constexpr Duration patience = std::chrono::seconds{5};
   if (stop_within(patience)) return;
-  main.core().call_user("handler of log records", [&] {
-    main.core().runtime.log(
-        LogLevel::error, "tier " + config.name,
-        "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
-        id(Errc::not_turning));
-  });
+  main.core().runtime.log(
+      LogLevel::error, "tier " + config.name,
+      "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
+      id(Errc::not_turning));
   while (!stop_within(std::chrono::hours{1})) {
   }
 }
@@ -235,14 +261,22 @@ bool TierCore::stop_within(Duration at_most) noexcept {
   quit_.store(true, std::memory_order_release);
   loop.stop();
   if (!ended_.wait(at_most)) return false;
+  join();
+  return true;
+}
+
+bool TierCore::is_running() noexcept {
+  if (thread_.joinable() && ended_.is_set()) join();  // it ended after it was given up
+  return thread_.joinable();
+}
+
+void TierCore::join() noexcept {
   thread_.join();
   if (latency_fd_ >= 0) ::close(std::exchange(latency_fd_, -1));
-  loop.core().unbind();
   loop.core().unref();
   main.core().unref();
   loop.core().forget_stop();
   scheduling = {};
-  return true;
 }
 
 void TierCore::call(Callback<void()> function) {

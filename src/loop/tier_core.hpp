@@ -34,7 +34,7 @@ class TierCore {
   bool stop_within(Duration at_most) noexcept;
   /// The callback that it is in, for people: "sensor chamber".
   std::string where();
-  bool is_running() const noexcept { return thread_.joinable(); }
+  bool is_running() noexcept;
   /// While it runs.
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);
@@ -52,8 +52,8 @@ class TierCore {
   void add_unknown(std::string& to);
 
   // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
-  bool balances() const { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }
-  bool has_loss() const { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }
+  bool balances() { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }
+  bool has_loss() { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }
 
   /// Whether it has answered within the limit; asks again when it has. On the main loop.
   bool look_at_turning(Duration limit);
@@ -72,6 +72,9 @@ class TierCore {
   /// On its thread; `done` on the main loop.
   void send_last_accounts(Callback<void()> done);
   void run();
+  void join() noexcept;
+  /// After `stop`; it runs on where it was.
+  void start_again() noexcept;
   void set_up_thread();
   void warn(const Error& error);
 
@@ -80,7 +83,8 @@ class TierCore {
   bool was_started_ = false;
   Timer sending_;
   std::atomic<bool> quit_{false};
-  Latch ended_;  // its thread is about to end
+  Latch ended_;                    // its thread is about to end
+  std::vector<std::string> told_;  // warnings; not told of again by the next start
   std::atomic<bool> was_balanced_{true};
   std::atomic<bool> had_loss_{false};
   std::uint64_t asked_ = 0;  // questions whether it turns

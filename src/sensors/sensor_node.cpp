@@ -182,9 +182,8 @@ void SensorNode::held(Duration took) {
   const Duration next = std::min(2 * period(), slowest * wanted);
   if (next == period()) return;
   change_period(next);
-  loop()->runtime.log(LogLevel::warning, object_name(),
-                      lasted + ": slowed down to one in " + to_string(next) + " (wanted: " + to_string(wanted) + ")",
-                      id(Errc::held_too_long));
+  report({Errc::held_too_long, "slowed down to one in " + to_string(next), object_name(), lasted,
+          "make its read shorter, or read it on a lane; wanted is one in " + to_string(wanted)});
 }
 
 void SensorNode::cancel_transaction() {

@@ -62,9 +62,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     for (const ClockPair& pair : runtime.clock_pairs()) account_.notes.add(pair);
     loop()->schedule().add(*this);
     is_attached_ = true;
-    if (unknown.empty()) return;
-    loop()->call_user("handler of log records",
-                      [&] { runtime.log(LogLevel::warning, object_name(), "begins although " + unknown); });
+    if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
   }
 
   // ---- Recorder

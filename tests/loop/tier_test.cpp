@@ -659,6 +659,58 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE("changes of health on a tier that the main loop does not take are dropped beyond a number, and counted") {
+    Loop loop({.hold_limit = 60s});
+    std::vector<std::string> lines;
+    loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
+    Tier tier(loop, {.name = "fast", .hold_limit = 60s});
+    tier.start();
+    tier.call([](Loop& on) {
+      for (int i = 0; i < 5000; ++i) on.core().runtime.health_changed("sensor", "s", Health::faulted, "gone");
+    });
+    CHECK(run_until(loop, [&] { return !lines.empty(); }));
+    CHECK(lines[0] == "4000 lines, errors and changes of health of tiers were dropped: too many at once");
+  }
+
+  TEST_CASE("a tier that goes leaves the others as they were") {
+    Loop loop;
+    std::vector<std::string> lines;
+    loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
+    auto goes = std::make_unique<Tier>(loop, Tier::Config{.name = "goes"});
+    Tier stays(loop, {.name = "stays", .cpus = {1000}});
+    Tier idle(loop, {.name = "idle"});
+    std::atomic<unsigned> ticks{0};
+    const Ticker ticker(stays.loop(), 1ms, [&](const Tick&) { ++ticks; });
+    CHECK(run_until(loop, [&] { return ticks > 10; }));
+    idle.stop();
+    const std::size_t told = lines.size();
+    goes.reset();
+    CHECK(stays.is_running());
+    CHECK_FALSE(idle.is_running());
+    const unsigned before = ticks;
+    CHECK(run_until(loop, [&] { return ticks > before + 10; }));
+    CHECK(lines.size() == told);  // the warning is not repeated
+  }
+
+  TEST_CASE("a handler of log records that throws costs a line, nothing else") {
+    Loop loop{Loop::Manual{}};
+    unsigned lines = 0;
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([&](const LogRecord&) {
+      ++lines;
+      throw std::runtime_error("the log is full");
+    });
+    bool fails = true;
+    Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz}, [&]() -> Result<Count> {
+      if (std::exchange(fails, false)) return Error{Errc::bad_data, "cannot read", "", "", ""};
+      return Count{};
+    });
+    loop.advance(1s);
+    CHECK(lines > 0);  // "ok again"
+    CHECK(sensor.counts().taken >= 9);
+    CHECK(loop.runtime().balances());
+  }
+
   TEST_CASE("lines of a tier that the main loop does not take are dropped beyond a number, and counted") {
     Loop loop({.hold_limit = 60s});
     std::vector<std::string> lines;
@@ -670,7 +722,7 @@ TEST_SUITE("loop") {
     });
     CHECK(run_until(loop, [&] { return lines.size() >= 1001; }));
     CHECK(lines.size() == 1001);
-    CHECK(lines[0] == "4000 lines of tiers were dropped: too many at once");
+    CHECK(lines[0] == "4000 lines, errors and changes of health of tiers were dropped: too many at once");
   }
 
   TEST_CASE("a feed of a tier that was faulted and publishes again is ok on the main loop too") {
@@ -777,6 +829,40 @@ TEST_SUITE("loop") {
     SUBCASE("a handle that is closed") { ticker.close(); }
     REQUIRE(told.size() == 1);
     CHECK(told[0] == "loop fast: is waited for: it has not come out of beat for 1 s");
+  }
+
+  TEST_CASE("NFR-1 a tier that was given up and then ends is stopped: nobody waits for it, and it starts again") {
+    for (const bool ends_while_waited_for : {false, true}) {
+      CAPTURE(ends_while_waited_for);
+      std::atomic<bool> hangs{false}, let_go{false};
+      std::atomic<unsigned> ticks{0};
+      Loop loop;
+      loop.runtime().on_log([&](const LogRecord&) { let_go = true; });  // "is waited for: it has not come out of ..."
+      Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+      Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
+        hangs = true;
+        while (!let_go) std::this_thread::sleep_for(1ms);
+        ++ticks;
+      });
+      Ticker other(fast.loop(), Ticker::Config{.period = 1h}, [](const Tick&) {});
+      fast.start();
+      CHECK(run_until(loop, [&] { return hangs.load(); }));
+      CHECK_FALSE(fast.stop_within(5ms));
+      if (ends_while_waited_for) {
+        CHECK(fast.call([](Loop&) { return 7; }) == 7);
+      } else {
+        let_go = true;
+        CHECK(run_until(loop, [&] { return !fast.is_running(); }));
+      }
+      other.close();
+      CHECK_FALSE(fast.is_running());
+      const unsigned before = ticks;
+      fast.start();
+      CHECK(run_until(loop, [&] { return ticks > before + 10; }));
+      fast.stop();
+      CHECK(loop.close() == 0);
+      CHECK(loop.runtime().balances());
+    }
   }
 
   TEST_CASE("NFR-1 a tier that hangs is not waited for longer than asked, and says which callback it is in") {

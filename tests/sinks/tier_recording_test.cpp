@@ -416,9 +416,7 @@ TEST_SUITE("sinks") {
     const std::string path = folder / "run.db";
     Hanging hanging;
     unsigned told = 0;
-    std::vector<std::string> errors;
     Loop loop;
-    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
     Tier fast(loop, {.hold_limit = 60s});
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
     CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
@@ -428,8 +426,6 @@ TEST_SUITE("sinks") {
     });
     SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
     CHECK(told > 0);
-    CHECK(std::any_of(errors.begin(), errors.end(),
-                      [](const std::string& error) { return error.find("the log is full") != std::string::npos; }));
     loop.runtime().on_log(nullptr);
     hanging.is_let_go = true;
     CHECK(run_until(loop, [&] { return hanging.reads >= 100 && sink.counts().stored >= 20; }));
