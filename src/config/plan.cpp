@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "loop/name.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata {
@@ -62,10 +63,8 @@ std::string topic_advice(std::string_view topic) {
 
 bool check_names(const SensorPlan& plan, Problems& problems) {
   const std::size_t before = problems.size();
-  const auto is_control = [](unsigned char c) { return c < ' '; };
-  if (plan.name.empty() || plan.name.size() > 200 || std::any_of(plan.name.begin(), plan.name.end(), is_control)) {
-    problems.add(child_or_self(plan.item, "name")
-                     .problem("bad-name", "a name has 1 to 200 characters and no control characters"));
+  if (!detail::is_name(plan.name)) {
+    problems.add(child_or_self(plan.item, "name").problem("bad-name", detail::name_rule));
   } else if (!is_topic_name(plan.topic)) {
     const ConfigItem& topic = child_or_self(plan.item, "topic");
     std::string message = topic_advice(plan.topic);
@@ -77,6 +76,17 @@ bool check_names(const SensorPlan& plan, Problems& problems) {
         child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
   }
   return problems.size() == before;
+}
+
+void check_tier_names(const ConfigItem& tiers, const std::string& main, Problems& problems) {
+  if (!tiers.is_object()) return;
+  for (const ConfigChild& tier : tiers.children()) {
+    if (detail::is_name(tier.key) && tier.key != main) continue;
+    Problem problem = tier.item.problem(
+        "bad-name", tier.key == main ? "the main loop has that name; give the tier another" : detail::name_rule);
+    problem.place = tier.item.key_place();
+    problems.add(std::move(problem));
+  }
 }
 
 std::string lower(std::string_view text) {
@@ -138,7 +148,8 @@ class AcrossItems {
     std::vector<std::string> names;
     for (const auto& [name, tier] : plan_.settings.tiers) names.push_back(name);
     plan_.problems.add(child_or_self(sensor.item, "tier")
-                           .problem("unknown-tier", "there is no tier \"" + sensor.tier + "\" in `tiers`",
+                           .problem("unknown-tier",
+                                    "there is no tier " + ConfigItem::of(sensor.tier).to_json() + " in `tiers`",
                                     nearest_name(sensor.tier, names)));
   }
 
@@ -299,6 +310,8 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   if (!root.is_object()) return plan;
   const bool has_lists = child_or_self(root, "sensors").is_array() && plan.problems.size() == before;
   if (plan.settings.name.empty()) plan.settings.name = stem_of(plan.document.file);
+
+  check_tier_names(child_or_self(root, "tiers"), plan.loop_config().name, plan.problems);
 
   bool all_sensors_known = true;
   std::vector<SensorPlan> sensors;

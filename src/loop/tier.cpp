@@ -15,6 +15,7 @@
 
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/name.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
 #include "loop/tier_core.hpp"
@@ -42,14 +43,15 @@ Loop::Config loop_config(const Tier::Config& tier) {
 
 const Tier::Config& checked(Loop& main, const Tier::Config& config) {
   const auto refuse = [&](Errc code, std::string why, std::string what_to_do) {
-    throw SetupError({code, "cannot make tier", config.name, std::move(why), std::move(what_to_do)});
+    throw SetupError({code, "cannot make tier", quoted_name(config.name), std::move(why), std::move(what_to_do)});
   };
   const RuntimeCore& hub = main.core().runtime;
   if (main.core().is_manual())
     refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
   if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
-  if (config.name.empty() || config.name == main.config().name)
-    refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
+  if (!is_name(config.name)) refuse(Errc::bad_name, name_rule, "give it another `name`");
+  if (config.name == main.config().name)
+    refuse(Errc::bad_argument, "the main loop has that name", "give it a `name` of its own");
   for (const TierCore* tier : hub.tiers) {
     if (tier->config.name == config.name)
       refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");

@@ -293,6 +293,13 @@ f.json:16:38: sinks[2].when_full
           "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
           "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
+    CHECK(problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
+ "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "c\nd"}]})") ==
+          "f.json:1:12: tiers.main: the main loop has that name; give the tier another\n"
+          "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?)\n"
+          "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers`\n");
     CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})")
               .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
   }

@@ -347,8 +347,10 @@ TEST_SUITE("loop") {
     Loop loop;
     Loop manual(Loop::Manual{});
     CHECK_THROWS_AS(Tier(manual, {}), SetupError);
-    CHECK_THROWS_AS(Tier(loop, {.name = "main"}), SetupError);
-    CHECK_THROWS_AS(Tier(loop, {.name = ""}), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.name = "main"}), doctest::Contains("the main loop has that name"), SetupError);
+    for (const std::string& name : {std::string(), std::string("a\nb"), std::string("a\x7f"), std::string(201, 'a')})
+      CHECK_THROWS_WITH_AS(Tier(loop, {.name = name}), doctest::Contains("a name has 1 to 200 characters"), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.name = "a\nb"}), doctest::Contains("\"a?b\""), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::fifo, .priority = 0}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::other, .priority = 5}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.cpus = {-1}}), SetupError);

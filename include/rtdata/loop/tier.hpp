@@ -60,7 +60,8 @@ class Tier {
   };
 
   /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in
-  /// virtual time, or belongs to a tier; a priority out of range; a name that is taken.
+  /// virtual time, or belongs to a tier; a priority, a spin or a processor out of range; a name that is
+  /// taken; (bad-name): one that is empty, longer than 200 characters or has control characters.
   Tier(Loop& main, Config config);
   /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;
   /// the log says which it is.
