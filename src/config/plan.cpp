@@ -89,6 +89,19 @@ void check_tier_names(const ConfigItem& tiers, const std::string& main, Problems
   }
 }
 
+/// A sink that must have a path has one.
+void check_has_path(const TypeRegistry<SinkPlan>& types, const ConfigItem& item, Problems& problems) {
+  const ConfigItem& path = child_or_self(item, "path");
+  if (path.as_string() == nullptr || !path.as_string()->empty()) return;
+  const std::string* name = child_or_self(item, "type").as_string();
+  const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
+  if (!type) return;
+  for (const ParameterInfo& parameter : type->parameters) {
+    if (parameter.key == "path" && parameter.required)
+      problems.add(path.problem("bad-value", "the path is empty; name a file"));
+  }
+}
+
 std::string lower(std::string_view text) {
   std::string result(text);
   for (char& c : result)
@@ -281,8 +294,9 @@ bool plan_sensor(const Registry& registry, const ConfigItem& item, SensorPlan& p
 }
 
 bool plan_sink(const Registry& registry, const ConfigItem& item, SinkPlan& plan, Problems& problems) {
-  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
   const std::size_t before = problems.size();
+  check_has_path(registry.sinks(), item, problems);
+  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
   const ConfigItem& list = child_or_self(item, "topics");
   for (std::size_t i = 0; i < plan.topics.size(); ++i) {
     if (is_topic_pattern(plan.topics[i])) continue;

@@ -31,6 +31,16 @@ struct SlowConfig {
   friend ReadTime read_time(const SlowConfig&) { return {.on_loop = 10us, .on_lane = 8ms, .lane = "chip"}; }
 };
 
+/// Of a type of sink that needs a path.
+struct KeptConfig {
+  std::string path = {};
+  SinkConfig sink = {};
+  friend constexpr auto parameters(type_tag<KeptConfig>) {
+    return parameter_list(parameter("path", &KeptConfig::path, "the file", required),
+                          include_member(&KeptConfig::sink));
+  }
+};
+
 constexpr const char* bench = R"({
   "name": "bench", "notes": "first run",
   "loop": {"hold_limit": "20 ms", "phase_grid": "0 s"},
@@ -229,6 +239,25 @@ f.json:16:38: sinks[2].when_full
         "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy "
         "it\n"
         "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
+  }
+
+  TEST_CASE("US-17 a sink that must have a path is refused with an empty one, on its own and when added") {
+    const char* const text = R"({"type": "kept", "path": "", "queue_bytes": 3})";
+    Registry types = registry();
+    types.add_sink<KeptConfig>(
+        "kept", "needs a path", [](const KeptConfig& config) { return config.path; },
+        [](Loop& loop, const KeptConfig& config) {
+          return Sink(loop, config.sink, std::make_unique<test::Discard>(test::DiscardConfig{}));
+        });
+    const std::string document = R"({"sensors": [], "sinks": [)" + std::string(text) + "]}";
+    const std::string told = plan_system(types, parse_config(document, "f.json")).problems.text();
+    CHECK(told.find("f.json:1:52: sinks[0].path: the path is empty; name a file\n") != std::string::npos);
+    CHECK(told.find("sinks[0].queue_bytes") != std::string::npos);
+    Loop loop{Loop::Manual{}};
+    System system(loop, types, parse_config("{}", "f.json"));
+    CHECK_THROWS_WITH_AS(system.add_sink(item(R"({"type": "kept", "path": ""})")),
+                         doctest::Contains("the path is empty"), ConfigError);
+    CHECK(problems_of(R"({"sinks": [{"type": "discard", "path": ""}]})") == "");  // it may do without
   }
 
   TEST_CASE("US-17 two payloads on one topic are told with both places before anything starts") {
