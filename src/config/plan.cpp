@@ -102,6 +102,30 @@ void check_has_path(const TypeRegistry<SinkPlan>& types, const ConfigItem& item,
   }
 }
 
+std::string text_or_empty(const ConfigItem& item, std::string_view key) {
+  const std::string* text = child_or_self(item, key).as_string();
+  return text != nullptr ? *text : "";
+}
+
+/// What is known of an item with mistakes, to be compared with the others.
+SensorPlan raw_sensor(const ConfigItem& item) {
+  SensorPlan plan;
+  plan.item = item;
+  plan.name = text_or_empty(item, "name");
+  plan.topic = text_or_empty(item, "topic");
+  if (plan.topic.empty()) plan.topic = plan.name;
+  plan.tier = text_or_empty(item, "tier");
+  return plan;
+}
+
+SinkPlan raw_sink(const ConfigItem& item) {
+  SinkPlan plan;
+  plan.item = item;
+  plan.name = text_or_empty(item, "name");
+  plan.path = text_or_empty(item, "path");
+  return plan;
+}
+
 std::string lower(std::string_view text) {
   std::string result(text);
   for (char& c : result)
@@ -114,16 +138,19 @@ class AcrossItems {
  public:
   explicit AcrossItems(SystemPlan& plan) : plan_(plan) {}
 
+  /// Items with mistakes of their own are among them, as far as they are known.
   void check(const std::vector<SensorPlan>& sensors, const std::vector<SinkPlan>& sinks) {
     for (const SensorPlan& sensor : sensors) {
-      check_name("sensor", sensor.name, sensor.item, sensor_names_);
+      if (detail::is_name(sensor.name)) check_name("sensor", sensor.name, sensor.item, sensor_names_);
       check_topic(sensor);
       check_tier(sensor);
     }
     for (const SinkPlan& sink : sinks) {
       if (!sink.path.empty() && sink.path != "-") check_path(sink);
     }
-    for (const SinkPlan& sink : sinks) check_name("sink", sink.name, sink.item, sink_names_);
+    for (const SinkPlan& sink : sinks) {
+      if (!sink.name.empty()) check_name("sink", sink.name, sink.item, sink_names_);
+    }
   }
 
   void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
@@ -179,6 +206,7 @@ class AcrossItems {
   }
 
   void check_topic(const SensorPlan& sensor) {
+    if (!is_topic_name(sensor.topic)) return;
     const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(lower(sensor.topic), &sensor);
     if (!is_new_case && other_case->second->topic != sensor.topic) {
       plan_.problems.add(topic_item(sensor).problem(
@@ -187,7 +215,8 @@ class AcrossItems {
       return;
     }
     const auto [known, is_new] = topics_.try_emplace(sensor.topic, &sensor);
-    if (is_new || known->second->description == nullptr || sensor.description == nullptr) return;
+    if (!is_new && known->second->description == nullptr) known->second = &sensor;
+    if (is_new || known->second == &sensor || sensor.description == nullptr) return;
     const SensorPlan& first = *known->second;
     if (first.description->same_meaning(*sensor.description)) return;
     std::string message = "the topic \"" + sensor.topic + "\" carries \"" + first.description->name() +
@@ -333,12 +362,13 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
     SensorPlan sensor;
     const bool good = config_detail::plan_sensor(registry, item, sensor, plan.problems);
     all_sensors_known = all_sensors_known && good;
-    if (good) sensors.push_back(std::move(sensor));
+    sensors.push_back(good ? std::move(sensor) : raw_sensor(item));
   }
   std::vector<SinkPlan> sinks;
   for (const ConfigItem& item : plan.settings.sinks) {
     SinkPlan sink;
-    if (config_detail::plan_sink(registry, item, sink, plan.problems)) sinks.push_back(std::move(sink));
+    const bool good = config_detail::plan_sink(registry, item, sink, plan.problems);
+    sinks.push_back(good ? std::move(sink) : raw_sink(item));
   }
   AcrossItems across(plan);
   across.check(sensors, sinks);
@@ -350,6 +380,9 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
     plan.warnings.add(
         child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
   }
+  const auto has_mistakes = [](const auto& part) { return !part.make; };
+  std::erase_if(sensors, has_mistakes);
+  std::erase_if(sinks, has_mistakes);
   plan.sensors = std::move(sensors);
   plan.sinks = std::move(sinks);
   warn_of_load("", plan.loop_config().name, plan.sensors, plan.warnings);
