@@ -25,6 +25,7 @@ namespace detail {
 namespace {
 
 constexpr std::size_t least_ring_bytes = 1024;
+constexpr Duration longest_spin = std::chrono::milliseconds{10};
 
 Runtime::Config runtime_config(Loop& main) {
   Runtime::Config config = main.runtime().config();
@@ -68,6 +69,10 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
   if (config.ring_bytes < least_ring_bytes) {
     refuse(Errc::bad_argument, "rings of " + std::to_string(config.ring_bytes) + " bytes have no room for anything",
            "give `ring_bytes` " + std::to_string(least_ring_bytes) + " or more");
+  }
+  if (config.spin < Duration{0} || config.spin > longest_spin) {
+    refuse(Errc::bad_argument, "it would spin for " + to_string(config.spin) + " before each deadline",
+           "give `spin` 0 s to " + to_string(longest_spin));
   }
   for (const int cpu : config.cpus) {
     if (cpu < 0 || cpu >= CPU_SETSIZE)

@@ -354,6 +354,9 @@ TEST_SUITE("loop") {
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::fifo, .priority = 0}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::other, .priority = 5}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.cpus = {-1}}), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.spin = 1s}), doctest::Contains("give `spin` 0 s to 10 ms"), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.spin = -1us}), SetupError);
+    { const Tier at_most(loop, {.name = "spinning", .spin = 10ms}); }
     Tier fast(loop, {.name = "fast"});
     CHECK_THROWS_AS(Tier(loop, {.name = "fast"}), SetupError);
     CHECK_THROWS_AS(Tier(fast.loop(), {.name = "below"}), SetupError);

@@ -51,7 +51,7 @@ class Tier {
     bool lock_memory = true;  ///< with a real-time policy: mlockall, so that no page of the process is ever taken away again
     std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
     bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, for all processors
-    Duration spin{0};  ///< wait the last stretch before a deadline spinning: costs this long of a processor a tick
+    Duration spin{0};  ///< wait so long, to 10 ms, before a deadline spinning: costs as much of a processor a tick
     Duration hold_limit = Loop::Config{}.hold_limit;
     Duration delivery_budget = Loop::Config{}.delivery_budget;
     Duration phase_grid = Loop::Config{}.phase_grid;
