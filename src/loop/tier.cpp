@@ -16,6 +16,7 @@
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
+#include "loop/processors.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
 #include "loop/tier_core.hpp"
@@ -151,16 +152,18 @@ void TierCore::warn(const Error& error) {
 void TierCore::set_up_thread() {
   ::pthread_setname_np(::pthread_self(), config.name.substr(0, 15).c_str());
   if (!config.cpus.empty()) {
-    cpu_set_t set;
-    CPU_ZERO(&set);
-    std::string list;
-    for (const int cpu : config.cpus) {
-      CPU_SET(static_cast<std::size_t>(cpu), &set);
-      list += (list.empty() ? "" : ", ") + std::to_string(cpu);
-    }
-    if (::sched_setaffinity(0, sizeof set, &set) != 0) {
-      warn({Errc::bad_argument, "cannot bind to processors", list, std::strerror(errno),
+    cpu_set_t asked;
+    CPU_ZERO(&asked);
+    for (const int cpu : config.cpus) CPU_SET(static_cast<std::size_t>(cpu), &asked);
+    cpu_set_t granted, refused;
+    if (::sched_setaffinity(0, sizeof asked, &asked) != 0) {
+      warn({Errc::bad_argument, "cannot bind to processors", list_of(asked), std::strerror(errno),
             "use processors that this machine has and the process may use; it runs on any"});
+    } else if (::sched_getaffinity(0, sizeof granted, &granted) == 0 && !CPU_EQUAL(&asked, &granted)) {
+      CPU_XOR(&refused, &asked, &granted);  // those granted are among those asked for
+      warn({Errc::bad_argument, "cannot bind to processors", list_of(refused),
+            "this machine does not have them, or the process may not use them",
+            "use processors that there are; it runs on " + list_of(granted)});
     }
   }
   const bool is_real_time = config.policy != SchedulingPolicy::other;

@@ -385,6 +385,29 @@ TEST_SUITE("loop") {
     }));
   }
 
+  TEST_CASE("US-33 processors that are not there are warned of, though the tier runs on those that are") {
+    const int absent = CPU_SETSIZE - 1;
+    cpu_set_t own;
+    REQUIRE(::sched_getaffinity(0, sizeof own, &own) == 0);
+    if (CPU_ISSET(absent, &own)) return;
+    int present = 0;
+    while (!CPU_ISSET(present, &own)) ++present;
+    Loop loop;
+    Tier some(loop, {.name = "some", .cpus = {present, absent}});
+    Tier none(loop, {.name = "none", .cpus = {absent}});
+    Tier all(loop, {.name = "all", .cpus = {present}});
+    Tier any(loop, {.name = "any", .cpus = {}});
+    for (Tier* tier : {&some, &none, &all, &any}) tier->start();
+    REQUIRE(some.warnings().size() == 1);
+    CHECK(some.warnings()[0] == "cannot bind to processors: " + std::to_string(absent) +
+                                    ": this machine does not have them, or the process may not use them: use "
+                                    "processors that there are; it runs on " +
+                                    std::to_string(present));
+    CHECK(none.warnings().size() == 1);
+    CHECK(all.warnings().empty());
+    CHECK(any.warnings().empty());
+  }
+
   TEST_CASE("US-33 a tier has the policy, priority, name and processor that it was given, its lanes have not") {
     Loop loop;
     Tier fast(
