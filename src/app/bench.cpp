@@ -16,6 +16,7 @@
 #include "app/bench_measure.hpp"
 #include "app/bench_text.hpp"
 #include "app/subcommands.hpp"
+#include "loop/processors.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -212,9 +213,13 @@ void stop_if_interrupted() {
 }
 
 int bench(const BenchOptions& options) {
-  if (options.cpu && (*options.cpu < 0 || *options.cpu >= CPU_SETSIZE)) {
-    std::cerr << "rtdata: --cpu " << *options.cpu << ": there is no such processor" << std::endl;
-    return exit_other;
+  if (options.cpu) {
+    const cpu_set_t there = detail::bindable_processors();
+    if (*options.cpu < 0 || *options.cpu >= CPU_SETSIZE || !CPU_ISSET(static_cast<std::size_t>(*options.cpu), &there)) {
+      std::cerr << "rtdata: --cpu " << *options.cpu << ": this program may use no such processor: there are "
+                << detail::list_of(there) << std::endl;
+      return exit_other;
+    }
   }
   std::ofstream file;
   if (!options.json_file.empty() && options.json_file != "-") {

@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "loop/name.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata {
@@ -62,10 +63,8 @@ std::string topic_advice(std::string_view topic) {
 
 bool check_names(const SensorPlan& plan, Problems& problems) {
   const std::size_t before = problems.size();
-  const auto is_control = [](unsigned char c) { return c < ' '; };
-  if (plan.name.empty() || plan.name.size() > 200 || std::any_of(plan.name.begin(), plan.name.end(), is_control)) {
-    problems.add(child_or_self(plan.item, "name")
-                     .problem("bad-name", "a name has 1 to 200 characters and no control characters"));
+  if (!detail::is_name(plan.name)) {
+    problems.add(child_or_self(plan.item, "name").problem("bad-name", detail::name_rule));
   } else if (!is_topic_name(plan.topic)) {
     const ConfigItem& topic = child_or_self(plan.item, "topic");
     std::string message = topic_advice(plan.topic);
@@ -77,6 +76,54 @@ bool check_names(const SensorPlan& plan, Problems& problems) {
         child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
   }
   return problems.size() == before;
+}
+
+void check_tier_names(const ConfigItem& tiers, const std::string& main, Problems& problems) {
+  if (!tiers.is_object()) return;
+  for (const ConfigChild& tier : tiers.children()) {
+    if (detail::is_name(tier.key) && tier.key != main) continue;
+    Problem problem = tier.item.problem(
+        "bad-name", tier.key == main ? "the main loop has that name; give the tier another" : detail::name_rule);
+    problem.place = tier.item.key_place();
+    problems.add(std::move(problem));
+  }
+}
+
+/// A sink that must have a path has one.
+void check_has_path(const TypeRegistry<SinkPlan>& types, const ConfigItem& item, Problems& problems) {
+  const ConfigItem& path = child_or_self(item, "path");
+  if (path.as_string() == nullptr || !path.as_string()->empty()) return;
+  const std::string* name = child_or_self(item, "type").as_string();
+  const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
+  if (!type) return;
+  for (const ParameterInfo& parameter : type->parameters) {
+    if (parameter.key == "path" && parameter.required)
+      problems.add(path.problem("bad-value", "the path is empty; name a file"));
+  }
+}
+
+std::string text_or_empty(const ConfigItem& item, std::string_view key) {
+  const std::string* text = child_or_self(item, key).as_string();
+  return text != nullptr ? *text : "";
+}
+
+/// What is known of an item with mistakes, to be compared with the others.
+SensorPlan raw_sensor(const ConfigItem& item) {
+  SensorPlan plan;
+  plan.item = item;
+  plan.name = text_or_empty(item, "name");
+  plan.topic = text_or_empty(item, "topic");
+  if (plan.topic.empty()) plan.topic = plan.name;
+  plan.tier = text_or_empty(item, "tier");
+  return plan;
+}
+
+SinkPlan raw_sink(const ConfigItem& item) {
+  SinkPlan plan;
+  plan.item = item;
+  plan.name = text_or_empty(item, "name");
+  plan.path = text_or_empty(item, "path");
+  return plan;
 }
 
 std::string lower(std::string_view text) {
@@ -91,16 +138,19 @@ class AcrossItems {
  public:
   explicit AcrossItems(SystemPlan& plan) : plan_(plan) {}
 
+  /// Items with mistakes of their own are among them, as far as they are known.
   void check(const std::vector<SensorPlan>& sensors, const std::vector<SinkPlan>& sinks) {
     for (const SensorPlan& sensor : sensors) {
-      check_name("sensor", sensor.name, sensor.item, sensor_names_);
+      if (detail::is_name(sensor.name)) check_name("sensor", sensor.name, sensor.item, sensor_names_);
       check_topic(sensor);
       check_tier(sensor);
     }
     for (const SinkPlan& sink : sinks) {
       if (!sink.path.empty() && sink.path != "-") check_path(sink);
     }
-    for (const SinkPlan& sink : sinks) check_name("sink", sink.name, sink.item, sink_names_);
+    for (const SinkPlan& sink : sinks) {
+      if (!sink.name.empty()) check_name("sink", sink.name, sink.item, sink_names_);
+    }
   }
 
   void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
@@ -138,7 +188,8 @@ class AcrossItems {
     std::vector<std::string> names;
     for (const auto& [name, tier] : plan_.settings.tiers) names.push_back(name);
     plan_.problems.add(child_or_self(sensor.item, "tier")
-                           .problem("unknown-tier", "there is no tier \"" + sensor.tier + "\" in `tiers`",
+                           .problem("unknown-tier",
+                                    "there is no tier " + ConfigItem::of(sensor.tier).to_json() + " in `tiers`",
                                     nearest_name(sensor.tier, names)));
   }
 
@@ -155,6 +206,7 @@ class AcrossItems {
   }
 
   void check_topic(const SensorPlan& sensor) {
+    if (!is_topic_name(sensor.topic)) return;
     const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(lower(sensor.topic), &sensor);
     if (!is_new_case && other_case->second->topic != sensor.topic) {
       plan_.problems.add(topic_item(sensor).problem(
@@ -163,7 +215,8 @@ class AcrossItems {
       return;
     }
     const auto [known, is_new] = topics_.try_emplace(sensor.topic, &sensor);
-    if (is_new || known->second->description == nullptr || sensor.description == nullptr) return;
+    if (!is_new && known->second->description == nullptr) known->second = &sensor;
+    if (is_new || known->second == &sensor || sensor.description == nullptr) return;
     const SensorPlan& first = *known->second;
     if (first.description->same_meaning(*sensor.description)) return;
     std::string message = "the topic \"" + sensor.topic + "\" carries \"" + first.description->name() +
@@ -270,8 +323,9 @@ bool plan_sensor(const Registry& registry, const ConfigItem& item, SensorPlan& p
 }
 
 bool plan_sink(const Registry& registry, const ConfigItem& item, SinkPlan& plan, Problems& problems) {
-  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
   const std::size_t before = problems.size();
+  check_has_path(registry.sinks(), item, problems);
+  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
   const ConfigItem& list = child_or_self(item, "topics");
   for (std::size_t i = 0; i < plan.topics.size(); ++i) {
     if (is_topic_pattern(plan.topics[i])) continue;
@@ -300,18 +354,21 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   const bool has_lists = child_or_self(root, "sensors").is_array() && plan.problems.size() == before;
   if (plan.settings.name.empty()) plan.settings.name = stem_of(plan.document.file);
 
+  check_tier_names(child_or_self(root, "tiers"), plan.loop_config().name, plan.problems);
+
   bool all_sensors_known = true;
   std::vector<SensorPlan> sensors;
   for (const ConfigItem& item : plan.settings.sensors) {
     SensorPlan sensor;
     const bool good = config_detail::plan_sensor(registry, item, sensor, plan.problems);
     all_sensors_known = all_sensors_known && good;
-    if (good) sensors.push_back(std::move(sensor));
+    sensors.push_back(good ? std::move(sensor) : raw_sensor(item));
   }
   std::vector<SinkPlan> sinks;
   for (const ConfigItem& item : plan.settings.sinks) {
     SinkPlan sink;
-    if (config_detail::plan_sink(registry, item, sink, plan.problems)) sinks.push_back(std::move(sink));
+    const bool good = config_detail::plan_sink(registry, item, sink, plan.problems);
+    sinks.push_back(good ? std::move(sink) : raw_sink(item));
   }
   AcrossItems across(plan);
   across.check(sensors, sinks);
@@ -323,6 +380,9 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
     plan.warnings.add(
         child_or_self(root, "sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
   }
+  const auto has_mistakes = [](const auto& part) { return !part.make; };
+  std::erase_if(sensors, has_mistakes);
+  std::erase_if(sinks, has_mistakes);
   plan.sensors = std::move(sensors);
   plan.sinks = std::move(sinks);
   warn_of_load("", plan.loop_config().name, plan.sensors, plan.warnings);

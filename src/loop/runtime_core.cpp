@@ -10,6 +10,7 @@
 
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/name.hpp"
 #include "loop/tier_core.hpp"
 
 namespace rtdata {
@@ -117,10 +118,8 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
 }
 
 OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
-  if (name.empty() || name.size() > 200 ||
-      std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' '; })) {
-    throw SetupError({Errc::bad_name, "cannot make sensor", "\"" + std::string(name) + "\"",
-                      "a name has 1 to 200 characters and no control characters", "give it another `name`"});
+  if (!is_name(name)) {
+    throw SetupError({Errc::bad_name, "cannot make sensor", quoted_name(name), name_rule, "give it another `name`"});
   }
   receive_all();  // what another loop has published under the name comes first; here, so that under the lock little is left
   const auto refuse = [&](const std::string& why, const char* advice) {

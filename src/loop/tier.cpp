@@ -15,6 +15,8 @@
 
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/name.hpp"
+#include "loop/processors.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
 #include "loop/tier_core.hpp"
@@ -24,6 +26,7 @@ namespace detail {
 namespace {
 
 constexpr std::size_t least_ring_bytes = 1024;
+constexpr Duration longest_spin = std::chrono::milliseconds{10};
 
 Runtime::Config runtime_config(Loop& main) {
   Runtime::Config config = main.runtime().config();
@@ -42,14 +45,15 @@ Loop::Config loop_config(const Tier::Config& tier) {
 
 const Tier::Config& checked(Loop& main, const Tier::Config& config) {
   const auto refuse = [&](Errc code, std::string why, std::string what_to_do) {
-    throw SetupError({code, "cannot make tier", config.name, std::move(why), std::move(what_to_do)});
+    throw SetupError({code, "cannot make tier", quoted_name(config.name), std::move(why), std::move(what_to_do)});
   };
   const RuntimeCore& hub = main.core().runtime;
   if (main.core().is_manual())
     refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
   if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
-  if (config.name.empty() || config.name == main.config().name)
-    refuse(Errc::bad_argument, "the name is empty or the main loop's", "give it a `name`");
+  if (!is_name(config.name)) refuse(Errc::bad_name, name_rule, "give it another `name`");
+  if (config.name == main.config().name)
+    refuse(Errc::bad_argument, "the main loop has that name", "give it a `name` of its own");
   for (TierCore* tier : hub.tiers) {
     if (tier->config.name == config.name)
       refuse(Errc::bad_argument, "there is one of that name already", "give each tier a `name` of its own");
@@ -66,6 +70,10 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
   if (config.ring_bytes < least_ring_bytes) {
     refuse(Errc::bad_argument, "rings of " + std::to_string(config.ring_bytes) + " bytes have no room for anything",
            "give `ring_bytes` " + std::to_string(least_ring_bytes) + " or more");
+  }
+  if (config.spin < Duration{0} || config.spin > longest_spin) {
+    refuse(Errc::bad_argument, "it would spin for " + to_string(config.spin) + " before each deadline",
+           "give `spin` 0 s to " + to_string(longest_spin));
   }
   for (const int cpu : config.cpus) {
     if (cpu < 0 || cpu >= CPU_SETSIZE)
@@ -171,16 +179,18 @@ void TierCore::warn(const Error& error) {
 void TierCore::set_up_thread() {
   ::pthread_setname_np(::pthread_self(), config.name.substr(0, 15).c_str());
   if (!config.cpus.empty()) {
-    cpu_set_t set;
-    CPU_ZERO(&set);
-    std::string list;
-    for (const int cpu : config.cpus) {
-      CPU_SET(static_cast<std::size_t>(cpu), &set);
-      list += (list.empty() ? "" : ", ") + std::to_string(cpu);
-    }
-    if (::sched_setaffinity(0, sizeof set, &set) != 0) {
-      warn({Errc::bad_argument, "cannot bind to processors", list, std::strerror(errno),
+    cpu_set_t asked;
+    CPU_ZERO(&asked);
+    for (const int cpu : config.cpus) CPU_SET(static_cast<std::size_t>(cpu), &asked);
+    cpu_set_t granted, refused;
+    if (::sched_setaffinity(0, sizeof asked, &asked) != 0) {
+      warn({Errc::bad_argument, "cannot bind to processors", list_of(asked), std::strerror(errno),
             "use processors that this machine has and the process may use; it runs on any"});
+    } else if (::sched_getaffinity(0, sizeof granted, &granted) == 0 && !CPU_EQUAL(&asked, &granted)) {
+      CPU_XOR(&refused, &asked, &granted);  // those granted are among those asked for
+      warn({Errc::bad_argument, "cannot bind to processors", list_of(refused),
+            "this machine does not have them, or the process may not use them",
+            "use processors that there are; it runs on " + list_of(granted)});
     }
   }
   const bool is_real_time = config.policy != SchedulingPolicy::other;

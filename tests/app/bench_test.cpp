@@ -60,10 +60,12 @@ TEST_SUITE("app") {
     for (const auto& arguments : std::vector<std::vector<std::string>>{{"bench", "--for", "0s"},
                                                                        {"bench", "--for", "soon"},
                                                                        {"bench", "--cpu", "-1"},
+                                                                       {"bench", "--cpu", "1023"},
                                                                        {"bench", "--json", "/nonexistent/x.json"}}) {
       Process wrong(folder, program, arguments);
       CHECK(wrong.end() == 1);
       CHECK(has(wrong.err, arguments[2]));
+      if (arguments[1] == "--cpu") CHECK(has(wrong.err, "this program may use no such processor: there are "));
     }
   }
 }

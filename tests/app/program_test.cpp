@@ -177,6 +177,20 @@ TEST_SUITE("app") {
     CHECK(has(log, "ended with status 2"));
   }
 
+  TEST_CASE("US-17 what check accepts, run can start: names of tiers and empty paths are mistakes for both") {
+    const Folder folder;
+    folder.write("bad.json", R"({"tiers": {"main": {}}, "sensors": [],
+      "sinks": [{"type": "file", "path": ""}, {"type": "sqlite", "path": "", "name": "second"}]})");
+    for (const char* command : {"check", "run"}) {
+      Process wrong(folder, program, {command, "bad.json"});
+      CHECK(wrong.end() == 2);
+      const std::string told = wrong.out + wrong.err;
+      CHECK(has(told, "bad.json:1:12: tiers.main: the main loop has that name"));
+      CHECK(has(told, "bad.json:2:42: sinks[0].path: "));
+      if (!has(told, "there is no sink type")) CHECK(has(told, "sinks[1].path: the path is empty"));
+    }
+  }
+
   TEST_CASE("US-17 a file that is missing, a directory, unreadable or empty is told") {
     const Folder folder;
     folder.write("empty.json", "");

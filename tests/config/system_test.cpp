@@ -31,6 +31,16 @@ struct SlowConfig {
   friend ReadTime read_time(const SlowConfig&) { return {.on_loop = 10us, .on_lane = 8ms, .lane = "chip"}; }
 };
 
+/// Of a type of sink that needs a path.
+struct KeptConfig {
+  std::string path = {};
+  SinkConfig sink = {};
+  friend constexpr auto parameters(type_tag<KeptConfig>) {
+    return parameter_list(parameter("path", &KeptConfig::path, "the file", required),
+                          include_member(&KeptConfig::sink));
+  }
+};
+
 constexpr const char* bench = R"({
   "name": "bench", "notes": "first run",
   "loop": {"hold_limit": "20 ms", "phase_grid": "0 s"},
@@ -231,6 +241,63 @@ f.json:16:38: sinks[2].when_full
         "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
   }
 
+  TEST_CASE("US-17 what is wrong between items is told though one of them has a mistake of its own") {
+    const std::string text = problems_of(R"({"sensors": [
+  {"name": "a", "type": "counter", "rate": "2 MHz", "tier": "fast"},
+  {"name": "a", "type": "counter", "rate": "1 Hz"},
+  {"name": "A", "type": "counter", "rate": "1 Hz"},
+  {"name": "b", "type": "counter", "rate": "1 Hz", "topic": "x"},
+  {"name": "c", "type": "countr", "rate": "1 Hz", "topic": "x"},
+  {"name": "d", "type": "absent", "rate": "1 Hz", "topic": "x"}],
+ "sinks": [
+  {"type": "discard", "path": "out", "queue_bytes": 3},
+  {"type": "discard", "path": "out"},
+  {"type": "discard", "name": "s", "when_full": "drop"},
+  {"type": "discard", "name": "s"}]})");
+    for (const char* part : {
+             "f.json:2:44: sensors[0].rate: 2 MHz is out of range",
+             "f.json:2:61: sensors[0].tier: there is no tier \"fast\"",
+             "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12",
+             "f.json:4:12: sensors[2].name: the topic \"A\" differs in case only from \"a\", at f.json:2:12",
+             "f.json:6:25: sensors[4].type: there is no sensor type \"countr\"",
+             "f.json:7:60: sensors[5].topic: the topic \"x\" carries \"count\" of sensor b, at f.json:5:61",
+             "f.json:9:53: sinks[0].queue_bytes: 3 By is out of range",
+             "f.json:10:31: sinks[1].path: the sink at f.json:9:3 writes \"out\" already",
+             "f.json:11:49: sinks[2].when_full: expected one of",
+             "f.json:12:31: sinks[3].name: there is a sink \"s\" already, at f.json:11:31",
+         })
+      CHECK_MESSAGE(text.find(part) != std::string::npos, part);
+    CHECK(std::count(text.begin(), text.end(), '\n') == 10);
+  }
+
+  TEST_CASE("US-17 a topic that an item with mistakes shares is compared among the others") {
+    CHECK(problems_of(R"({"sensors": [
+  {"name": "a", "type": "countr", "rate": "1 Hz", "topic": "x"},
+  {"name": "b", "type": "counter", "rate": "1 Hz", "topic": "x"},
+  {"name": "c", "type": "absent", "rate": "1 Hz", "topic": "x"}]})")
+              .find("f.json:4:60: sensors[2].topic: the topic \"x\" carries \"count\" of sensor b, at f.json:3:61") !=
+          std::string::npos);
+  }
+
+  TEST_CASE("US-17 a sink that must have a path is refused with an empty one, on its own and when added") {
+    const char* const text = R"({"type": "kept", "path": "", "queue_bytes": 3})";
+    Registry types = registry();
+    types.add_sink<KeptConfig>(
+        "kept", "needs a path", [](const KeptConfig& config) { return config.path; },
+        [](Loop& loop, const KeptConfig& config) {
+          return Sink(loop, config.sink, std::make_unique<test::Discard>(test::DiscardConfig{}));
+        });
+    const std::string document = R"({"sensors": [], "sinks": [)" + std::string(text) + "]}";
+    const std::string told = plan_system(types, parse_config(document, "f.json")).problems.text();
+    CHECK(told.find("f.json:1:52: sinks[0].path: the path is empty; name a file\n") != std::string::npos);
+    CHECK(told.find("sinks[0].queue_bytes") != std::string::npos);
+    Loop loop{Loop::Manual{}};
+    System system(loop, types, parse_config("{}", "f.json"));
+    CHECK_THROWS_WITH_AS(system.add_sink(item(R"({"type": "kept", "path": ""})")),
+                         doctest::Contains("the path is empty"), ConfigError);
+    CHECK(problems_of(R"({"sinks": [{"type": "discard", "path": ""}]})") == "");  // it may do without
+  }
+
   TEST_CASE("US-17 two payloads on one topic are told with both places before anything starts") {
     const std::string text = problems_of(R"({"sensors": [
   {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x"},
@@ -293,6 +360,13 @@ f.json:16:38: sinks[2].when_full
           "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
           "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
+    CHECK(problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
+ "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "c\nd"}]})") ==
+          "f.json:1:12: tiers.main: the main loop has that name; give the tier another\n"
+          "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?)\n"
+          "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers`\n");
     CHECK(planned(R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}]})")
               .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
   }

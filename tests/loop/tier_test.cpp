@@ -347,11 +347,16 @@ TEST_SUITE("loop") {
     Loop loop;
     Loop manual(Loop::Manual{});
     CHECK_THROWS_AS(Tier(manual, {}), SetupError);
-    CHECK_THROWS_AS(Tier(loop, {.name = "main"}), SetupError);
-    CHECK_THROWS_AS(Tier(loop, {.name = ""}), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.name = "main"}), doctest::Contains("the main loop has that name"), SetupError);
+    for (const std::string& name : {std::string(), std::string("a\nb"), std::string("a\x7f"), std::string(201, 'a')})
+      CHECK_THROWS_WITH_AS(Tier(loop, {.name = name}), doctest::Contains("a name has 1 to 200 characters"), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.name = "a\nb"}), doctest::Contains("\"a?b\""), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::fifo, .priority = 0}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.policy = SchedulingPolicy::other, .priority = 5}), SetupError);
     CHECK_THROWS_AS(Tier(loop, {.cpus = {-1}}), SetupError);
+    CHECK_THROWS_WITH_AS(Tier(loop, {.spin = 1s}), doctest::Contains("give `spin` 0 s to 10 ms"), SetupError);
+    CHECK_THROWS_AS(Tier(loop, {.spin = -1us}), SetupError);
+    { const Tier at_most(loop, {.name = "spinning", .spin = 10ms}); }
     Tier fast(loop, {.name = "fast"});
     CHECK_THROWS_AS(Tier(loop, {.name = "fast"}), SetupError);
     CHECK_THROWS_AS(Tier(fast.loop(), {.name = "below"}), SetupError);
@@ -378,6 +383,29 @@ TEST_SUITE("loop") {
       return all && says_limits && fast.warnings().size() >= 3 && logged.size() >= 3 &&
              fast.scheduling().policy == SchedulingPolicy::other;
     }));
+  }
+
+  TEST_CASE("US-33 processors that are not there are warned of, though the tier runs on those that are") {
+    const int absent = CPU_SETSIZE - 1;
+    cpu_set_t own;
+    REQUIRE(::sched_getaffinity(0, sizeof own, &own) == 0);
+    if (CPU_ISSET(absent, &own)) return;
+    int present = 0;
+    while (!CPU_ISSET(present, &own)) ++present;
+    Loop loop;
+    Tier some(loop, {.name = "some", .cpus = {present, absent}});
+    Tier none(loop, {.name = "none", .cpus = {absent}});
+    Tier all(loop, {.name = "all", .cpus = {present}});
+    Tier any(loop, {.name = "any", .cpus = {}});
+    for (Tier* tier : {&some, &none, &all, &any}) tier->start();
+    REQUIRE(some.warnings().size() == 1);
+    CHECK(some.warnings()[0] == "cannot bind to processors: " + std::to_string(absent) +
+                                    ": this machine does not have them, or the process may not use them: use "
+                                    "processors that there are; it runs on " +
+                                    std::to_string(present));
+    CHECK(none.warnings().size() == 1);
+    CHECK(all.warnings().empty());
+    CHECK(any.warnings().empty());
   }
 
   TEST_CASE("US-33 a tier has the policy, priority, name and processor that it was given, its lanes have not") {

@@ -171,7 +171,7 @@ class Registry {
 
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. `make(Loop&, const C&)`.
+  /// for none. One whose parameter `path` is required is refused with an empty one. `make(Loop&, const C&)`.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(

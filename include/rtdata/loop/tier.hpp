@@ -51,7 +51,7 @@ class Tier {
     bool lock_memory = true;  ///< with a real-time policy: mlockall, so that no page of the process is ever taken away again
     std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
     bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, for all processors
-    Duration spin{0};  ///< wait the last stretch before a deadline spinning: costs this long of a processor a tick
+    Duration spin{0};  ///< wait so long, to 10 ms, before a deadline spinning: costs as much of a processor a tick
     Duration hold_limit = Loop::Config{}.hold_limit;
     Duration delivery_budget = Loop::Config{}.delivery_budget;
     Duration phase_grid = Loop::Config{}.phase_grid;
@@ -60,7 +60,8 @@ class Tier {
   };
 
   /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in
-  /// virtual time, or belongs to a tier; a priority out of range; a name that is taken.
+  /// virtual time, or belongs to a tier; a priority, a spin or a processor out of range; a name that is
+  /// taken; (bad-name): one that is empty, longer than 200 characters or has control characters.
   Tier(Loop& main, Config config);
   /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;
   /// the log says which it is.

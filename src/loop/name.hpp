@@ -1,0 +1,26 @@
+// Names of sensors and tiers: they stand in lines for people, and in recordings.
+#pragma once
+
+#include <algorithm>
+#include <string>
+#include <string_view>
+
+namespace rtdata::detail {
+
+inline constexpr const char* name_rule = "a name has 1 to 200 characters and no control characters";
+
+inline bool is_control(unsigned char c) noexcept { return c < ' ' || c == 0x7f; }
+
+/// Whether it keeps to the rule.
+inline bool is_name(std::string_view name) noexcept {
+  return !name.empty() && name.size() <= 200 && std::none_of(name.begin(), name.end(), is_control);
+}
+
+/// A name that may be none, in quotes, for one line of text.
+inline std::string quoted_name(std::string_view name) {
+  std::string text(name.substr(0, 200));
+  std::replace_if(text.begin(), text.end(), is_control, '?');
+  return "\"" + text + "\"";
+}
+
+}  // namespace rtdata::detail
