@@ -123,7 +123,10 @@ Json bench_verdict(const Json& json) {
   }
   for (const Json& storage : json.at("storage")) {
     const Json& figures = storage.at("rtdata");
-    if (!figures.contains("rows_per_s")) continue;
+    if (figures.contains("error")) {
+      verdict.push_back("recording into " + storage.at("folder").get<std::string>() + ": failed, see above");
+      continue;
+    }
     verdict.push_back("recording into " + storage.at("folder").get<std::string>() + ": up to " +
                       amount_text(figures.at("rows_per_s")) + " rows/s" +
                       (figures.at("dropped") == 0 ? "" : "; " + figures.at("dropped").dump() + " rows dropped"));

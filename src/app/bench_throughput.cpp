@@ -7,10 +7,12 @@
 #include <sqlite3.h>
 
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/live_file.hpp"
 #endif
 #include "app/bench_measure.hpp"
 #include "rtdata/data/describe.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {
@@ -100,6 +102,7 @@ class TemporaryFolder {
 };
 
 constexpr std::size_t rows_per_commit = 500;
+constexpr const char* database_name = "/rtdata.db";
 
 Json stored_json(double rows_per_second, std::vector<double>& commits) {
   std::sort(commits.begin(), commits.end());
@@ -118,23 +121,27 @@ Json stored_json(double rows_per_second, std::vector<double>& commits) {
 Json measure_sink(const std::string& folder, Duration duration) {
   Loop loop(unwatched);
   std::string failed;
-  loop.on_error([&](const ErrorReport& report) { failed = report.error.text(); });
-  SqliteConfig config{.path = folder + "/rtdata.db"};
+  loop.on_error([](const ErrorReport&) {});  // the sink's health tells it
+  SqliteConfig config{.path = folder + database_name};
   config.sink.batch_rows = rows_per_commit;
   SqliteSink sink(loop, config);
   const auto topic = loop.topic<BenchSample>("bench");
   const auto publish = [&](std::size_t rows) {
     for (std::size_t i = 0; i < rows; ++i) topic.publish({static_cast<double>(i), 1, 2, 3});
   };
+  const auto is_good = [&] {
+    if (failed.empty() && sink.health() != Health::ok) failed = loop.runtime().sinks().front().reason;
+    return failed.empty();
+  };
   const auto wait_until_at_most = [&](std::uint64_t queued) {
-    while (sink.counts().queued > queued && failed.empty()) {
+    while (sink.counts().queued > queued && is_good()) {
       stop_if_interrupted();
       loop.run_for(std::chrono::microseconds{100});
     }
   };
   constexpr std::uint64_t waiting = 20 * rows_per_commit;
   const auto begin = SteadyClock::now();
-  while (SteadyClock::now() - begin < duration * 2 / 3 && failed.empty()) {
+  while (SteadyClock::now() - begin < duration * 2 / 3 && is_good()) {
     publish(rows_per_commit);
     loop.poll();
     wait_until_at_most(waiting);
@@ -145,17 +152,19 @@ Json measure_sink(const std::string& folder, Duration duration) {
   const double rows_per_second = static_cast<double>(counts.stored) / seconds_of(SteadyClock::now() - begin);
   std::vector<double> commits;
   const auto begin_single = SteadyClock::now();
-  while (SteadyClock::now() - begin_single < duration / 3 && failed.empty()) {
+  while (SteadyClock::now() - begin_single < duration / 3 && is_good()) {
     const auto from = SteadyClock::now();
     publish(rows_per_commit);
     sink.flush();
     wait_until_at_most(0);
     commits.push_back(seconds_of(SteadyClock::now() - from));
   }
-  const std::uint64_t lost = loop.close();
+  is_good();
+  loop.close(std::chrono::seconds{1});
+  const std::uint64_t dropped = loop.runtime().sinks().front().counts.all_dropped();
+  if (!failed.empty()) return {{"error", failed}, {"dropped", dropped}};
   Json json = stored_json(rows_per_second, commits);
-  json["dropped"] = counts.all_dropped() + lost;
-  if (!failed.empty()) json["error"] = failed;
+  json["dropped"] = dropped;
   return json;
 }
 
@@ -198,9 +207,8 @@ Json measure_bare_sqlite(const std::string& folder, Duration duration) {
   const double rows_per_second = static_cast<double>(rows) / seconds_of(SteadyClock::now() - begin);
   ::sqlite3_finalize(insert);
   ::sqlite3_close(database);
-  Json json = stored_json(rows_per_second, commits);
-  if (!works) json["error"] = "a statement failed";
-  return json;
+  if (!works) return {{"error", "a statement failed"}};
+  return stored_json(rows_per_second, commits);
 }
 
 }  // namespace
@@ -209,6 +217,8 @@ nlohmann::ordered_json measure_storage(const std::string& parent, Duration durat
   const TemporaryFolder folder(parent);
   Json json{{"folder", parent}};
   json["rtdata"] = measure_sink(folder.path(), duration / 2);
+  // What a recording that could not be closed leaves for the next run, of which there will be none.
+  if (auto live = sqlite::LiveFile::open(folder.path() + database_name)) live->remove();
   json["limit"] = measure_bare_sqlite(folder.path(), duration / 2);
   return json;
 }

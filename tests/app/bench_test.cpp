@@ -1,5 +1,6 @@
 // `rtdata bench`: that it measures what it says, not how fast this machine is.
 #include <doctest/doctest.h>
+#include <sys/mount.h>
 
 #include <nlohmann/json.hpp>
 
@@ -53,6 +54,34 @@ TEST_SUITE("app") {
       CHECK(storage["rtdata"]["dropped"] == 0);
       CHECK(storage["limit"]["rows_per_s"] > 0);
     }
+  }
+
+  TEST_CASE("NFR-5 bench says that nothing could be recorded into a full disk, and leaves nothing behind") {
+    const Folder folder;
+    if (::mount("tmpfs", folder.path().c_str(), "tmpfs", 0, "size=300k") != 0) {
+      MESSAGE("skipped: mounting a small file system needs root");
+      return;
+    }
+    struct Unmount {
+      const Folder& folder;
+      ~Unmount() { ::umount2(folder.path().c_str(), MNT_DETACH); }
+    } const unmount{folder};
+    const auto live_files = [] {
+      std::size_t count = 0;
+      for (const auto& entry : std::filesystem::directory_iterator("/dev/shm"))
+        count += entry.path().filename().string().starts_with("rtdata-") ? 1 : 0;
+      return count;
+    };
+    const std::size_t before = live_files();
+    Process bench(folder, program, {"bench", "--for", "1s", "--json", "figures.json"});
+    CHECK(bench.end() == 0);
+    CHECK(has(bench.out, "    rtdata: cannot use the recording: "));
+    CHECK(has(bench.out, "disk is full: make room"));
+    CHECK(has(bench.out, "recording into " + folder.path() + ": failed, see above\n"));
+    CHECK(live_files() == before);
+    const auto figures = nlohmann::json::parse(folder.read("figures.json"));
+    CHECK(figures["storage"][0]["rtdata"]["dropped"] > 0);
+    CHECK_FALSE(figures["storage"][0]["rtdata"].contains("rows_per_s"));
   }
 
   TEST_CASE("NFR-5 bench says what is wrong with its options") {

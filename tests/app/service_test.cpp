@@ -194,6 +194,23 @@ TEST_CASE("NFR-2 a run tells that it is ready, feeds the watchdog, and tells tha
   CHECK(fake.count("STOPPING=1") == 1);
 }
 
+TEST_CASE(
+    "US-9 a signal while a timed run stores what is queued does not cut that short; what is not stored is status 1") {
+  const Folder folder;
+  FakeManager fake(folder.path() + "/notify");
+  folder.write("bench.json", R"({
+    "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+    "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "2 s"} ] })");
+  Process run(folder, program, {"run", "bench.json", "--for", "300ms"});
+  CHECK(fake.wait_for("STOPPING=1"));
+  run.signal(SIGTERM);
+  CHECK(run.end() == 1);
+  CHECK(run.err.find("SIGTERM: it is storing what is queued already (again: ends at once)") != std::string::npos);
+  CHECK(run.out.find("ledger balances; ") != std::string::npos);
+  CHECK(run.out.find(" events were NOT stored; something was lost: ") != std::string::npos);
+  CHECK(run.out.find(", 0 queued") != std::string::npos);
+}
+
 TEST_CASE("NFR-1 a run names the tier that does not turn, and the sensor that held it with its place") {
   const Folder folder;
   FakeManager fake(folder.path() + "/notify", "200000");
