@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <charconv>
 #include <functional>
 #include <iostream>
 #include <memory>
@@ -27,7 +28,12 @@ constexpr const char* examples = R"(examples:
   rtdata verify bench.db                  prove that its recording is complete
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
-exit status: 0 good, 2 mistakes in the configuration, 3 loss with --fail-on-loss, 1 anything else)";
+exit status:
+  0  good
+  1  an error; verify: the recording is not balanced, or not sealed
+  2  run, check: mistakes in the configuration; verify, info, export: the recording
+     is unreadable or damaged; top: several instances are running, name one
+  3  run --fail-on-loss: something was missed, failed or dropped)";
 
 /// What a subcommand does once the command line is read; returns the exit status.
 using Action = std::function<int(const Registry&)>;
@@ -45,6 +51,18 @@ std::optional<Duration> span_of(const std::string& option, const std::string& te
   std::cerr << "rtdata: " << option << " " << text << ": "
             << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
   return std::nullopt;
+}
+
+/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
+CLI::Validator at_least(std::int64_t least) {
+  const auto check = [least](const std::string& text) {
+    std::int64_t number = 0;
+    const char* const end = text.data() + text.size();
+    const auto [stopped, failed] = std::from_chars(text.data(), end, number);
+    const bool is_good = failed == std::errc{} && stopped == end && number >= least;
+    return is_good ? std::string() : text + " must be a whole number from " + std::to_string(least) + " on";
+  };
+  return CLI::Validator(check, "");
 }
 
 Action prepare_run(CLI::App& command) {
@@ -120,7 +138,9 @@ Action prepare_bench(CLI::App& command) {
       .add_option("--json", given->options.json_file,
                   "Write the figures to this file as JSON; - is standard output, instead of the text")
       ->type_name("FILE");
-  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
+  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")
+      ->check(at_least(0))
+      ->type_name("N");
   command.footer(
       "examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
       "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
@@ -162,8 +182,8 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
-  command.add_option("--limit", options->limit, "At most so many rows; 0: all");
-  command.add_option("--every", options->every, "Only each n-th row");
+  command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
+  command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
   command.add_flag_callback(
       "--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
   command.add_flag_callback(

@@ -395,11 +395,32 @@ TEST_SUITE("app") {
     CHECK(folder.read("first.json") == text);
   }
 
+  TEST_CASE("counts of the command line that are below what there is are mistakes") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
+    CHECK(record.end() == 0);
+    for (const auto& arguments : std::vector<std::vector<std::string>>{{"export", "run.db", "--limit", "-1"},
+                                                                       {"export", "run.db", "--every", "-1"},
+                                                                       {"export", "run.db", "--every", "0"},
+                                                                       {"export", "run.db", "--run", "-1"},
+                                                                       {"info", "run.db", "--run", "-1"},
+                                                                       {"bench", "--for", "100ms", "--cpu", "-1"}}) {
+      Process wrong(folder, program, arguments);
+      CHECK_MESSAGE(wrong.end() == 1, arguments[0], " ", arguments[2]);
+      CHECK(wrong.out.empty());
+      CHECK_MESSAGE((has(wrong.err, " must be a whole number from ") || has(wrong.err, "there is no run -1")),
+                    wrong.err);
+    }
+  }
+
   TEST_CASE("NFR-5 the command line explains itself") {
     const Folder folder;
     Process help(folder, shipped, {"--help"});
     CHECK(help.end() == 0);
     for (const char* word : {"init", "run", "check", "types", "examples:"}) CHECK(has(help.out, word));
+    CHECK(has(help.out, "verify, info, export: the recording"));
     Process version(folder, shipped, {"--version"});
     CHECK(version.end() == 0);
     CHECK(version.out.starts_with("rtdata "));
