@@ -2,11 +2,15 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <atomic>
+#include <cerrno>
 #include <charconv>
+#include <cstring>
 #include <functional>
 #include <iostream>
 #include <memory>
 #include <optional>
+#include <streambuf>
 #include <string_view>
 #include <utility>
 #include <vector>
@@ -240,11 +244,59 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   return app::exit_other;
 }
 
+/// While it lives, std::cout remembers why a write failed. It keeps no text, so any thread may print as before.
+class Output final : public std::streambuf {
+ public:
+  Output() : to_(std::cout.rdbuf(this)) {}
+  Output(const Output&) = delete;
+  Output& operator=(const Output&) = delete;
+  ~Output() override { std::cout.rdbuf(to_); }
+  /// False: something that was printed is lost, and that was said; but not of a reader that went away.
+  bool is_written() {
+    std::cout.flush();
+    const int failed = errno_.load();
+    if (failed != 0 && failed != EPIPE)
+      std::cerr << "rtdata: cannot write the output: " << std::strerror(failed) << std::endl;
+    return failed == 0;
+  }
+
+ protected:
+  int overflow(int character) override {
+    if (character == traits_type::eof()) return traits_type::not_eof(character);
+    errno = 0;
+    const int put = to_->sputc(traits_type::to_char_type(character));
+    note(put != traits_type::eof());
+    return put;
+  }
+  std::streamsize xsputn(const char* text, std::streamsize size) override {
+    errno = 0;
+    const std::streamsize put = to_->sputn(text, size);
+    note(put == size);
+    return put;
+  }
+  int sync() override {
+    errno = 0;
+    const int synced = to_->pubsync();
+    note(synced == 0);
+    return synced;
+  }
+
+ private:
+  void note(bool is_good) {
+    int none = 0;
+    if (!is_good) errno_.compare_exchange_strong(none, errno == 0 ? EIO : errno);
+  }
+  std::streambuf* to_;
+  std::atomic<int> errno_{0};  // of the first write that failed
+};
+
 }  // namespace
 
 int run_program(const Registry& registry, int argc, char** argv) {
   try {
-    return parse_and_run(registry, argc, argv);
+    Output output;
+    const int status = parse_and_run(registry, argc, argv);
+    return output.is_written() || status != app::exit_good ? status : app::exit_other;
   } catch (const std::exception& error) {
     std::cerr << "rtdata: error: " << error.what() << std::endl;
     return app::exit_other;

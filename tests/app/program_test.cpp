@@ -395,6 +395,30 @@ TEST_SUITE("app") {
     CHECK(folder.read("first.json") == text);
   }
 
+  TEST_CASE("output that is lost is told, and is exit status 1; a reader that goes away is not") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
+    CHECK(record.end() == 0);
+    Process run(folder, program, {"run", "bench.json"});
+    REQUIRE(run.wait_for("running bench"));
+    for (const char* command :
+         {"--version", "--help", "types", "types --schema", "check bench.json", "info run.db", "verify run.db",
+          "verify run.db --json", "export run.db", "top --once", "top --json", "bench --for 100ms --json -"}) {
+      Process full(folder, "/bin/sh", {"-c", program + " " + command + " > /dev/full"});
+      CHECK_MESSAGE(full.end() == 1, command);
+      CHECK_MESSAGE(full.err == "rtdata: cannot write the output: No space left on device\n", command);
+      if (std::string(command).starts_with("bench")) continue;
+      Process piped(folder, "/bin/sh", {"-c", "trap '' PIPE; " + program + " " + command + " | true"});
+      CHECK(piped.end() == 0);
+      CHECK_MESSAGE(piped.err.empty(), command);
+    }
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+  }
+
   TEST_CASE("counts of the command line that are below what there is are mistakes") {
     const Folder folder;
     folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
