@@ -1,4 +1,5 @@
 // The subcommands of rtdata that read recordings. Each prints to `out`, its errors to `err`, and returns the exit code.
+// What `out` does not take is the caller's to tell.
 #pragma once
 
 #include <cstdint>
@@ -41,7 +42,7 @@ struct ExportOptions {
   enum class Header { names, names_and_units };
   Header header = Header::names;
 };
-/// 0; 1 when it cannot be exported so; 2 unreadable.
+/// 0; 1 when it cannot be exported so, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
 
 }  // namespace rtdata::app

@@ -288,7 +288,9 @@ std::vector<Instance> running_instances() {
   for (const std::string& folder : folders()) {
     if (::geteuid() != 0 && !is_private(folder)) continue;
     for (Instance& one : sockets_in(folder)) {
-      if (is_alive(one.pid) && ControlClient::connect(one.path)) all.push_back(std::move(one));
+      if (!is_alive(one.pid)) continue;
+      const auto client = ControlClient::connect(one.path);
+      if (client || client.error().code == make_error_code(Errc::busy)) all.push_back(std::move(one));
     }
   }
   std::sort(all.begin(), all.end(), [](const Instance& a, const Instance& b) { return a.pid < b.pid; });
@@ -300,8 +302,12 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
   if (!address_of(path, address))
     return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
   ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-  if (client.fd_ < 0 || ::connect(client.fd_, generic(address), sizeof address) != 0)
-    return system_error(errno, "cannot connect", path);
+  const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
+  if (!is_connected && errno == EAGAIN) {
+    return Error{Errc::busy, "cannot connect", path, "too many wait to be connected",
+                 "see whether the process is stopped"};
+  }
+  if (!is_connected) return system_error(errno, "cannot connect", path);
   if (!is_trusted(client.fd_) && ::geteuid() != 0)
     return Error{Errc::not_permitted, "cannot connect", path, "it is of another user", "ask them"};
   return client;
@@ -311,27 +317,40 @@ ControlClient::~ControlClient() {
   if (fd_ >= 0) ::close(fd_);
 }
 
-Result<std::string> ControlClient::ask(std::string line, Duration at_most) {
+Result<std::string> ControlClient::ask(std::string_view line, Duration at_most) {
+  send(line);
+  auto answer = receive(at_most);
+  if (!answer) return std::move(answer).error();
+  if (*answer) return std::move(**answer);
+  return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
+               "see whether it is stopped, its loop is held, or the machine is busy"};
+}
+
+void ControlClient::send(std::string_view line) {
+  out_.append(line).append("\n");
+  send_more();
+}
+
+void ControlClient::send_more() {
+  const ssize_t size = ::send(fd_, out_.data(), out_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (size > 0) out_.erase(0, static_cast<std::size_t>(size));
+}
+
+Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
   const auto until = std::chrono::steady_clock::now() + at_most;
-  line += '\n';
-  std::size_t sent = 0;
   for (;;) {
     if (const std::size_t end = rest_.find('\n'); end != std::string::npos) {
       std::string answer = rest_.substr(0, end);
       rest_.erase(0, end + 1);
-      return answer;
+      return std::optional(std::move(answer));
     }
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now())
-                          .count();
-    pollfd waits{fd_, static_cast<short>(sent < line.size() ? POLLIN | POLLOUT : POLLIN), 0};
-    if (left <= 0 || ::poll(&waits, 1, static_cast<int>(left)) == 0) {
-      return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
-                   "see whether its loop is held, or the machine is busy"};
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
+    pollfd waits{fd_, static_cast<short>(out_.empty() ? POLLIN : POLLIN | POLLOUT), 0};
+    if (::poll(&waits, 1, static_cast<int>(std::max<std::int64_t>(left, 0))) <= 0) {
+      if (left <= 0) return std::optional<std::string>{};
+      continue;
     }
-    if ((waits.revents & POLLOUT) != 0) {
-      const ssize_t size = ::send(fd_, line.data() + sent, line.size() - sent, MSG_NOSIGNAL | MSG_DONTWAIT);
-      if (size > 0) sent += static_cast<std::size_t>(size);
-    }
+    if ((waits.revents & POLLOUT) != 0) send_more();
     if ((waits.revents & (POLLIN | POLLHUP | POLLERR)) != 0) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -92,27 +93,37 @@ struct Instance {
   pid_t pid = 0;
   std::string path;
 };
-/// Those whose sockets this user may use, by pid. Sockets of dead processes are left out.
+/// Those whose sockets this user may use, by pid; also one that takes no connection now. Sockets of dead processes are
+/// left out.
 std::vector<Instance> running_instances();
 
-/// The other side of a ControlSocket. Blocks. Move-only.
+/// The other side of a ControlSocket. Move-only.
 class ControlClient {
  public:
+  /// Does not block. Errors: busy (more connect to it than it takes), those of the system.
   static Result<ControlClient> connect(const std::string& path);
-  ControlClient(ControlClient&& other) noexcept : fd_(std::exchange(other.fd_, -1)), rest_(std::move(other.rest_)) {}
+  ControlClient(ControlClient&& other) noexcept
+      : fd_(std::exchange(other.fd_, -1)), out_(std::move(other.out_)), rest_(std::move(other.rest_)) {}
   ControlClient& operator=(ControlClient&& other) noexcept {
     std::swap(fd_, other.fd_);
+    std::swap(out_, other.out_);
     std::swap(rest_, other.rest_);
     return *this;
   }
   ~ControlClient();
   /// The answer to one line, waited for at most so long.
-  Result<std::string> ask(std::string line, Duration at_most);
+  Result<std::string> ask(std::string_view line, Duration at_most);
+  /// Sends a line as far as that does not block; `receive` sends the rest.
+  void send(std::string_view line);
+  /// The next answer, waited for at most so long; none: it is still to come.
+  Result<std::optional<std::string>> receive(Duration at_most);
 
  private:
   explicit ControlClient(int fd) : fd_(fd) {}
+  void send_more();
   int fd_ = -1;
-  std::string rest_;
+  std::string out_;   // not sent yet
+  std::string rest_;  // received, and no answer yet
 };
 
 }  // namespace rtdata::app

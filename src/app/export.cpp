@@ -2,8 +2,10 @@
 
 #include <charconv>
 #include <ostream>
+#include <set>
 
 #include "app/commands.hpp"
+#include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -17,6 +19,54 @@ Result<std::optional<Time>> parse_time(const std::string& text) {
   auto time = parse_iso8601(text);
   if (!time) return std::move(time).error();
   return std::optional{*time};
+}
+
+std::string list_of(const std::set<std::string>& names) {
+  constexpr std::size_t most = 10;
+  std::string text;
+  std::size_t count = 0;
+  for (const std::string& name : names) {
+    if (count++ == most) return text + ", ...";
+    text += (text.empty() ? "" : ", ") + name;
+  }
+  return text.empty() ? "nothing" : text;
+}
+
+/// Error: there is no such run, topic or origin in the recording, whatever the time.
+Result<void> find(const Recording& recording, const RowFilter& filter) {
+  const auto missing = [&](std::string why) {
+    return Error{Errc::not_found, "cannot export", recording.path(), std::move(why),
+                 "see `rtdata info " + recording.path() + "`"};
+  };
+  const auto runs = recording.runs();
+  if (!runs) return runs.error();
+  std::set<std::string> numbers, topics, origins;
+  bool is_there = false;
+  for (const RunInfo& run : *runs) {
+    numbers.insert(std::to_string(run.run));
+    if (filter.run && run.run != *filter.run) continue;
+    const auto ledger = recording.ledger(run.run);
+    if (!ledger) return ledger.error();
+    for (const LedgerEntry& entry : *ledger) {
+      topics.insert(entry.topic);
+      if (!topic_matches(filter.topic, entry.topic)) continue;
+      origins.insert(entry.origin);
+      is_there = is_there || !filter.origin || entry.origin == *filter.origin;
+    }
+  }
+  const std::string of_run = filter.run ? "run " + std::to_string(*filter.run) : "it";
+  if (filter.run && !numbers.contains(std::to_string(*filter.run)))
+    return missing("there is no " + of_run + "; its runs are " + list_of(numbers));
+  if (is_there || (filter.topic == "#" && !filter.origin)) return {};
+  // A run that goes on, or was killed, may have rows before its first account.
+  auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin});
+  if (!rows) return rows.error();
+  const auto row = rows->next();
+  if (!row) return row.error();
+  if (*row != nullptr) return {};
+  if (origins.empty()) return missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
+  return missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic + "; there is " +
+                 list_of(origins));
 }
 
 int fail(std::ostream& err, const Error& error, int code) {
@@ -33,6 +83,12 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   if (!from) return fail(err, from.error(), 1);
   auto until = parse_time(options.until);
   if (!until) return fail(err, until.error(), 1);
+  if (*from && *until && **from > **until) {
+    return fail(err,
+                {Errc::bad_argument, "cannot export", "--from " + options.from + " --until " + options.until,
+                 "it ends before it begins", "exchange them"},
+                1);
+  }
   const bool is_utc = options.times == ExportOptions::Times::utc;
   ExportConfig config;
   config.format = options.format;
@@ -42,8 +98,10 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
                                                                  : ExportConfig::Header::names_and_units;
   const auto code_of = [](const Error& error) { return error.code == make_error_code(Errc::damaged) ? 2 : 1; };
+  if (auto found = find(*recording, config.filter); !found) return fail(err, found.error(), code_of(found.error()));
   if (options.folder.empty()) {
     auto count = export_rows(*recording, config, out);
+    if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
     return 0;
   }

@@ -2,10 +2,15 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
 #include <functional>
 #include <iostream>
 #include <memory>
 #include <optional>
+#include <streambuf>
 #include <string_view>
 #include <utility>
 #include <vector>
@@ -27,7 +32,12 @@ constexpr const char* examples = R"(examples:
   rtdata verify bench.db                  prove that its recording is complete
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
-exit status: 0 good, 2 mistakes in the configuration, 3 loss with --fail-on-loss, 1 anything else)";
+exit status:
+  0  good
+  1  an error; verify: the recording is not balanced, or not sealed
+  2  run, check: mistakes in the configuration; verify, info, export: the recording
+     is unreadable or damaged; top: several instances are running, name one
+  3  run --fail-on-loss: something was missed, failed or dropped)";
 
 /// What a subcommand does once the command line is read; returns the exit status.
 using Action = std::function<int(const Registry&)>;
@@ -45,6 +55,18 @@ std::optional<Duration> span_of(const std::string& option, const std::string& te
   std::cerr << "rtdata: " << option << " " << text << ": "
             << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
   return std::nullopt;
+}
+
+/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
+CLI::Validator at_least(std::int64_t least) {
+  const auto check = [least](const std::string& text) {
+    std::int64_t number = 0;
+    const char* const end = text.data() + text.size();
+    const auto [stopped, failed] = std::from_chars(text.data(), end, number);
+    const bool is_good = failed == std::errc{} && stopped == end && number >= least;
+    return is_good ? std::string() : text + " must be a whole number from " + std::to_string(least) + " on";
+  };
+  return CLI::Validator(check, "");
 }
 
 Action prepare_run(CLI::App& command) {
@@ -120,7 +142,9 @@ Action prepare_bench(CLI::App& command) {
       .add_option("--json", given->options.json_file,
                   "Write the figures to this file as JSON; - is standard output, instead of the text")
       ->type_name("FILE");
-  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
+  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")
+      ->check(at_least(0))
+      ->type_name("N");
   command.footer(
       "examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
       "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
@@ -162,8 +186,8 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
-  command.add_option("--limit", options->limit, "At most so many rows; 0: all");
-  command.add_option("--every", options->every, "Only each n-th row");
+  command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
+  command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
   command.add_flag_callback(
       "--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
   command.add_flag_callback(
@@ -220,11 +244,59 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   return app::exit_other;
 }
 
+/// While it lives, std::cout remembers why a write failed. It keeps no text, so any thread may print as before.
+class Output final : public std::streambuf {
+ public:
+  Output() : to_(std::cout.rdbuf(this)) {}
+  Output(const Output&) = delete;
+  Output& operator=(const Output&) = delete;
+  ~Output() override { std::cout.rdbuf(to_); }
+  /// False: something that was printed is lost, and that was said; but not of a reader that went away.
+  bool is_written() {
+    std::cout.flush();
+    const int failed = errno_.load();
+    if (failed != 0 && failed != EPIPE)
+      std::cerr << "rtdata: cannot write the output: " << std::strerror(failed) << std::endl;
+    return failed == 0;
+  }
+
+ protected:
+  int overflow(int character) override {
+    if (character == traits_type::eof()) return traits_type::not_eof(character);
+    errno = 0;
+    const int put = to_->sputc(traits_type::to_char_type(character));
+    note(put != traits_type::eof());
+    return put;
+  }
+  std::streamsize xsputn(const char* text, std::streamsize size) override {
+    errno = 0;
+    const std::streamsize put = to_->sputn(text, size);
+    note(put == size);
+    return put;
+  }
+  int sync() override {
+    errno = 0;
+    const int synced = to_->pubsync();
+    note(synced == 0);
+    return synced;
+  }
+
+ private:
+  void note(bool is_good) {
+    int none = 0;
+    if (!is_good) errno_.compare_exchange_strong(none, errno == 0 ? EIO : errno);
+  }
+  std::streambuf* to_;
+  std::atomic<int> errno_{0};  // of the first write that failed
+};
+
 }  // namespace
 
 int run_program(const Registry& registry, int argc, char** argv) {
   try {
-    return parse_and_run(registry, argc, argv);
+    Output output;
+    const int status = parse_and_run(registry, argc, argv);
+    return output.is_written() || status != app::exit_good ? status : app::exit_other;
   } catch (const std::exception& error) {
     std::cerr << "rtdata: error: " << error.what() << std::endl;
     return app::exit_other;

@@ -8,10 +8,11 @@
 #include <array>
 #include <charconv>
 #include <cstdio>
+#include <functional>
 #include <iostream>
 #include <nlohmann/json.hpp>
+#include <optional>
 
-#include "app/async_writer.hpp"
 #include "app/control_socket.hpp"
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
@@ -23,7 +24,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* request = R"({"request":"status"})";
-constexpr Duration answer_limit = std::chrono::seconds{5};
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances together
+constexpr Duration answer_limit = std::chrono::seconds{5};         // of the one that is looked at
+constexpr Duration once_limit = std::chrono::seconds{2};           // with --once
+constexpr Duration most_deaf = std::chrono::milliseconds{50};      // to keys and signals
 constexpr Duration refresh = std::chrono::seconds{1};
 constexpr std::size_t most_callbacks = 5;
 
@@ -119,43 +123,60 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
 
 struct Found {
   Instance instance;
-  ControlClient client;
-  std::string name;
-  std::string configuration;
+  std::optional<ControlClient> client;  // none: it takes no connection
+  bool answers = false;
+  std::string name;           // empty: not known
+  std::string configuration;  // or why nothing is known
 };
 
 /// An answer that is a status; errors of the other side are errors.
-Result<Json> ask(ControlClient& client, std::string* as_text = nullptr) {
-  auto line = client.ask(request, answer_limit);
-  if (!line) return std::move(line).error();
-  Json status = Json::parse(*line, nullptr, false);
-  if (!status.is_object() || !status.contains("instance")) {
-    const bool says_why = status.is_object() && status.contains("error");
-    return Error{Errc::io_failed, "no status", "instance",
-                 says_why ? text_of(status["error"]) : "it answers something else",
-                 "use the same version of the program on both sides"};
-  }
-  if (as_text != nullptr) *as_text = std::move(*line);
-  return status;
+Result<Json> status_of(const std::string& line) {
+  Json status = Json::parse(line, nullptr, false);
+  if (status.is_object() && status.contains("instance")) return status;
+  const bool says_why = status.is_object() && status.contains("error");
+  return Error{Errc::io_failed, "no status", "instance",
+               says_why ? text_of(status["error"]) : "it answers something else",
+               "use the same version of the program on both sides"};
 }
 
+/// All are asked at once, and waited for together.
 std::vector<Found> find_instances() {
   std::vector<Found> all;
   for (Instance& instance : running_instances()) {
-    auto client = ControlClient::connect(instance.path);
-    if (!client) continue;
-    auto status = ask(*client);
-    std::string name = status ? text_of(status->at("instance").at("name")) : "(" + status.error().text() + ")";
-    std::string configuration = status ? text_of(status->at("instance").at("configuration")) : "";
-    all.push_back({std::move(instance), std::move(*client), std::move(name), std::move(configuration)});
+    Found found{std::move(instance), {}, false, "", "does not answer"};
+    if (auto client = ControlClient::connect(found.instance.path)) {
+      client->send(request);
+      found.client = std::move(*client);
+    } else if (client.error().code != make_error_code(Errc::busy)) {
+      continue;  // it has just ended
+    }
+    all.push_back(std::move(found));
+  }
+  const auto until = std::chrono::steady_clock::now() + search_limit;
+  for (Found& one : all) {
+    if (!one.client) continue;
+    auto line = one.client->receive(until - std::chrono::steady_clock::now());
+    if (line && !*line) continue;
+    one.answers = true;
+    const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
+    if (status) one.name = text_of(status->at("instance").at("name"));
+    one.configuration = status ? text_of(status->at("instance").at("configuration")) : status.error().text();
   }
   return all;
 }
 
 std::string list_of(const std::vector<const Found*>& instances) {
   Table table({">pid", "name", "configuration"});
-  for (const Found* one : instances) table.add({std::to_string(one->instance.pid), one->name, one->configuration});
+  for (const Found* one : instances) {
+    table.add({std::to_string(one->instance.pid), one->name.empty() ? "-" : one->name,
+               one->name.empty() ? "(" + one->configuration + ")" : one->configuration});
+  }
   return table.text("  ");
+}
+
+Error does_not_answer() {
+  return {Errc::timed_out, "no status", "instance", "it does not answer",
+          "see whether it is stopped, its loop is held, or the machine is busy"};
 }
 
 volatile sig_atomic_t interrupted = 0;
@@ -182,11 +203,13 @@ class Terminal {
   bool wait(Duration duration) {
     const auto until = std::chrono::steady_clock::now() + duration;
     while (interrupted == 0) {
-      const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now())
-                            .count();
-      if (left <= 0) return true;
+      const Duration left = std::clamp<Duration>(until - std::chrono::steady_clock::now(), Duration{0}, most_deaf);
       pollfd keys{has_keys_ ? STDIN_FILENO : -1, POLLIN, 0};
-      if (::poll(&keys, 1, static_cast<int>(left)) <= 0) continue;
+      const auto left_ms = std::chrono::ceil<std::chrono::milliseconds>(left).count();
+      if (::poll(&keys, 1, static_cast<int>(left_ms)) <= 0) {
+        if (left == Duration{0}) return interrupted == 0;
+        continue;
+      }
       char key = 0;
       if (::read(STDIN_FILENO, &key, 1) != 1) {
         has_keys_ = false;
@@ -203,7 +226,25 @@ class Terminal {
   bool has_keys_ = true;
 };
 
-void print(const std::string& text) { write_fully(STDOUT_FILENO, text.data(), text.size()); }
+void print(const std::string& text) { std::cout << text << std::flush; }
+
+/// The next answer; none when the terminal ends the wait. `tell_silence` is called once, when none came for a while.
+std::optional<Result<std::string>> receive(ControlClient& client, Terminal& terminal, Duration limit,
+                                           const std::function<void()>& tell_silence) {
+  const auto begun = std::chrono::steady_clock::now();
+  for (bool is_told = false;;) {
+    auto line = client.receive(most_deaf);
+    if (!line) return std::move(line).error();
+    if (*line) return std::move(**line);
+    if (!terminal.wait(Duration{0})) return std::nullopt;
+    const Duration waited = std::chrono::steady_clock::now() - begun;
+    if (waited > limit) return does_not_answer();
+    if (!is_told && waited > search_limit) {
+      tell_silence();
+      is_told = true;
+    }
+  }
+}
 
 int show(Found& found, const TopOptions& options) {
   Terminal terminal;
@@ -211,16 +252,30 @@ int show(Found& found, const TopOptions& options) {
                        ::isatty(STDOUT_FILENO) == 1;
   std::string failed;
   if (is_live) print("\x1b[?25l\x1b[2J");
+  const Duration limit = options.how_often == HowOften::once ? once_limit : answer_limit;
+  const auto next_answer = [&] {
+    return receive(*found.client, terminal, limit, [&] {
+      if (is_live) print("\x1b[H\x1b[Jpid " + std::to_string(found.instance.pid) + " does not answer\r\nq ends");
+    });
+  };
   // Rates are known from the second answer on: the first was the search.
-  while (terminal.wait(refresh)) {
-    std::string line;
-    auto status = ask(found.client, &line);
+  bool goes_on = true;
+  if (!found.answers) {
+    const auto first = next_answer();
+    goes_on = first.has_value();
+    if (first && !*first) failed = first->error().text();
+  }
+  while (goes_on && failed.empty() && std::cout.good() && terminal.wait(refresh)) {
+    found.client->send(request);
+    const auto line = next_answer();
+    if (!line) break;
+    const Result<Json> status = *line ? status_of(**line) : Result<Json>(line->error());
     if (!status) {
       failed = status.error().text();
       break;
     }
     if (options.show_as == ShowAs::json) {
-      print(line + "\n");
+      print(**line + "\n");
     } else {
       winsize size{};
       if (!is_live || ::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
@@ -238,7 +293,7 @@ int show(Found& found, const TopOptions& options) {
   }
   if (is_live) print("\r\x1b[K\x1b[?25h");
   if (failed.empty()) return options.how_often == HowOften::once ? exit_other : exit_good;
-  std::cerr << "rtdata: " << failed << std::endl;
+  std::cerr << "rtdata: pid " << found.instance.pid << ": " << failed << std::endl;
   return exit_other;
 }
 
@@ -252,8 +307,10 @@ int top(const TopOptions& options) {
   }
   std::vector<const Found*> all, matching;
   Found* chosen = nullptr;
+  bool all_answer = true;
   for (Found& one : instances) {
     all.push_back(&one);
+    all_answer = all_answer && one.answers;
     const bool matches = options.instance.empty() || options.instance == one.name ||
                          options.instance == std::to_string(one.instance.pid);
     if (!matches) continue;
@@ -261,8 +318,9 @@ int top(const TopOptions& options) {
     chosen = &one;
   }
   if (matching.empty()) {
-    std::cerr << "rtdata: no running instance is called \"" << options.instance << "\"; there are:\n"
-              << list_of(all) << std::flush;
+    std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \""
+              << options.instance << "\"; there are:\n"
+              << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
     return exit_other;
   }
   if (matching.size() > 1) {
@@ -271,6 +329,10 @@ int top(const TopOptions& options) {
     return exit_configuration;
   }
   Found found = std::move(*chosen);
+  if (!found.client) {
+    std::cerr << "rtdata: pid " << found.instance.pid << ": " << does_not_answer().text() << std::endl;
+    return exit_other;
+  }
   instances.clear();  // the others' connections
   return show(found, options);
 }

@@ -409,11 +409,56 @@ TEST_SUITE("app") {
     CHECK(folder.read("first.json") == text);
   }
 
+  TEST_CASE("output that is lost is told, and is exit status 1; a reader that goes away is not") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
+    CHECK(record.end() == 0);
+    Process run(folder, program, {"run", "bench.json"});
+    REQUIRE(run.wait_for("running bench"));
+    for (const char* command :
+         {"--version", "--help", "types", "types --schema", "check bench.json", "info run.db", "verify run.db",
+          "verify run.db --json", "export run.db", "top --once", "top --json", "bench --for 100ms --json -"}) {
+      Process full(folder, "/bin/sh", {"-c", program + " " + command + " > /dev/full"});
+      CHECK_MESSAGE(full.end() == 1, command);
+      CHECK_MESSAGE(full.err == "rtdata: cannot write the output: No space left on device\n", command);
+      if (std::string(command).starts_with("bench")) continue;
+      Process piped(folder, "/bin/sh", {"-c", "trap '' PIPE; " + program + " " + command + " | true"});
+      CHECK(piped.end() == 0);
+      CHECK_MESSAGE(piped.err.empty(), command);
+    }
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+  }
+
+  TEST_CASE("counts of the command line that are below what there is are mistakes") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
+    CHECK(record.end() == 0);
+    for (const auto& arguments : std::vector<std::vector<std::string>>{{"export", "run.db", "--limit", "-1"},
+                                                                       {"export", "run.db", "--every", "-1"},
+                                                                       {"export", "run.db", "--every", "0"},
+                                                                       {"export", "run.db", "--run", "-1"},
+                                                                       {"info", "run.db", "--run", "-1"},
+                                                                       {"bench", "--for", "100ms", "--cpu", "-1"}}) {
+      Process wrong(folder, program, arguments);
+      CHECK_MESSAGE(wrong.end() == 1, arguments[0], " ", arguments[2]);
+      CHECK(wrong.out.empty());
+      CHECK_MESSAGE((has(wrong.err, " must be a whole number from ") || has(wrong.err, "there is no run -1")),
+                    wrong.err);
+    }
+  }
+
   TEST_CASE("NFR-5 the command line explains itself") {
     const Folder folder;
     Process help(folder, shipped, {"--help"});
     CHECK(help.end() == 0);
     for (const char* word : {"init", "run", "check", "types", "examples:"}) CHECK(has(help.out, word));
+    CHECK(has(help.out, "verify, info, export: the recording"));
     Process version(folder, shipped, {"--version"});
     CHECK(version.end() == 0);
     CHECK(version.out.starts_with("rtdata "));

@@ -197,6 +197,42 @@ TEST_SUITE("app") {
     CHECK(has(wrong.err, "no running instance is called \"nobody\""));
   }
 
+  TEST_CASE("top tells of an instance that does not answer, and looks at the others") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    Process rig_run(folder, program, {"run", "rig.json"});
+    REQUIRE(rig_run.wait_for("running rig"));
+    const Instance stopped = running_instances().at(0);
+    const std::string pid = std::to_string(stopped.pid);
+    Process other(folder, program, {"run", "other.json"});
+    REQUIRE(other.wait_for("running other"));
+    rig_run.signal(SIGSTOP);
+    Process live(folder, program, {"top", pid}, Process::Output::terminal);
+    CHECK(live.wait_for("pid " + pid + " does not answer"));
+    live.signal(SIGTERM);
+    CHECK(live.end() == 0);
+    Process once(folder, program, {"top", pid, "--once"});
+    CHECK(once.end() == 1);
+    CHECK(has(once.err, "pid " + pid + ": no status: instance: it does not answer: see whether it is stopped"));
+    Process healthy(folder, program, {"top", "other", "--once"});
+    CHECK(healthy.end() == 0);
+    CHECK(healthy.out.starts_with("other  pid "));
+    // So many connections wait for the one that is stopped that it takes no more.
+    for (int i = 0; i < 10; ++i) (void)ControlClient::connect(stopped.path);
+    Process several(folder, program, {"top", "--once"});
+    CHECK(several.end() == 2);
+    CHECK(has(several.err, pid + "  -      (does not answer)\n"));
+    Process wrong(folder, program, {"top", "rig", "--once"});
+    CHECK(wrong.end() == 1);
+    CHECK(has(wrong.err, "no running instance that answers is called \"rig\""));
+    CHECK(has(wrong.err, "name one that does not answer by its pid"));
+    rig_run.signal(SIGCONT);
+    rig_run.signal(SIGINT);
+    CHECK(rig_run.end() == 0);
+  }
+
   TEST_CASE("NFR-5 the socket of a killed run is skipped by top and removed by the next run") {
     const RuntimeFolder runtime;
     const Folder folder;

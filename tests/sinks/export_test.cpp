@@ -140,4 +140,38 @@ TEST_CASE("FW-5 the subcommand export takes filters and says what is wrong with 
   CHECK(app::export_recording({.database = folder / "none"}, out, err) == 2);
 }
 
+TEST_CASE("export of what there is not says what there is, and makes nothing") {
+  const Folder folder;
+  const std::string path = make(folder);
+  const auto refusal = [&](const app::ExportOptions& options) {
+    std::ostringstream out, err;
+    CHECK(app::export_recording(options, out, err) == 1);
+    CHECK(out.str() == "");
+    CHECK(err.str().starts_with("rtdata: cannot export: "));
+    return err.str();
+  };
+  const auto has = [](const std::string& text, const std::string& part) {
+    return text.find(part) != std::string::npos;
+  };
+  CHECK(has(refusal({.database = path, .topic = "nothere"}),
+            "it has no topic nothere; there is every/thing, room/climate"));
+  CHECK(
+      has(refusal({.database = path, .topic = "nothere", .folder = folder / "out"}), "see `rtdata info " + path + "`"));
+  CHECK_FALSE(std::filesystem::exists(folder / "out"));
+  CHECK(has(refusal({.database = path, .topic = "room/climate", .run = 99}), "there is no run 99; its runs are 1"));
+  CHECK(has(refusal({.database = path, .topic = "room/climate", .origin = "nope"}),
+            "it has nothing of origin nope on topic room/climate; there is room"));
+  CHECK(has(refusal({.database = path, .topic = "room/climate", .from = "2", .until = "1"}),
+            "--from 2 --until 1: it ends before"));
+  // What is there, without rows in that time.
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .until = "1"}, out, err) == 0);
+  CHECK(out.str() + err.str() == "");
+  // Rows that no account tells of yet.
+  sql(path, "DELETE FROM rtdata_ledger");
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .origin = "room", .limit = 1}, out, err) ==
+        0);
+  CHECK(lines_of(out.str()).size() == 2);
+}
+
 TEST_SUITE_END();

@@ -1,7 +1,9 @@
 #include "rtdata/sinks/sqlite.hpp"
 
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <sqlite3.h>
+#include <sys/file.h>
 #include <sys/mount.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
@@ -12,6 +14,8 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <sstream>
+#include <thread>
 
 #include "data/payloads.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -264,6 +268,33 @@ TEST_SUITE("sinks") {
       ::chmod((directory / "other.db").c_str(), 0400);
       CHECK(refusal({.path = directory / "other.db"}).starts_with("not-permitted: "));
     }
+  }
+
+  TEST_CASE("a second start waits for the pid of the first, which has the recording but not said so") {
+    Directory directory;
+    const std::string path = directory / "run.db";
+    record(path, 1);
+    struct stat status {};
+    REQUIRE(::stat(path.c_str(), &status) == 0);
+    std::ostringstream name;
+    name << "rtdata-" << std::hex << status.st_dev << "-" << status.st_ino;
+    const bool has_memory = ::access("/dev/shm", W_OK | X_OK) == 0;
+    const std::string live = (has_memory ? "/dev/shm/" : directory / ".") + name.str();
+    const int fd = ::open(live.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+    REQUIRE(fd >= 0);
+    REQUIRE(::flock(fd, LOCK_EX) == 0);
+    CHECK(refusal({.path = path}).find("another process records into it") != std::string::npos);
+    const std::int64_t pid = ::getpid();
+    std::thread winner([&] {
+      std::this_thread::sleep_for(std::chrono::milliseconds{50});
+      CHECK(::pwrite(fd, &pid, sizeof pid, 8) == sizeof pid);
+    });
+    const std::string message = refusal({.path = path});
+    winner.join();
+    CAPTURE(message);
+    CHECK(message.find("process " + std::to_string(pid) + " records into it") != std::string::npos);
+    ::unlink(live.c_str());
+    ::close(fd);
   }
 
   TEST_CASE("US-26 a second process on one recording is refused with the first one's pid") {

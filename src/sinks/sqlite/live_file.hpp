@@ -17,7 +17,8 @@ class LiveFile {
   static constexpr std::uint32_t most_slots = 1u << 20;
 
   LiveFile() = default;
-  /// Locks the recording at `path`, which exists. Errors: busy, naming the pid of the process that records into it.
+  /// Locks the recording at `path`, which exists. Errors: busy, naming the pid of the process that records into it; to
+  /// learn it may take 1 s.
   static Result<LiveFile> open(const std::string& path);
   LiveFile(LiveFile&& other) noexcept;
   LiveFile& operator=(LiveFile&& other) noexcept;
