@@ -110,7 +110,7 @@ ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
     : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", patience) {
   listen();
   try {
-    watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
+    look_for_clients();
   } catch (...) {
     ::unlink(path_.c_str());
     ::close(fd_);
@@ -161,9 +161,19 @@ void ControlSocket::listen() {
                     "`rtdata top` does not see this instance; all else works"});
 }
 
+void ControlSocket::look_for_clients() {
+  watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
+}
+
 void ControlSocket::accept() {
   const int fd = ::accept4(fd_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
-  if (fd < 0) return;  // it went away again; or no descriptor is free: others may be closed soon
+  if (fd < 0) {
+    if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // it went away again
+    // It stays readable: the loop would do nothing else until a descriptor is free.
+    watch_.close();
+    later_ = Timer(loop_, std::chrono::seconds{1}, [this] { look_for_clients(); });
+    return;
+  }
   if (clients_.size() >= most_clients || !is_trusted(fd)) {
     constexpr std::string_view refusal = "{\"error\":\"too many clients\"}\n";
     if (is_trusted(fd)) [[maybe_unused]]

@@ -61,6 +61,7 @@ class ControlSocket {
     FdWatch watch;  // before the descriptor
   };
   void listen();
+  void look_for_clients();
   void accept();
   Client* find(std::uint64_t number) noexcept;
   void drop(std::uint64_t number);
@@ -86,6 +87,7 @@ class ControlSocket {
   std::uint64_t last_number_ = 0;
   std::vector<std::unique_ptr<Client>> clients_;
   FdWatch watch_;
+  Timer later_;
 };
 
 /// A running instance, as its socket shows it.

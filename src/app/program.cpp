@@ -142,9 +142,7 @@ Action prepare_bench(CLI::App& command) {
       .add_option("--json", given->options.json_file,
                   "Write the figures to this file as JSON; - is standard output, instead of the text")
       ->type_name("FILE");
-  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")
-      ->check(at_least(0))
-      ->type_name("N");
+  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
   command.footer(
       "examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
       "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"

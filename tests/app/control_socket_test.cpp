@@ -2,6 +2,7 @@
 #include "app/control_socket.hpp"
 
 #include <doctest/doctest.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
@@ -176,6 +177,31 @@ TEST_SUITE("app") {
     echo.turn(5s);
     CHECK(echo.gone == std::vector<std::uint64_t>{1});
     CHECK(echo.answered == 2);
+  }
+
+  TEST_CASE("a control socket without a descriptor for a client looks again in a second, and not all the time") {
+    Echo echo;
+    RawClient client(echo.socket.path());
+    client.send("one\n");
+    rlimit before{};
+    REQUIRE(::getrlimit(RLIMIT_NOFILE, &before) == 0);
+    const int lowest_free = ::dup(0);
+    ::close(lowest_free);
+    const rlimit none_left{static_cast<rlim_t>(lowest_free), before.rlim_max};
+    REQUIRE(::setrlimit(RLIMIT_NOFILE, &none_left) == 0);
+    const auto tries = [&] {
+      std::uint64_t count = 0;
+      for (const CallbackStatus& callback : echo.loop.callbacks())
+        if (callback.name == "control socket") count += callback.times.count;
+      return count;
+    };
+    echo.turn();
+    CHECK(tries() == 0);  // its watch has gone
+    ::setrlimit(RLIMIT_NOFILE, &before);
+    echo.turn(500ms);
+    CHECK(client.read().empty());
+    echo.turn(1s);
+    CHECK(client.read() == "1:one\n");
   }
 
   TEST_CASE("a control socket answers a client at most every 20 ms, however many lines it sends") {

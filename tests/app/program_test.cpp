@@ -443,8 +443,7 @@ TEST_SUITE("app") {
                                                                        {"export", "run.db", "--every", "-1"},
                                                                        {"export", "run.db", "--every", "0"},
                                                                        {"export", "run.db", "--run", "-1"},
-                                                                       {"info", "run.db", "--run", "-1"},
-                                                                       {"bench", "--for", "100ms", "--cpu", "-1"}}) {
+                                                                       {"info", "run.db", "--run", "-1"}}) {
       Process wrong(folder, program, arguments);
       CHECK_MESSAGE(wrong.end() == 1, arguments[0], " ", arguments[2]);
       CHECK(wrong.out.empty());
