@@ -310,8 +310,38 @@ TEST_CASE("FW-5 the summary tells rows, rates, lateness and losses of each topic
   REQUIRE(room.has_lateness);
   CHECK(room.lateness_p50 == Duration{0});
   CHECK(room.lateness_max >= 2ms);
+  CHECK(room.is_complete);
   REQUIRE(room.first);
   CHECK(*room.last - *room.first >= 9990ms);
+}
+
+TEST_CASE("FW-5 of a run that was not closed the summary tells what is known, and rates of the accounted time") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE rtdata_run SET state = 'recording'");
+  // Its last account was of the first 300 ticks.
+  sql(path, "UPDATE rtdata_schedule SET scheduled = 300, end = first_due + 299 * period");
+  sql(path,
+      "UPDATE rtdata_ledger SET missed = 0, rows_up_to = (SELECT max(rowid) FROM \"room/climate\" WHERE time < "
+      "(SELECT first_due + 299 * period FROM rtdata_schedule)) WHERE topic = 'room/climate'");
+  const auto room = [&] { return summary(Recording::open(path).or_throw(), 1).or_throw().at(1); };
+  CHECK_FALSE(room().is_complete);
+  CHECK(room().rows == 999);
+  CHECK(room().wanted_hertz == doctest::Approx(100));
+  CHECK(room().reached_hertz == doctest::Approx(100).epsilon(0.03));
+  std::ostringstream out, err;
+  CHECK(app::info({.database = path}, out, err) == 0);
+  CHECK(out.str().find(" 0+") != std::string::npos);
+  CHECK(out.str().find("+: up to the last account; the run was not closed") != std::string::npos);
+  // It never wrote one of its schedule.
+  sql(path, "DELETE FROM rtdata_schedule");
+  CHECK(room().wanted_hertz == 0);
+  CHECK(room().reached_hertz == doctest::Approx(100).epsilon(0.03));
+  out.str("");
+  CHECK(app::info({.database = path, .output = app::Output::json}, out, err) == 0);
+  const auto json = nlohmann::json::parse(out.str());
+  CHECK(json["topics"][1]["wanted_hz"].is_null());
+  CHECK(json["topics"][1]["is_complete"] == false);
 }
 
 TEST_CASE("FW-5 the subcommand info shows runs, topics and fields") {
