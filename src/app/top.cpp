@@ -24,9 +24,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* request = R"({"request":"status"})";
-constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances together
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
+constexpr Duration longest_search = std::chrono::seconds{3};       // when it has not
 constexpr Duration answer_limit = std::chrono::seconds{5};         // of the one that is looked at
-constexpr Duration once_limit = std::chrono::seconds{2};           // with --once
+constexpr Duration once_limit = std::chrono::seconds{3};           // with --once
 constexpr Duration most_deaf = std::chrono::milliseconds{50};      // to keys and signals
 constexpr Duration refresh = std::chrono::seconds{1};
 constexpr std::size_t most_callbacks = 5;
@@ -121,14 +122,6 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
   return lines;
 }
 
-struct Found {
-  Instance instance;
-  std::optional<ControlClient> client;  // none: it takes no connection
-  bool answers = false;
-  std::string name;           // empty: not known
-  std::string configuration;  // or why nothing is known
-};
-
 /// An answer that is a status; errors of the other side are errors.
 Result<Json> status_of(const std::string& line) {
   Json status = Json::parse(line, nullptr, false);
@@ -139,8 +132,29 @@ Result<Json> status_of(const std::string& line) {
                "use the same version of the program on both sides"};
 }
 
-/// All are asked at once, and waited for together.
-std::vector<Found> find_instances() {
+struct Found {
+  Instance instance;
+  std::optional<ControlClient> client;  // none: it takes no connection
+  bool answers = false;
+  std::string name;           // empty: not known
+  std::string configuration;  // or why nothing is known
+
+  /// By name or pid; every one when none is given.
+  bool matches(const std::string& wanted) const {
+    return wanted.empty() || wanted == name || wanted == std::to_string(instance.pid);
+  }
+  void hear(Duration at_most) {
+    const auto line = client->receive(at_most);
+    if (line && !*line) return;
+    answers = true;
+    const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
+    if (status) name = text_of(status->at("instance").at("name"));
+    configuration = status ? text_of(status->at("instance").at("configuration")) : status.error().text();
+  }
+};
+
+/// All are asked at once, and waited for together. `wanted`: see Found::matches.
+std::vector<Found> find_instances(const std::string& wanted) {
   std::vector<Found> all;
   for (Instance& instance : running_instances()) {
     Found found{std::move(instance), {}, false, "", "does not answer"};
@@ -152,15 +166,16 @@ std::vector<Found> find_instances() {
     }
     all.push_back(std::move(found));
   }
-  const auto until = std::chrono::steady_clock::now() + search_limit;
-  for (Found& one : all) {
-    if (!one.client) continue;
-    auto line = one.client->receive(until - std::chrono::steady_clock::now());
-    if (line && !*line) continue;
-    one.answers = true;
-    const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
-    if (status) one.name = text_of(status->at("instance").at("name"));
-    one.configuration = status ? text_of(status->at("instance").at("configuration")) : status.error().text();
+  const auto begun = std::chrono::steady_clock::now();
+  const auto is_wanted = [&](const Found& one) { return !wanted.empty() && one.matches(wanted); };
+  const auto is_silent = [](const Found& one) { return one.client && !one.answers; };
+  while (std::any_of(all.begin(), all.end(), is_silent)) {
+    for (Found& one : all) {
+      if (is_silent(one)) one.hear(std::chrono::milliseconds{10});
+    }
+    const Duration waited = std::chrono::steady_clock::now() - begun;
+    if (waited > longest_search) break;
+    if (waited > search_limit && std::any_of(all.begin(), all.end(), is_wanted)) break;
   }
   return all;
 }
@@ -300,7 +315,7 @@ int show(Found& found, const TopOptions& options) {
 }  // namespace
 
 int top(const TopOptions& options) {
-  std::vector<Found> instances = find_instances();
+  std::vector<Found> instances = find_instances(options.instance);
   if (instances.empty()) {
     std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
     return exit_other;
@@ -311,9 +326,7 @@ int top(const TopOptions& options) {
   for (Found& one : instances) {
     all.push_back(&one);
     all_answer = all_answer && one.answers;
-    const bool matches = options.instance.empty() || options.instance == one.name ||
-                         options.instance == std::to_string(one.instance.pid);
-    if (!matches) continue;
+    if (!one.matches(options.instance)) continue;
     matching.push_back(&one);
     chosen = &one;
   }

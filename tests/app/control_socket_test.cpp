@@ -2,6 +2,7 @@
 #include "app/control_socket.hpp"
 
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -185,7 +186,7 @@ TEST_SUITE("app") {
     client.send("one\n");
     rlimit before{};
     REQUIRE(::getrlimit(RLIMIT_NOFILE, &before) == 0);
-    const int lowest_free = ::dup(0);
+    const int lowest_free = ::open("/dev/null", O_RDONLY | O_CLOEXEC);
     ::close(lowest_free);
     const rlimit none_left{static_cast<rlim_t>(lowest_free), before.rlim_max};
     REQUIRE(::setrlimit(RLIMIT_NOFILE, &none_left) == 0);

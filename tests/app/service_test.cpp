@@ -200,7 +200,7 @@ TEST_CASE(
   FakeManager fake(folder.path() + "/notify");
   folder.write("bench.json", R"({
     "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
-    "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "2 s"} ] })");
+    "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "4 s"} ] })");
   Process run(folder, program, {"run", "bench.json", "--for", "300ms"});
   CHECK(fake.wait_for("STOPPING=1"));
   run.signal(SIGTERM);
