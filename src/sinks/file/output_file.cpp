@@ -3,35 +3,20 @@
 #include <fcntl.h>
 #include <sys/file.h>
 #include <sys/stat.h>
-#include <sys/sysmacros.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <cstdio>
-#include <fstream>
 #include <span>
 #include <utility>
+
+#include "sinks/lock_holder.hpp"
 
 namespace rtdata::detail {
 namespace {
 
 constexpr std::size_t window_bytes = std::size_t{1} << 20;
-
-/// The process that holds the lock, as /proc/locks tells; empty when it does not.
-std::string holder_of(const struct stat& file) {
-  char wanted[64];
-  std::snprintf(wanted, sizeof wanted, "%02x:%02x:%llu", major(file.st_dev), minor(file.st_dev),
-                static_cast<unsigned long long>(file.st_ino));
-  std::ifstream locks("/proc/locks");
-  for (std::string number, kind, mode, access, pid, place, rest;
-       locks >> number >> kind >> mode >> access >> pid >> place;) {
-    std::getline(locks, rest);
-    if (kind == "FLOCK" && place == wanted) return "process " + pid;
-  }
-  return "";
-}
 
 /// Line ends divide the events, whatever is between them.
 bool is_by_lines(const Codec& codec) {
@@ -84,9 +69,7 @@ Result<void> OutputFile::open(const std::string& path) {
     result = Error{Errc::bad_argument, "cannot record into", path, "it is no regular file", "give the path of a file"};
   } else if (::flock(fd_, LOCK_EX | LOCK_NB) != 0) {
     const int reason = errno;
-    const std::string holder = holder_of(about);
-    result = reason == EWOULDBLOCK ? Error{Errc::busy, "cannot record into", path,
-                                           (holder.empty() ? "somebody else" : holder) + " writes it",
+    result = reason == EWOULDBLOCK ? Error{Errc::busy, "cannot record into", path, lock_holder(about) + " writes it",
                                            "stop that one, or choose another path"}
                                    : failed(reason, "cannot lock the file");
   }

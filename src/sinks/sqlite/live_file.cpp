@@ -1,19 +1,17 @@
 #include "sinks/sqlite/live_file.hpp"
 
 #include <fcntl.h>
-#include <signal.h>
 #include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
-#include <chrono>
-#include <cstddef>
 #include <cstdio>
 #include <cstring>
-#include <thread>
 #include <utility>
+
+#include "sinks/lock_holder.hpp"
 
 namespace rtdata::sqlite {
 
@@ -37,21 +35,6 @@ std::string place_of(const std::string& recording, const struct stat& status) {
   return (slash == std::string::npos ? std::string() : recording.substr(0, slash + 1)) + "." + name;
 }
 
-/// Who holds the lock: "process 4711". It writes its pid as soon as it has the lock, so that is waited for, at most 1 s.
-std::string holder_of(int fd) {
-  constexpr std::chrono::seconds most{1};
-  constexpr std::chrono::milliseconds pause{5};
-  for (const auto until = std::chrono::steady_clock::now() + most; std::chrono::steady_clock::now() < until;
-       std::this_thread::sleep_for(pause)) {
-    std::int64_t pid = 0;
-    const bool is_read = ::pread(fd, &pid, sizeof pid, sizeof magic) == sizeof pid;
-    // A pid of nobody is left from a run that was killed.
-    if (is_read && pid > 0 && (::kill(static_cast<pid_t>(pid), 0) == 0 || errno != ESRCH))
-      return "process " + std::to_string(pid);
-  }
-  return "another process";
-}
-
 }  // namespace
 
 Result<LiveFile> LiveFile::open(const std::string& path) {
@@ -65,7 +48,9 @@ Result<LiveFile> LiveFile::open(const std::string& path) {
       return system_error(errno, "cannot lock the recording", path, "another user may hold " + made.path_);
     }
     if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
-      return Error{Errc::busy, "cannot record into", path, holder_of(made.fd_) + " records into it",
+      struct stat held {};
+      ::fstat(made.fd_, &held);
+      return Error{Errc::busy, "cannot record into", path, detail::lock_holder(held) + " records into it",
                    "stop that one, or record into another file"};
     }
     struct stat locked {};
@@ -82,7 +67,6 @@ Result<LiveFile> LiveFile::open(const std::string& path) {
   void* mapped = ::mmap(nullptr, sizeof(Content), PROT_READ | PROT_WRITE, MAP_SHARED, made.fd_, 0);
   if (mapped == MAP_FAILED) return system_error(errno, "cannot lock the recording", made.path_);
   made.content_ = static_cast<Content*>(mapped);
-  made.content_->pid = ::getpid();
   return made;
 }
 
