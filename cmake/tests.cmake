@@ -1,13 +1,16 @@
 # One test program, one doctest suite a folder; ctest runs each suite in a process of its own.
 find_package(doctest REQUIRED)
 rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources)
+add_library(rtdata_test_paths STATIC tests/paths.cpp)
+target_link_libraries(rtdata_test_paths PRIVATE rtdata_options)
+target_compile_definitions(rtdata_test_paths PRIVATE RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
+  RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
-target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata::rtdata doctest::doctest PkgConfig::libuv
+target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
   $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3>)
 target_include_directories(rtdata_tests PRIVATE tests src)
-target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
-  RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
 if(RTDATA_PROGRAM)
   # The program as the tests run it, with sensor and sink types of their own.
   add_executable(rtdata_test_program tests/app/test_program.cpp)
@@ -23,9 +26,9 @@ endforeach()
 if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
   rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources)
   add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
-  target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
+  target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_paths rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
   target_include_directories(rtdata_kernel_tests PRIVATE tests src)
-  target_compile_definitions(rtdata_kernel_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+  target_compile_definitions(rtdata_kernel_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
   add_dependencies(rtdata_kernel_tests rtdata_main)
 endif()
 

@@ -5,13 +5,14 @@
 #include <nlohmann/json.hpp>
 
 #include "app/process.hpp"
+#include "paths.hpp"
 
 using rtdata::test::Folder;
 using rtdata::test::Process;
 
 namespace {
 
-const std::string program = RTDATA_BINARY_DIR "/rtdata";
+const std::string program = rtdata::test::built("rtdata");
 
 bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 

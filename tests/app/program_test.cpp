@@ -11,6 +11,7 @@
 
 #include "app/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "paths.hpp"
 
 using rtdata::app::ControlClient;
 using rtdata::app::running_instances;
@@ -20,8 +21,8 @@ using rtdata::test::RuntimeFolder;
 
 namespace {
 
-const std::string program = RTDATA_BINARY_DIR "/rtdata_test_program";
-const std::string shipped = RTDATA_BINARY_DIR "/rtdata";
+const std::string program = rtdata::test::built("rtdata_test_program");
+const std::string shipped = rtdata::test::built("rtdata");
 
 constexpr const char* bench = R"({
   "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"} ],

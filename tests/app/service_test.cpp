@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "app/process.hpp"
+#include "paths.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 using namespace rtdata;
@@ -28,7 +29,7 @@ using test::Process;
 
 namespace {
 
-const std::string program = RTDATA_BINARY_DIR "/rtdata_test_program";
+const std::string program = rtdata::test::built("rtdata_test_program");
 
 /// The manager's end of $NOTIFY_SOCKET, set in the environment while it lives. "@..." is an abstract address.
 class FakeManager {

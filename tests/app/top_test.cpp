@@ -5,6 +5,7 @@
 
 #include "app/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "paths.hpp"
 
 using rtdata::app::ControlClient;
 using rtdata::app::Instance;
@@ -16,7 +17,7 @@ using namespace std::chrono_literals;
 
 namespace {
 
-const std::string program = RTDATA_BINARY_DIR "/rtdata_test_program";
+const std::string program = rtdata::test::built("rtdata_test_program");
 
 constexpr const char* rig = R"({
   "name": "rig",

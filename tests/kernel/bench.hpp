@@ -11,6 +11,7 @@
 #include <string>
 #include <string_view>
 
+#include "paths.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -89,7 +90,7 @@ inline void check_verifies(const std::string& path) {
   const auto report = verify(Recording::open(path).or_throw()).or_throw();
   INFO(report.text());
   CHECK(report.verdict() == Verdict::balanced);
-  CHECK(std::system((std::string(RTDATA_BINARY_DIR) + "/rtdata verify '" + path + "' >/dev/null").c_str()) == 0);
+  CHECK(std::system((rtdata::test::built("rtdata") + " verify '" + path + "' >/dev/null").c_str()) == 0);
 }
 
 }  // namespace bench

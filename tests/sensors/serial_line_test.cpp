@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "io/tty.hpp"
+#include "paths.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/read.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -344,7 +345,7 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
 
 TEST_CASE("US-5 every row of a real flight comes out of the line") {
   const char* const from_outside = std::getenv("RTDATA_TEST_DATA");
-  const std::string folder = from_outside != nullptr ? from_outside : RTDATA_SOURCE_DIR "/../shared/data";
+  const std::string folder = from_outside != nullptr ? from_outside : rtdata::test::in_source("../shared/data");
   std::ifstream file(folder + "/flight/tars_barometer.csv");
   if (!file) {
     MESSAGE("skipped: no flight data in " << folder << " (RTDATA_TEST_DATA names another folder)");
