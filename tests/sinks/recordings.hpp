@@ -61,7 +61,8 @@ inline VerifyReport verified(const std::string& path) { return verify(Recording:
 
 /// Makes it one of an older format, without what that one had not.
 inline void make_older(const std::string& path, int format) {
-  sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
+  sql(path, "ALTER TABLE rtdata_ledger DROP COLUMN unreadable");
+  if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
   if (format < 3) sql(path, "DROP TABLE rtdata_health");
   sql(path, "PRAGMA user_version = " + std::to_string(format));
 }

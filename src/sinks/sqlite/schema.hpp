@@ -14,7 +14,10 @@
 namespace rtdata::sqlite {
 
 inline constexpr int application_id = 0x52544441;  // "RTDA"
-inline constexpr int schema_version = 4;           // PRAGMA user_version
+inline constexpr int schema_version = 5;           // PRAGMA user_version
+
+/// Reads and data have accounts of their own; gaps may have no number of ticks.
+inline constexpr int first_version_of_own_data_account = 5;
 
 /// Accounts count from the beginning of the recording; before, from that of the sensor.
 inline constexpr int first_version_of_own_account = 4;
@@ -61,13 +64,14 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   pruned INTEGER NOT NULL DEFAULT 0,           -- rows deleted again by the size or age limit
   rows_up_to INTEGER NOT NULL DEFAULT 0,       -- the topic table's last rowid when this was written
   carried INTEGER NOT NULL DEFAULT 0,          -- reads that were under way when the recording began
+  unreadable INTEGER NOT NULL DEFAULT 0,       -- received and not to be decoded
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
   kind TEXT NOT NULL,               -- missed, failed
   reason TEXT NOT NULL,
   first INTEGER NOT NULL, last INTEGER NOT NULL,  -- when the first and the last tick were due
-  count INTEGER NOT NULL);
+  count INTEGER);                   -- ticks; NULL: it has no schedule
 CREATE TABLE IF NOT EXISTS rtdata_clock(
   run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL,
   source TEXT NOT NULL,             -- system, or the name of a plugged clock
@@ -100,6 +104,19 @@ UPDATE rtdata_clock SET occasion = source, source = 'system';
 inline constexpr const char* from_version_3 = R"sql(
 ALTER TABLE rtdata_run ADD COLUMN format INTEGER NOT NULL DEFAULT 3;
 ALTER TABLE rtdata_ledger ADD COLUMN carried INTEGER NOT NULL DEFAULT 0;
+)sql";
+
+/// What `schema` does not do to those of a file of a version before 5.
+inline constexpr const char* from_version_4 = R"sql(
+ALTER TABLE rtdata_ledger ADD COLUMN unreadable INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE rtdata_gap RENAME TO rtdata_gap_of_version_4;
+CREATE TABLE rtdata_gap(
+  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
+  kind TEXT NOT NULL, reason TEXT NOT NULL,
+  first INTEGER NOT NULL, last INTEGER NOT NULL,
+  count INTEGER);
+INSERT INTO rtdata_gap SELECT run, topic, origin, kind, reason, first, last, count FROM rtdata_gap_of_version_4;
+DROP TABLE rtdata_gap_of_version_4;
 )sql";
 
 }  // namespace rtdata::sqlite
