@@ -37,9 +37,8 @@ if [ "${RTDATA_DEBIAN13_INSIDE:-}" != "$tree" ]; then
         rm -rf "$root"
         debootstrap --variant=minbase "$suite" "$root" "$from" >"$cache/debootstrap.log" 2>&1 ||
             cannot "debootstrap cannot make a Debian 13: $(tail -n 1 "$cache/debootstrap.log")"
-        # As apt is set up here to reach the archive.
-        cp -a /etc/apt/apt.conf.d/. "$root/etc/apt/apt.conf.d/"
-        rm -f "$root"/etc/apt/apt.conf.d/*farm* "$root"/etc/apt/apt.conf.d/20packagekit "$root"/etc/apt/apt.conf.d/50appstream
+        # The archive is reached as here.
+        apt-config dump | grep -E '^Acquire::(http|https|Check|Retries)' >"$root/etc/apt/apt.conf.d/90here" || true
         : >"$root/.made"
     fi
     mkdir -p build/debian13
@@ -49,11 +48,16 @@ fi
 
 # --------------------------------------- within a mount namespace of its own --
 mkdir -p "$root/rt-data" "$root/ccache"
+rm -rf "$root"/tmp/*
+mount -t tmpfs tmpfs "$root/usr/local" # nothing is installed yet
 mount --bind "$tree" "$root/rt-data"
+mount -o remount,bind,ro "$root/rt-data"
 mount --bind "$tree/build/debian13" "$root/rt-data/build"
 mount -t proc proc "$root/proc"
 mount --rbind /dev "$root/dev" # terminals and shared memory
+ccache_size=5G
 if command -v ccache >/dev/null; then
+    ccache_size=$(ccache --get-config max_size)
     ccache=$(ccache --get-config cache_dir)
     mkdir -p "$ccache"
     mount --bind "$ccache" "$root/ccache"
@@ -65,7 +69,7 @@ fi
 # inside COMMAND...: a command there, in the source tree, with the environment of a fresh log-in.
 inside() {
     chroot "$root" env -i HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
-        CCACHE_DIR=/ccache CMAKE_BUILD_TYPE=None \
+        CCACHE_DIR=/ccache CCACHE_MAXSIZE="$ccache_size" CMAKE_BUILD_TYPE=None \
         sh -c 'cd /rt-data && exec "$@"' sh "$@"
 }
 
