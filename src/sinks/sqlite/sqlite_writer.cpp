@@ -62,15 +62,36 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
                       "check the permissions of the file and its folder"});
   }
   (void)format_of(database_, config_.path).or_throw();
-  live_ = std::move(LiveFile::open(config_.path)).or_throw();
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  lock_ = std::move(RecordingLock::take(recording)).or_throw();
+  try {
+    begin(run, recording, remarks);
+  } catch (...) {
+    if (lock_.noted().empty()) lock_.remove();
+    throw;
+  }
+}
+
+void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks) {
   throw_if(configure());
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
-  remarks = std::move(seal_runs(database_, live_)).or_throw();
+  std::vector<LiveFile> used;
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), used)).or_throw();
   throw_if(begin_run(run, uuid));
-  throw_if(database_.execute("COMMIT"));
-  live_.begin(uuid);  // only now: sealing has read the last run's account
+  if (auto made = LiveFile::make(recording, uuid)) {
+    live_ = std::move(*made);
+  } else {
+    tell_of_live_file(made.error());
+  }
+  if (auto committed = database_.execute("COMMIT"); !committed) {
+    live_.remove();
+    committed.or_throw();
+  }
+  lock_.note(live_.path());
+  for (LiveFile& one : used) one.remove();
+  LiveFile::remove_left(recording);
 }
 
 Result<void> SqliteWriter::configure() {
@@ -146,7 +167,13 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
 }
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
-  return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr;
+  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+}
+
+void SqliteWriter::tell_of_live_file(const Error& why) {
+  has_told_of_live_file_ = true;
+  warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
+                   why.what + " " + why.where + ": " + why.why, why.advice};
 }
 
 Result<void> SqliteWriter::open() { return prepare_account(); }
@@ -215,6 +242,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (batch.account() != nullptr) {
     last_account_ = batch.account()->at;
     look_at_space();
+    if (!has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   }
   if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
   return {};
@@ -378,6 +406,7 @@ Result<void> SqliteWriter::close() {
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();
+  lock_.remove();
   is_closed_ = true;
   return {};
 }
