@@ -176,6 +176,10 @@ void SqliteWriter::tell_of_live_file(const Error& why) {
                    why.what + " " + why.where + ": " + why.why, why.advice};
 }
 
+Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
+  return check_columns(topic, description);
+}
+
 Result<void> SqliteWriter::open() { return prepare_account(); }
 
 Result<void> SqliteWriter::prepare_account() {
@@ -263,19 +267,46 @@ Result<void> SqliteWriter::write_slots(const Batch& batch) {
 Result<void> SqliteWriter::write_rows(Batch& batch) {
   for (const Record& record : batch) {
     const std::uint32_t number = record.info->topic_number;
-    if (number >= tables_.size()) tables_.resize(number + 1);
-    if (tables_[number] == nullptr) {
-      auto table = TopicTable::prepare(database_, *record.info, run_);
-      if (!table) return std::move(table).error();
-      tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+    TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
+    if (table == nullptr) [[unlikely]] {
+      auto found = table_of(record);
+      if (!found) return std::move(found).error();
+      table = *found;
+      if (table == nullptr) {
+        batch.refuse_topic(record, untaken_.at(number));
+        continue;
+      }
     }
-    if (auto inserted = tables_[number]->insert(record); !inserted) return inserted;
+    if (auto inserted = table->insert(record); !inserted) return inserted;
   }
   for (const auto& table : tables_) {
     if (table == nullptr) continue;
     if (auto flushed = table->flush(); !flushed) return flushed;
   }
   return {};
+}
+
+Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
+  const std::uint32_t number = record.info->topic_number;
+  if (untaken_.contains(number)) return nullptr;
+  if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
+  auto table = TopicTable::prepare(database_, *record.info, run_);
+  // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
+  const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
+                                     table.error().code == Errc::bad_description);
+  if (!table && !is_refused) return std::move(table).error();
+  if (is_refused) {
+    Error why = std::move(table).error();
+    why.what = "cannot make a table for topic " + record.info->topic;
+    why.advice = "give the topic another name, or record into another file";
+    untaken_.emplace(number, std::move(why));
+    if (auto undone = database_.execute("ROLLBACK TO topic"); !undone) return std::move(undone).error();
+  }
+  if (auto done = database_.execute("RELEASE topic"); !done) return std::move(done).error();
+  if (is_refused) return nullptr;
+  if (number >= tables_.size()) tables_.resize(number + 1);
+  tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+  return tables_[number].get();
 }
 
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {

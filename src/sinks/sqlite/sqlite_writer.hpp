@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -34,6 +35,7 @@ class SqliteWriter final : public Writer {
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
   Result<void> close() override;
+  Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
 
@@ -44,6 +46,8 @@ class SqliteWriter final : public Writer {
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
+  /// The topic's table; null when it can never be made: then `untaken_` has the reason.
+  Result<TopicTable*> table_of(const Record& record);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
@@ -57,6 +61,7 @@ class SqliteWriter final : public Writer {
   std::int64_t run_ = 0;
   std::string boot_id_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
+  std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
   Statement slot_;
