@@ -209,7 +209,10 @@ void print(const Recording& recording, const Content& content, std::ostream& out
       std::string line;
       detail::wrap(line, "  ",
                    short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
-                       (change.reason.empty() ? "" : ": " + change.reason));
+                       (change.reason.empty() ? "" : ": " + change.reason) +
+                       (change.count == 1
+                            ? ""
+                            : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")"));
       out << line;
     }
     if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
@@ -232,7 +235,8 @@ void print_json(const Recording& recording, const Content& content, std::ostream
                                   {"object", error.object},
                                   {"id", error.id},
                                   {"text", error.text},
-                                  {"count", error.count}});
+                                  {"count", error.count},
+                                  {"last", to_nanoseconds(error.last)}});
   }
   json["health"] = Json::array();
   for (const RecordedHealth& change : content.health) {
@@ -240,7 +244,9 @@ void print_json(const Recording& recording, const Content& content, std::ostream
                                   {"kind", change.kind},
                                   {"name", change.name},
                                   {"state", change.state},
-                                  {"reason", change.reason}});
+                                  {"reason", change.reason},
+                                  {"count", change.count},
+                                  {"last", to_nanoseconds(change.last)}});
   }
   json["descriptions"] = Json::array();
   for (const RecordedTopic& topic : content.topics) {

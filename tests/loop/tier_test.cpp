@@ -694,7 +694,8 @@ TEST_SUITE("loop") {
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
     tier.start();
     tier.call([](Loop& on) {
-      for (int i = 0; i < 5000; ++i) on.core().runtime.health_changed("sensor", "s", Health::faulted, "gone");
+      for (int i = 0; i < 5000; ++i)  // those of one are joined
+        on.core().runtime.health_changed("sensor", "s" + std::to_string(i), Health::faulted, "gone");
     });
     CHECK(run_until(loop, [&] { return !lines.empty(); }));
     CHECK(lines[0] == "4000 lines, errors and changes of health of tiers were dropped: too many at once");
