@@ -747,7 +747,7 @@ TEST_SUITE("loop") {
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
     tier.start();  // the main loop does not run yet
     tier.call([](Loop& on) {
-      for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", "line");
+      for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", std::to_string(i));
     });
     CHECK(run_until(loop, [&] { return lines.size() >= 1001; }));
     CHECK(lines.size() == 1001);
