@@ -34,7 +34,9 @@ class SqliteWriter final : public Writer {
   Result<void> flush() override;
   Result<void> close() override;
   LiveCounts* live_counts(std::uint32_t slot) override;
-  std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+  std::optional<Error> take_warning() override {
+    return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
+  }
 
  private:
   Result<void> configure();
@@ -42,6 +44,7 @@ class SqliteWriter final : public Writer {
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
+  Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
@@ -52,6 +55,7 @@ class SqliteWriter final : public Writer {
   LiveFile live_;
   std::int64_t run_ = 0;
   std::string boot_id_;
+  detail::EscapedTexts escaped_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
   Statement begin_;
   Statement commit_;
