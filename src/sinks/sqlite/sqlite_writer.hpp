@@ -9,6 +9,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 
 namespace rtdata::sqlite {
@@ -35,6 +36,7 @@ class SqliteWriter final : public Writer {
   Result<void> close() override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+  StorePace pace() const override;
 
  private:
   Result<void> configure();
@@ -44,8 +46,13 @@ class SqliteWriter final : public Writer {
   Result<void> write_rows(Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
+  Result<void> prune();
+  /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
+  Result<void> tend_log();
   Result<void> checkpoint(int mode);
+  Result<void> sync_log();
   void look_at_space();
+  void look_at_size();
 
   SqliteConfig config_;
   Database database_;
@@ -66,9 +73,14 @@ class SqliteWriter final : public Writer {
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
-  Time limits_looked_at_{};
-  Time last_account_{};
-  int wal_pages_ = 0;
+  Pruner pruner_;
+  bool is_too_large_ = false;  // and has been told
+  Time now_{};                 // of the last row or account
+  Time log_synced_at_{};
+  Time readers_waited_for_at_{};
+  int log_pages_ = 0;  // after the last transaction
+  std::size_t rows_in_last_ = 0;
+  int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool is_closed_ = false;
 };
@@ -76,9 +88,5 @@ class SqliteWriter final : public Writer {
 /// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
 /// counts of the last run, if they survived. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
-
-/// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
-/// `now` is on the line of the recorded times.
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now);
 
 }  // namespace rtdata::sqlite
