@@ -318,6 +318,8 @@ int top(const TopOptions& options) {
   std::vector<Found> instances = find_instances(options.instance);
   if (instances.empty()) {
     std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
+    for (const std::string& folder : closed_folders())
+      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata top`" << std::endl;
     return exit_other;
   }
   std::vector<const Found*> all, matching;

@@ -14,7 +14,9 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "rtdata/sinks/sink.hpp"
 
@@ -42,6 +44,9 @@ struct SqliteConfig {
 
   static constexpr std::uint64_t least_max_bytes = std::uint64_t{4} << 20;
 };
+
+/// Of these, which a recording cannot have a table for: an error each, `where` its topic.
+std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
 class SqliteSink : public Sink {
  public:

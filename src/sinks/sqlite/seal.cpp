@@ -105,7 +105,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
     std::int64_t offered = row.stored + row.added + row.dropped;
     std::int64_t unsaved = 0;
     std::int64_t dropped_more = 0;
-    if (live != nullptr && row.slot >= 0) {
+    if (live != nullptr && row.slot >= 0 && live->has(static_cast<std::uint32_t>(row.slot))) {
       const LiveCounts& counts = live->counts(static_cast<std::uint32_t>(row.slot));
       const auto refused = row.dropped - std::min(row.dropped, static_cast<std::int64_t>(counts.dropped));
       dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
@@ -126,8 +126,8 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live) {
-  const bool is_known = live.belongs_to(run.uuid);
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live) {
+  const bool is_known = live != nullptr && live->is_complete();
   std::vector<std::string> topics;
   {
     auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
@@ -142,7 +142,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
   std::int64_t lost = 0;
   std::int64_t last_time = run.ended;
   for (const std::string& topic : topics) {
-    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
+    if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
@@ -164,7 +164,8 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
 
 }  // namespace
 
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
     auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
@@ -178,8 +179,11 @@ Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
   }
   std::vector<std::string> remarks;
   for (const OpenRun& run : open) {
-    auto remark = seal_run(database, run, live);
+    auto live = LiveFile::find(recording, run.uuid, noted);
+    if (!live) return std::move(live).error();
+    auto remark = seal_run(database, run, *live ? &**live : nullptr);
     if (!remark) return std::move(remark).error();
+    if (*live) used.push_back(std::move(**live));
     remarks.push_back(*remark);
   }
   return remarks;

@@ -85,15 +85,36 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
                       "check the permissions of the file and its folder"});
   }
   (void)format_of(database_, config_.path).or_throw();
-  live_ = std::move(LiveFile::open(config_.path)).or_throw();
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  lock_ = std::move(RecordingLock::take(recording)).or_throw();
+  try {
+    begin(run, recording, remarks);
+  } catch (...) {
+    if (lock_.noted().empty()) lock_.remove();
+    throw;
+  }
+}
+
+void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks) {
   throw_if(configure());
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
-  remarks = std::move(seal_runs(database_, live_)).or_throw();
+  std::vector<LiveFile> used;
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), used)).or_throw();
   throw_if(begin_run(run, uuid));
-  throw_if(database_.execute("COMMIT"));
-  live_.begin(uuid);  // only now: sealing has read the last run's account
+  if (auto made = LiveFile::make(recording, uuid)) {
+    live_ = std::move(*made);
+  } else {
+    tell_of_live_file(made.error());
+  }
+  if (auto committed = database_.execute("COMMIT"); !committed) {
+    live_.remove();
+    committed.or_throw();
+  }
+  lock_.note(live_.path());
+  for (LiveFile& one : used) one.remove();
+  LiveFile::remove_left(recording);
 }
 
 Result<void> SqliteWriter::configure() {
@@ -181,7 +202,17 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
 }
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
-  return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr;
+  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+}
+
+void SqliteWriter::tell_of_live_file(const Error& why) {
+  has_told_of_live_file_ = true;
+  warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
+                   why.what + " " + why.where + ": " + why.why, why.advice};
+}
+
+Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
+  return check_columns(topic, description);
 }
 
 Result<void> SqliteWriter::open() { return prepare_account(); }
@@ -255,6 +286,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   rows_in_last_ = batch.size();
   look_at_space();
+  if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   return {};
 }
 
@@ -274,19 +306,46 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
   for (const Record& record : batch) {
     now_ = std::max(now_, record.header.time);
     const std::uint32_t number = record.info->topic_number;
-    if (number >= tables_.size()) tables_.resize(number + 1);
-    if (tables_[number] == nullptr) {
-      auto table = TopicTable::prepare(database_, *record.info, run_);
-      if (!table) return std::move(table).error();
-      tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+    TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
+    if (table == nullptr) [[unlikely]] {
+      auto found = table_of(record);
+      if (!found) return std::move(found).error();
+      table = *found;
+      if (table == nullptr) {
+        batch.refuse_topic(record, untaken_.at(number));
+        continue;
+      }
     }
-    if (auto inserted = tables_[number]->insert(record); !inserted) return inserted;
+    if (auto inserted = table->insert(record); !inserted) return inserted;
   }
   for (const auto& table : tables_) {
     if (table == nullptr) continue;
     if (auto flushed = table->flush(); !flushed) return flushed;
   }
   return {};
+}
+
+Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
+  const std::uint32_t number = record.info->topic_number;
+  if (untaken_.contains(number)) return nullptr;
+  if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
+  auto table = TopicTable::prepare(database_, *record.info, run_);
+  // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
+  const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
+                                     table.error().code == Errc::bad_description);
+  if (!table && !is_refused) return std::move(table).error();
+  if (is_refused) {
+    Error why = std::move(table).error();
+    why.what = "cannot make a table for topic " + record.info->topic;
+    why.advice = "give the topic another name, or record into another file";
+    untaken_.emplace(number, std::move(why));
+    if (auto undone = database_.execute("ROLLBACK TO topic"); !undone) return std::move(undone).error();
+  }
+  if (auto done = database_.execute("RELEASE topic"); !done) return std::move(done).error();
+  if (is_refused) return nullptr;
+  if (number >= tables_.size()) tables_.resize(number + 1);
+  tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+  return tables_[number].get();
 }
 
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
@@ -484,6 +543,7 @@ Result<void> SqliteWriter::close() {
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();
+  lock_.remove();
   is_closed_ = true;
   return {};
 }

@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -10,6 +11,7 @@
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
 #include "sinks/sqlite/prune.hpp"
+#include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 
 namespace rtdata::sqlite {
@@ -34,16 +36,20 @@ class SqliteWriter final : public Writer {
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
   Result<void> close() override;
+  Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
   StorePace pace() const override;
 
  private:
+  void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
   Result<void> configure();
   Result<void> make_schema();
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
+  /// The topic's table; null when it can never be made: then `untaken_` has the reason.
+  Result<TopicTable*> table_of(const Record& record);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
   Result<void> prune();
@@ -53,13 +59,16 @@ class SqliteWriter final : public Writer {
   Result<void> sync_log();
   void look_at_space();
   void look_at_size();
+  void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
-  Database database_;
+  RecordingLock lock_;  // given up last
   LiveFile live_;
+  Database database_;
   std::int64_t run_ = 0;
   std::string boot_id_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
+  std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
   Statement slot_;
@@ -82,11 +91,13 @@ class SqliteWriter final : public Writer {
   std::size_t rows_in_last_ = 0;
   int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
+  bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
 };
 
-/// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
-/// counts of the last run, if they survived. Returns a remark for each.
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
+/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
+/// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           std::vector<LiveFile>& used);
 
 }  // namespace rtdata::sqlite
