@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "rtdata/data/time.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -15,6 +16,7 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account lacks something anyway
+  std::int64_t format;
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -96,8 +98,9 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
-      "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = "
-      "dropped_newest + ?3, "
+      "received = iif(?10, max(received, ?1 + repeated + filtered + unreadable), "
+      "iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed))), "
+      "dropped_newest = dropped_newest + ?3, "
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
   if (!update) return std::move(update).error();
   for (const LedgerRow& row : *rows) {
@@ -121,6 +124,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
         .bind(5, row.first_sequence)
         .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    update->bind(10, std::int64_t{run.format >= first_version_of_own_data_account});
     if (auto done = update->run(); !done) return done;
   }
   return {};
@@ -168,13 +172,14 @@ Result<std::vector<std::string>> seal_runs(Database& database, const std::string
                                            std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
-    auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
+    auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
     if (!query) return std::move(query).error();
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
       if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3)),
+                      query->integer(4)});
     }
   }
   std::vector<std::string> remarks;

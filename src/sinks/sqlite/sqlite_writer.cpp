@@ -230,7 +230,7 @@ Result<void> SqliteWriter::prepare_account() {
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to, carried) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried, unreadable) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -239,7 +239,7 @@ Result<void> SqliteWriter::prepare_account() {
        "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
-       "carried=excluded.carried"},
+       "carried=excluded.carried, unreadable=excluded.unreadable"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
@@ -384,6 +384,7 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
     ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
     ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
+    ledger_.bind(26, as_integer(s.unreadable));
     if (auto done = ledger_.run(); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
@@ -392,10 +393,13 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   for (const Account::GapEntry& entry : account.gaps) {
     const SlotInfo& slot = batch.slot(entry.slot);
     gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    gap_.bind(4, std::string_view(entry.gap.kind == Gap::Kind::missed ? "missed" : "failed")).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first))
-        .bind(7, to_nanoseconds(entry.gap.last))
-        .bind(8, as_integer(entry.gap.count));
+    gap_.bind(4, name_of(entry.gap.kind)).bind(5, entry.gap.reason);
+    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last));
+    if (entry.gap.count != 0) {
+      gap_.bind(8, as_integer(entry.gap.count));
+    } else {
+      gap_.bind_null(8);
+    }
     if (auto done = gap_.run(); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
