@@ -62,7 +62,7 @@ class Run {
     const LogSettings& settings = plan.settings.log;
     std::string file = !options_.log_file.empty() ? options_.log_file : settings.file;
     if (file.empty()) file = default_log_file(options_.file);
-    if (auto opened = log_.open(file, settings.level); !opened) {
+    if (auto opened = log_.open(file, settings); !opened) {
       say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
     }
   }

@@ -10,6 +10,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 
@@ -40,6 +41,7 @@ class SqliteWriter final : public Writer {
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
+  StorePace pace() const override;
 
  private:
   void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
@@ -53,8 +55,13 @@ class SqliteWriter final : public Writer {
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
+  Result<void> prune();
+  /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
+  Result<void> tend_log();
   Result<void> checkpoint(int mode);
+  Result<void> sync_log();
   void look_at_space();
+  void look_at_size();
   void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
@@ -79,9 +86,14 @@ class SqliteWriter final : public Writer {
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
-  Time limits_looked_at_{};
-  Time last_account_{};
-  int wal_pages_ = 0;
+  Pruner pruner_;
+  bool is_too_large_ = false;  // and has been told
+  Time now_{};                 // of the last row or account
+  Time log_synced_at_{};
+  Time readers_waited_for_at_{};
+  int log_pages_ = 0;  // after the last transaction
+  std::size_t rows_in_last_ = 0;
+  int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
@@ -91,9 +103,5 @@ class SqliteWriter final : public Writer {
 /// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                            std::vector<LiveFile>& used);
-
-/// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
-/// `now` is on the line of the recorded times.
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now);
 
 }  // namespace rtdata::sqlite
