@@ -53,13 +53,13 @@ struct FileConfig {
   SinkConfig sink = {};  ///< name: the file's by default
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
-    return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required),
-        parameter("format", &FileConfig::format,
-                  "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
-        parameter("sync", &FileConfig::sync,
-                  "when the data is forced onto the disk: never, after each batch, at close"),
-        include_member(&FileConfig::sink));
+    return parameter_list(parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic",
+                                    required, TextIs::output_file, placeholders("topic")),
+                          parameter("format", &FileConfig::format,
+                                    "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
+                          parameter("sync", &FileConfig::sync,
+                                    "when the data is forced onto the disk: never, after each batch, at close"),
+                          include_member(&FileConfig::sink));
   }
 };
 
