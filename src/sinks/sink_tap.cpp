@@ -12,7 +12,7 @@ namespace {
 
 /// What was counted from `before` on; what is in flight is so now.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
-  static_assert(sizeof now == 11 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
+  static_assert(sizeof now == 12 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;
   now.taken -= before.taken;
   now.published -= before.published;
@@ -22,6 +22,7 @@ SensorCounts since(const SensorCounts& before, SensorCounts now) {
   now.received -= before.received;
   now.repeated -= before.repeated;
   now.filtered -= before.filtered;
+  now.unreadable -= before.unreadable;
   now.lost -= before.lost;
   return now;
 }

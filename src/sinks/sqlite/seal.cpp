@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "rtdata/data/time.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -15,6 +16,7 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account lacks something anyway
+  std::int64_t format;
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -96,8 +98,9 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
-      "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = "
-      "dropped_newest + ?3, "
+      "received = iif(?10, max(received, ?1 + repeated + filtered + unreadable), "
+      "iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed))), "
+      "dropped_newest = dropped_newest + ?3, "
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
   if (!update) return std::move(update).error();
   for (const LedgerRow& row : *rows) {
@@ -105,7 +108,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
     std::int64_t offered = row.stored + row.added + row.dropped;
     std::int64_t unsaved = 0;
     std::int64_t dropped_more = 0;
-    if (live != nullptr && row.slot >= 0) {
+    if (live != nullptr && row.slot >= 0 && live->has(static_cast<std::uint32_t>(row.slot))) {
       const LiveCounts& counts = live->counts(static_cast<std::uint32_t>(row.slot));
       const auto refused = row.dropped - std::min(row.dropped, static_cast<std::int64_t>(counts.dropped));
       dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
@@ -121,13 +124,14 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
         .bind(5, row.first_sequence)
         .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    update->bind(10, std::int64_t{run.format >= first_version_of_own_data_account});
     if (auto done = update->run(); !done) return done;
   }
   return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live) {
-  const bool is_known = live.belongs_to(run.uuid);
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live) {
+  const bool is_known = live != nullptr && live->is_complete();
   std::vector<std::string> topics;
   {
     auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
@@ -142,7 +146,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
   std::int64_t lost = 0;
   std::int64_t last_time = run.ended;
   for (const std::string& topic : topics) {
-    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
+    if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
@@ -164,22 +168,27 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
 
 }  // namespace
 
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
-    auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
+    auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
     if (!query) return std::move(query).error();
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
       if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3)),
+                      query->integer(4)});
     }
   }
   std::vector<std::string> remarks;
   for (const OpenRun& run : open) {
-    auto remark = seal_run(database, run, live);
+    auto live = LiveFile::find(recording, run.uuid, noted);
+    if (!live) return std::move(live).error();
+    auto remark = seal_run(database, run, *live ? &**live : nullptr);
     if (!remark) return std::move(remark).error();
+    if (*live) used.push_back(std::move(**live));
     remarks.push_back(*remark);
   }
   return remarks;

@@ -62,15 +62,36 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
                       "check the permissions of the file and its folder"});
   }
   (void)format_of(database_, config_.path).or_throw();
-  live_ = std::move(LiveFile::open(config_.path)).or_throw();
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  lock_ = std::move(RecordingLock::take(recording)).or_throw();
+  try {
+    begin(run, recording, remarks);
+  } catch (...) {
+    if (lock_.noted().empty()) lock_.remove();
+    throw;
+  }
+}
+
+void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks) {
   throw_if(configure());
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
-  remarks = std::move(seal_runs(database_, live_)).or_throw();
+  std::vector<LiveFile> used;
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), used)).or_throw();
   throw_if(begin_run(run, uuid));
-  throw_if(database_.execute("COMMIT"));
-  live_.begin(uuid);  // only now: sealing has read the last run's account
+  if (auto made = LiveFile::make(recording, uuid)) {
+    live_ = std::move(*made);
+  } else {
+    tell_of_live_file(made.error());
+  }
+  if (auto committed = database_.execute("COMMIT"); !committed) {
+    live_.remove();
+    committed.or_throw();
+  }
+  lock_.note(live_.path());
+  for (LiveFile& one : used) one.remove();
+  LiveFile::remove_left(recording);
 }
 
 Result<void> SqliteWriter::configure() {
@@ -146,7 +167,13 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
 }
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
-  return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr;
+  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+}
+
+void SqliteWriter::tell_of_live_file(const Error& why) {
+  has_told_of_live_file_ = true;
+  warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
+                   why.what + " " + why.where + ": " + why.why, why.advice};
 }
 
 Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
@@ -168,7 +195,7 @@ Result<void> SqliteWriter::prepare_account() {
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to, carried) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried, unreadable) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -177,7 +204,7 @@ Result<void> SqliteWriter::prepare_account() {
        "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
-       "carried=excluded.carried"},
+       "carried=excluded.carried, unreadable=excluded.unreadable"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
@@ -219,6 +246,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (batch.account() != nullptr) {
     last_account_ = batch.account()->at;
     look_at_space();
+    if (!has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   }
   if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
   return {};
@@ -317,6 +345,7 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
     ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
     ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
+    ledger_.bind(26, as_integer(s.unreadable));
     if (auto done = ledger_.run(); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
@@ -325,10 +354,13 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   for (const Account::GapEntry& entry : account.gaps) {
     const SlotInfo& slot = batch.slot(entry.slot);
     gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    gap_.bind(4, std::string_view(entry.gap.kind == Gap::Kind::missed ? "missed" : "failed")).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first))
-        .bind(7, to_nanoseconds(entry.gap.last))
-        .bind(8, as_integer(entry.gap.count));
+    gap_.bind(4, name_of(entry.gap.kind)).bind(5, entry.gap.reason);
+    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last));
+    if (entry.gap.count != 0) {
+      gap_.bind(8, as_integer(entry.gap.count));
+    } else {
+      gap_.bind_null(8);
+    }
     if (auto done = gap_.run(); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
@@ -409,6 +441,7 @@ Result<void> SqliteWriter::close() {
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();
+  lock_.remove();
   is_closed_ = true;
   return {};
 }

@@ -10,6 +10,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 
 namespace rtdata::sqlite {
@@ -39,6 +40,7 @@ class SqliteWriter final : public Writer {
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
 
  private:
+  void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
   Result<void> configure();
   Result<void> make_schema();
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
@@ -50,10 +52,12 @@ class SqliteWriter final : public Writer {
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
   void look_at_space();
+  void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
-  Database database_;
+  RecordingLock lock_;  // given up last
   LiveFile live_;
+  Database database_;
   std::int64_t run_ = 0;
   std::string boot_id_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
@@ -75,12 +79,14 @@ class SqliteWriter final : public Writer {
   Time last_account_{};
   int wal_pages_ = 0;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
+  bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
 };
 
-/// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
-/// counts of the last run, if they survived. Returns a remark for each.
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
+/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
+/// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           std::vector<LiveFile>& used);
 
 /// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
 /// `now` is on the line of the recorded times.

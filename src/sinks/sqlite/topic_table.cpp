@@ -82,7 +82,7 @@ void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Valu
       if (v >= ' ' && v <= '~') {
         sqlite3_bind_text(statement, index, &v, 1, SQLITE_TRANSIENT);
       } else {
-        sqlite3_bind_int(statement, index, v);
+        sqlite3_bind_int(statement, index, static_cast<unsigned char>(v));
       }
     }
     void operator()(std::int64_t v) const { sqlite3_bind_int64(statement, index, v); }
