@@ -213,6 +213,19 @@ class SerialLineNode final : public SourceNode {
 
 }  // namespace detail
 
+void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  try {
+    const detail::LineDecoder decoder(config);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    const std::string key = e.where == "sequence_field" ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
+}
+
 ReadTime read_time(const SerialConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
 
 SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig config) {

@@ -78,7 +78,8 @@ struct FileConfig {
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required),
+        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
+                  TextIs::output_file, placeholders("topic")),
         parameter("format", &FileConfig::format,
                   "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
         parameter("sync", &FileConfig::sync,
