@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "rtdata/data/time.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -15,6 +16,7 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account lacks something anyway
+  bool has_checksums;
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -126,8 +128,61 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live) {
+/// Gives the rows of a run that no checksum covers a line that says so.
+Result<void> seal_values(Database& database, std::int64_t run, const std::string& topic, const std::string& table) {
+  auto columns = columns_of(database, table);
+  if (!columns) return std::move(columns).error();
+  auto query = database.prepare(
+      "SELECT l.origin, l.stored - l.pruned - ifnull(sum(c.rows), 0), ifnull(max(c.last_sequence), 0) + 1, "
+      "l.last_sequence FROM rtdata_ledger l LEFT JOIN rtdata_checksum c ON c.run = l.run AND c.table_name = ?1 AND "
+      "c.origin = l.origin WHERE l.run = ?2 AND l.topic = ?3 GROUP BY l.origin");
+  if (!query) return std::move(query).error();
+  query->bind(1, table).bind(2, run).bind(3, topic);
+  std::vector<std::pair<std::string, ChecksumLine>> lines;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    if (query->integer(1) <= 0) continue;
+    ChecksumLine line{run,
+                      table,
+                      {},
+                      static_cast<std::uint64_t>(query->integer(2)),
+                      static_cast<std::uint64_t>(query->integer(3)),
+                      static_cast<int>(columns->size()),
+                      {static_cast<std::uint64_t>(query->integer(1)), 0},
+                      false};
+    lines.emplace_back(query->text(0), line);
+  }
+  for (auto& [origin, line] : lines) {
+    line.origin = origin;
+    if (auto inserted = insert_line(database, line); !inserted) return inserted;
+  }
+  return {};
+}
+
+/// The table that holds the rows of a run's topic; empty: none.
+Result<std::string> table_of(Database& database, std::int64_t run, const std::string& topic) {
+  auto tables = tables_of(database, topic);
+  if (!tables) return std::move(tables).error();
+  for (std::string& table : *tables) {
+    auto rows = database.prepare("SELECT 1 FROM " + quoted(table) + " WHERE run = ? ORDER BY rowid DESC LIMIT 1");
+    if (!rows) return std::move(rows).error();
+    rows->bind(1, run);
+    auto row = rows->step();
+    if (!row) return std::move(row).error();
+    if (*row) return std::move(table);
+  }
+  return std::string();
+}
+
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live, AccountSums& sums) {
   const bool is_known = live.belongs_to(run.uuid);
+  if (run.has_checksums) {
+    auto found = sums_found(database, run.run);
+    if (!found) return std::move(found).error();
+    sums.set(run.run, *found);
+  }
   std::vector<std::string> topics;
   {
     auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
@@ -144,6 +199,11 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
   for (const std::string& topic : topics) {
     if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
       return std::move(sealed).error();
+    if (!run.has_checksums) continue;
+    auto table = table_of(database, run.run, topic);
+    if (!table) return std::move(table).error();
+    if (table->empty()) continue;
+    if (auto sealed = seal_values(database, run.run, topic, *table); !sealed) return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
@@ -159,26 +219,30 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
+  if (run.has_checksums) {
+    if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
+  }
   return remark;
 }
 
 }  // namespace
 
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
+Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live, AccountSums& sums) {
   std::vector<OpenRun> open;
   {
-    auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
+    auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
     if (!query) return std::move(query).error();
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
       if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3)),
+                      query->integer(4) >= first_version_with_checksums});
     }
   }
   std::vector<std::string> remarks;
   for (const OpenRun& run : open) {
-    auto remark = seal_run(database, run, live);
+    auto remark = seal_run(database, run, live, sums);
     if (!remark) return std::move(remark).error();
     remarks.push_back(*remark);
   }
@@ -188,19 +252,15 @@ Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live) {
 namespace {
 
 /// Deletes the rows of a table up to the rowid, and counts them in the ledger.
-Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to) {
-  auto count = database.prepare("SELECT run, origin, count(*) FROM " + quoted(table) +
-                                " WHERE rowid <= ? GROUP BY run, origin");
-  if (!count) return std::move(count).error();
+Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to,
+                         ValueRanges& open_ranges) {
+  auto deleted = sums_before_delete(database, table, up_to, open_ranges);
+  if (!deleted) return std::move(deleted).error();
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
   if (!update) return std::move(update).error();
-  count->bind(1, up_to);
-  for (;;) {
-    auto row = count->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    update->bind(1, count->integer(2)).bind(2, count->integer(0)).bind(3, topic).bind(4, count->text(1));
+  for (const DeletedRows& rows : *deleted) {
+    update->bind(1, static_cast<std::int64_t>(rows.rows)).bind(2, rows.run).bind(3, topic).bind(4, rows.origin);
     if (auto done = update->run(); !done) return done;
   }
   auto remove = database.prepare("DELETE FROM " + quoted(table) + " WHERE rowid <= ?");
@@ -211,7 +271,7 @@ Result<void> prune_table(Database& database, const std::string& topic, const std
 
 }  // namespace
 
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now) {
+Result<void> prune(Database& database, ValueRanges& open_ranges, std::uint64_t max_bytes, Duration max_age, Time now) {
   constexpr std::int64_t most_rows_a_table = 5000;
   bool is_too_large = false;
   if (max_bytes > 0) {
@@ -232,39 +292,29 @@ Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age
       tables.emplace_back(query->text(0), query->text(1));
     }
   }
-  if (auto begun = database.execute("BEGIN IMMEDIATE"); !begun) return begun;
-  const auto work = [&]() -> Result<void> {
-    for (const auto& [topic, table] : tables) {
-      // Rows lie in order of recording: the oldest first. The last one stays, so that rowids go on ascending.
-      auto first = database.integer("SELECT min(rowid) FROM " + quoted(table));
-      if (!first) return std::move(first).error();
-      auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
-      if (!last) return std::move(last).error();
-      if (*last <= *first) continue;
-      std::int64_t up_to = 0;
-      if (is_too_large) up_to = std::min(*first + std::min(most_rows_a_table, (*last - *first) / 10 + 1), *last) - 1;
-      if (max_age.count() > 0) {
-        auto query = database.prepare("SELECT max(rowid) FROM (SELECT rowid, time FROM " + quoted(table) +
-                                      " ORDER BY rowid LIMIT ?) WHERE time < ?");
-        if (!query) return std::move(query).error();
-        query->bind(1, most_rows_a_table).bind(2, to_nanoseconds(now - max_age));
-        auto row = query->step();
-        if (!row) return std::move(row).error();
-        if (*row && !query->is_null(0)) up_to = std::max(up_to, std::min(query->integer(0), *last - 1));
-      }
-      if (up_to >= *first) {
-        if (auto pruned = prune_table(database, topic, table, up_to); !pruned) return pruned;
-      }
+  for (const auto& [topic, table] : tables) {
+    // Rows lie in order of recording: the oldest first. The last one stays, so that rowids go on ascending.
+    auto first = database.integer("SELECT min(rowid) FROM " + quoted(table));
+    if (!first) return std::move(first).error();
+    auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
+    if (!last) return std::move(last).error();
+    if (*last <= *first) continue;
+    std::int64_t up_to = 0;
+    if (is_too_large) up_to = std::min(*first + std::min(most_rows_a_table, (*last - *first) / 10 + 1), *last) - 1;
+    if (max_age.count() > 0) {
+      auto query = database.prepare("SELECT max(rowid) FROM (SELECT rowid, time FROM " + quoted(table) +
+                                    " ORDER BY rowid LIMIT ?) WHERE time < ?");
+      if (!query) return std::move(query).error();
+      query->bind(1, most_rows_a_table).bind(2, to_nanoseconds(now - max_age));
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      if (*row && !query->is_null(0)) up_to = std::max(up_to, std::min(query->integer(0), *last - 1));
     }
-    return {};
-  };
-  auto done = work();
-  if (done) done = database.execute("COMMIT");
-  if (!done) {
-    if (sqlite3_get_autocommit(database.raw()) == 0) (void)database.execute("ROLLBACK");
-    return done;
+    if (up_to >= *first) {
+      if (auto pruned = prune_table(database, topic, table, up_to, open_ranges); !pruned) return pruned;
+    }
   }
-  return database.execute("PRAGMA incremental_vacuum(1000)");
+  return {};
 }
 
 }  // namespace rtdata::sqlite

@@ -67,9 +67,12 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
-  remarks = std::move(seal_runs(database_, live_)).or_throw();
+  throw_if(sums_.watch(database_));
+  remarks = std::move(seal_runs(database_, live_, sums_)).or_throw();
   throw_if(begin_run(run, uuid));
+  throw_if(sums_.write_changes(database_));
   throw_if(database_.execute("COMMIT"));
+  sums_.committed();
   live_.begin(uuid);  // only now: sealing has read the last run's account
 }
 
@@ -141,6 +144,8 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   insert->bind(12, std::int64_t{schema_version});
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
+  sums_.begin(run_);
+  ranges_.begin(run_, run.started);
   boot_id_ = run.boot_id;
   return {};
 }
@@ -205,12 +210,17 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
+  if (done) done = write_checksums(batch.account());
   if (done) done = commit_.run();
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
+    ranges_.rolled_back();
+    sums_.rolled_back();
     return done;
   }
+  ranges_.committed();
+  sums_.committed();
   known_slots_ = slots;
   if (batch.account() != nullptr) {
     last_account_ = batch.account()->at;
@@ -237,7 +247,7 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
     const std::uint32_t number = record.info->topic_number;
     if (number >= tables_.size()) tables_.resize(number + 1);
     if (tables_[number] == nullptr) {
-      auto table = TopicTable::prepare(database_, *record.info, run_);
+      auto table = TopicTable::prepare(database_, *record.info, run_, ranges_);
       if (!table) return std::move(table).error();
       tables_[number] = std::make_unique<TopicTable>(std::move(*table));
     }
@@ -338,6 +348,34 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   return run_end_.run();
 }
 
+Result<void> SqliteWriter::write_checksums(const Account* account) {
+  const bool is_last = account != nullptr && account->is_last;
+  const auto which = is_last              ? ValueRanges::Close::all
+                     : account != nullptr ? ValueRanges::Close::aged
+                                          : ValueRanges::Close::full;
+  if (auto done = ranges_.write(database_, which, account != nullptr ? account->at : Time{}); !done) return done;
+  if (is_last) {
+    if (auto done = sums_.write_lines(database_, run_); !done) return done;
+  }
+  return sums_.write_changes(database_);
+}
+
+Result<void> SqliteWriter::prune_to_limits() {
+  if (auto begun = database_.execute("BEGIN IMMEDIATE"); !begun) return begun;
+  auto done = prune(database_, ranges_, config_.max_bytes, config_.max_age, last_account_);
+  if (done) done = sums_.write_changes(database_);
+  if (done) done = database_.execute("COMMIT");
+  if (!done) {
+    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    ranges_.rolled_back();
+    sums_.rolled_back();
+    return done;
+  }
+  ranges_.committed();
+  sums_.committed();
+  return database_.execute("PRAGMA incremental_vacuum(1000)");
+}
+
 Result<void> SqliteWriter::checkpoint(int mode) {
   if (config_.profile == SqliteProfile::fast) return {};
   wal_pages_ = 0;
@@ -350,7 +388,7 @@ Result<void> SqliteWriter::checkpoint(int mode) {
 Result<void> SqliteWriter::flush() {
   if ((config_.max_bytes > 0 || config_.max_age.count() > 0) && last_account_ - limits_looked_at_ >= limits_interval) {
     limits_looked_at_ = last_account_;
-    if (auto pruned = prune(database_, config_.max_bytes, config_.max_age, last_account_); !pruned) return pruned;
+    if (auto pruned = prune_to_limits(); !pruned) return pruned;
   }
   return wal_pages_ >= wal_pages_to_checkpoint ? checkpoint(SQLITE_CHECKPOINT_PASSIVE) : Result<void>{};
 }

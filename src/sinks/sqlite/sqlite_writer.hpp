@@ -7,9 +7,11 @@
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
 #include "sinks/sqlite/topic_table.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -43,11 +45,15 @@ class SqliteWriter final : public Writer {
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
+  Result<void> write_checksums(const Account* account);
+  Result<void> prune_to_limits();
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
   void look_at_space();
 
   SqliteConfig config_;
+  AccountSums sums_;  // the connection calls it
+  ValueRanges ranges_;
   Database database_;
   LiveFile live_;
   std::int64_t run_ = 0;
@@ -75,10 +81,10 @@ class SqliteWriter final : public Writer {
 
 /// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
 /// counts of the last run, if they survived. Returns a remark for each.
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live);
+Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live, AccountSums& sums);
 
-/// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
+/// In a transaction: deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
 /// `now` is on the line of the recorded times.
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now);
+Result<void> prune(Database& database, ValueRanges& open_ranges, std::uint64_t max_bytes, Duration max_age, Time now);
 
 }  // namespace rtdata::sqlite
