@@ -14,6 +14,7 @@
 #include <charconv>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 
 namespace rtdata::app {
 namespace {
@@ -22,14 +23,36 @@ constexpr Duration pause = std::chrono::milliseconds{20};
 constexpr int most_after_end = 8;  // lines of who has ended its side: there is no pause between them
 constexpr Duration patience = std::chrono::seconds{5};
 
+/// Set to an absolute path; of several, parted by ':', the first. Else empty.
+std::string folder_in(const char* variable) {
+  const char* const value = std::getenv(variable);
+  return value != nullptr && value[0] == '/' ? std::string(value, std::strcspn(value, ":")) : std::string();
+}
+
 /// Where sockets may be, best first.
 std::vector<std::string> folders() {
   std::vector<std::string> all;
-  if (const char* only = std::getenv("RTDATA_RUNTIME_DIR"); only != nullptr && only[0] == '/') return {only};
-  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && runtime[0] == '/')
-    all.push_back(std::string(runtime) + "/rtdata");
+  if (std::string only = folder_in("RTDATA_RUNTIME_DIR"); !only.empty()) return {std::move(only)};
+  // Of a service, made by systemd below /run; it may have a /tmp that nobody else sees.
+  if (std::string service = folder_in("RUNTIME_DIRECTORY"); !service.empty()) all.push_back(std::move(service));
+  if (const std::string user = folder_in("XDG_RUNTIME_DIR"); !user.empty()) all.push_back(user + "/rtdata");
   all.push_back("/run/rtdata");
   all.push_back("/tmp/rtdata-" + std::to_string(::geteuid()));
+  return all;
+}
+
+/// The folders, and those in them: services have one each.
+std::vector<std::string> folders_to_search() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders()) {
+    std::error_code none;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, none)) {
+      if (std::filesystem::is_directory(entry.symlink_status(none))) all.push_back(entry.path());
+    }
+    all.push_back(std::move(folder));
+  }
+  std::sort(all.begin(), all.end());
+  all.erase(std::unique(all.begin(), all.end()), all.end());
   return all;
 }
 
@@ -295,7 +318,7 @@ void ControlSocket::timed_out(std::uint64_t number) {
 
 std::vector<Instance> running_instances() {
   std::vector<Instance> all;
-  for (const std::string& folder : folders()) {
+  for (const std::string& folder : folders_to_search()) {
     if (::geteuid() != 0 && !is_private(folder)) continue;
     for (Instance& one : sockets_in(folder)) {
       if (!is_alive(one.pid)) continue;
@@ -304,6 +327,15 @@ std::vector<Instance> running_instances() {
     }
   }
   std::sort(all.begin(), all.end(), [](const Instance& a, const Instance& b) { return a.pid < b.pid; });
+  return all;
+}
+
+std::vector<std::string> closed_folders() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders_to_search()) {
+    if (::faccessat(AT_FDCWD, folder.c_str(), R_OK | X_OK, AT_EACCESS) != 0 && errno == EACCES)
+      all.push_back(std::move(folder));
+  }
   return all;
 }
 

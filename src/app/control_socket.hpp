@@ -98,6 +98,8 @@ struct Instance {
 /// Those whose sockets this user may use, by pid; also one that takes no connection now. Sockets of dead processes are
 /// left out.
 std::vector<Instance> running_instances();
+/// Folders that may hold more of them, which this user may not look into: other users' services.
+std::vector<std::string> closed_folders();
 
 /// The other side of a ControlSocket. Move-only.
 class ControlClient {

@@ -153,6 +153,24 @@ class AcrossItems {
     }
   }
 
+  /// Topics that a sink's patterns match and that it cannot take.
+  void check_taken(const std::vector<SinkPlan>& sinks) {
+    for (const SinkPlan& sink : sinks) {
+      if (!sink.refused_topics) continue;
+      std::vector<TopicToRecord> wanted;
+      for (const auto& [name, sensor] : topics_) {
+        const auto matches = [&, topic = std::string_view(name)](const std::string& pattern) {
+          return topic_matches(pattern, topic);
+        };
+        if (std::any_of(sink.topics.begin(), sink.topics.end(), matches))
+          wanted.push_back({name, sensor->description.get()});
+      }
+      for (const Error& error : sink.refused_topics(wanted)) {
+        plan_.problems.add(child_or_self(sink.item, "path").problem("cannot-record", error.text()));
+      }
+    }
+  }
+
   void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
     for (const SinkPlan& sink : sinks) {
       const ConfigItem& list = child_or_self(sink.item, "topics");
@@ -372,6 +390,7 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   }
   AcrossItems across(plan);
   across.check(sensors, sinks);
+  across.check_taken(sinks);
   if (all_sensors_known && !sensors.empty()) {
     across.warn_of_patterns(sinks);
     across.warn_of_tiers(sensors, root);

@@ -6,6 +6,7 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
+#include "data/character.hpp"
 #include "data/nearest.hpp"
 
 namespace rtdata {
@@ -105,17 +106,6 @@ Error bad(std::string where, std::string why, std::string advice = {}) {
   return {Errc::bad_data, "the text is no event in JSON", std::move(where), std::move(why), std::move(advice)};
 }
 
-/// The one character of a string, as a code point up to 0xff.
-bool to_char(std::string_view text, char& c) {
-  if (text.size() == 1) {
-    c = text[0];
-    return true;
-  }
-  if (text.size() != 2 || (static_cast<unsigned char>(text[0]) & 0xfc) != 0xc0) return false;
-  c = static_cast<char>((text[0] & 0x03) << 6 | (text[1] & 0x3f));
-  return true;
-}
-
 class Reader {
  public:
   Reader(const Description& description, std::byte* payload) : leaves_(description.leaves()), payload_(payload) {}
@@ -209,7 +199,7 @@ class Reader {
           if (node.text == "-Infinity") return -infinity;
         }
         if (leaf.kind == Kind::character) {
-          if (char c = 0; to_char(node.text, c)) return c;
+          if (const auto c = detail::character_of(node.text)) return *c;
         }
         return node.text;
       default:

@@ -51,7 +51,7 @@ class AnalogDevice final : public detail::LaneDevice {
     if (file.error_number() != 0)
       return port.fail(system_error(file.error_number(), cannot_read, config_.file, find_advice));
     Result<std::int64_t> adc = parse_adc(config_, file.text());
-    if (!adc) return port.fail(std::move(adc).error());
+    if (!adc) return port.unreadable(std::move(adc).error());
     AnalogReading reading{convert(config_, *adc), *adc};
     port.publish(&reading);
     return detail::Sampled::value;

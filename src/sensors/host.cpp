@@ -61,6 +61,14 @@ class ProcFile {
   std::vector<char> buffer_;
 };
 
+/// A text that came and is not as expected is unreadable; a counter that is not there has failed.
+template <class T>
+Reading<T> sorted_out(Reading<T> reading) {
+  if (Error* error = reading.error(); error != nullptr && error->code == Errc::bad_data)
+    return Unreadable{std::move(*error)};
+  return reading;
+}
+
 /// Reads inline and parses.
 template <class T>
 struct ProcDevice {
@@ -73,7 +81,7 @@ struct ProcDevice {
   void close() noexcept { file.close(); }
   Reading<T> read() {
     const Result<std::string_view> text = file.read();
-    return text ? parse(*text) : Reading<T>(text.error());
+    return text ? sorted_out(parse(*text)) : Reading<T>(text.error());
   }
 };
 
@@ -93,7 +101,7 @@ struct CpuDevice {
     const Result<std::string_view> text = file.read();
     if (!text) return text.error();
     const Result<detail::CpuTicks> now = detail::parse_cpu(*text, device);
-    if (!now) return now.error();
+    if (!now) return sorted_out(Reading<HostCpu>(now.error()));
     const auto last = std::exchange(before, *now);
     return last ? detail::cpu_shares(*last, *now) : Reading<HostCpu>(nothing_new);
   }
@@ -128,7 +136,7 @@ class SysDevice final : public detail::LaneDevice {
     if (!number) {
       Error error = std::move(number).error();
       error.where = path_;
-      return port.fail(std::move(error));
+      return port.unreadable(std::move(error));
     }
     T payload{static_cast<double>(*number) * factor_};
     port.publish(&payload);

@@ -39,6 +39,7 @@ class SerialLineNode final : public SourceNode {
     is_running_ = true;
     retry_delay_ = Duration{0};
     decoder_->forget_sequence();
+    unusable_lines_ = 0;
     take(std::move(fd));
   }
   void stop() override {
@@ -154,7 +155,8 @@ class SerialLineNode final : public SourceNode {
     retry_delay_ = Duration{0};
     ++origin_.counts.received;
     const LineDecoder::Step step = decoder_->step();
-    origin_.counts.lost += step.lost;
+    // Of the numbers that are left out, those of lines which came and could not be used are not lost.
+    origin_.counts.lost += step.lost - std::min(step.lost, std::exchange(unusable_lines_, 0));
     if (step.is_repeated) {
       ++origin_.counts.repeated;
     } else {
@@ -176,7 +178,8 @@ class SerialLineNode final : public SourceNode {
 
   void fail(const Error& error) {
     ++origin_.counts.received;
-    ++origin_.counts.failed;
+    ++origin_.counts.unreadable;
+    ++unusable_lines_;
     report(error);
     if (is_open() && is_running_) set_health(Health::degraded, &error);
   }
@@ -197,8 +200,9 @@ class SerialLineNode final : public SourceNode {
   Duration retry_delay_{0};
   unsigned openings_ = 0;
   unsigned lines_to_skip_ = 0;
-  bool is_first_ = true;      // nothing but the rest of a line may have come yet
-  bool is_overlong_ = false;  // the rest of the line is thrown away
+  std::uint64_t unusable_lines_ = 0;  // since the last good one
+  bool is_first_ = true;              // nothing but the rest of a line may have come yet
+  bool is_overlong_ = false;          // the rest of the line is thrown away
   bool is_running_ = false;
 };
 

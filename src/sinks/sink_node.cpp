@@ -72,15 +72,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     const auto threw = [&](const char* what) {
       return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
     };
+    Result<void> taken;
     try {
-      return take_topic(topic);
+      taken = take_topic(topic);
     } catch (const std::exception& e) {
-      return threw(e.what());
+      taken = threw(e.what());
     } catch (...) {
-      return threw("an exception that is no std::exception");
+      taken = threw("an exception that is no std::exception");
     }
+    if (!taken) {
+      account_.refuse_topic(topic, *this);
+      fault_for_good(taken.error().text());
+    }
+    return taken;
   }
-  void on_refusal(const Error& error) override { report(error, 1); }
+  void on_refusal(const Error& error) override {
+    Call call(*this);
+    report(error, 1);
+    tell_health();
+  }
 
   Result<void> take_topic(TopicCore& topic) {
     const auto matches = [&](const std::string& pattern) { return topic_matches(pattern, topic.name); };
@@ -138,6 +148,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void stored(StoreJob& job) {
     if (!is_attached_) return;  // too late: counted as lost
+    if (!job.topic_fault.empty()) fault_for_good(job.topic_fault);
     if (job.refused != 0 && !job.has_ended) {
       Error error = job.refusal;
       if (job.refused > 1) error.where += " (the first of " + std::to_string(job.refused) + ")";
@@ -153,6 +164,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       if (!is_open() || !job.has_ended) return;
     } else if (job.has_ended) {
       // stays faulted
+    } else if (!fault_.empty()) {
+      health_ = Health::faulted;
+      reason_ = fault_;
     } else if (health_ != Health::ok) {
       health_ = Health::ok;
       reason_.clear();
@@ -176,11 +190,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     Call call(*this);
     is_storing_ = false;
     if (outcome == LaneJob::Outcome::finished) stored(*job_);
-    if (is_open() &&
-        health_ != told_health_) {  // when nothing here is under way, since this sink may take the event itself
-      told_health_ = health_;
-      loop()->runtime.health_changed("sink", config_.name, health_, reason_);
-    }
+    tell_health();  // when nothing here is under way, since this sink may take the event itself
   }
 
   void flush() {
@@ -224,6 +234,19 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     job_->closing = closing_;
     is_storing_ = lane_->submit(job_);
     if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
+  }
+
+  /// What will not get better: the first reason stays.
+  void fault_for_good(std::string reason) {
+    if (fault_.empty()) fault_ = std::move(reason);
+    health_ = Health::faulted;
+    reason_ = fault_;
+  }
+
+  void tell_health() {
+    if (!is_open() || health_ == told_health_) return;
+    told_health_ = health_;
+    loop()->runtime.health_changed("sink", config_.name, health_, reason_);
   }
 
   Duration next_delay() noexcept {
@@ -385,6 +408,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as published
   std::string reason_;
+  std::string fault_;  // for good: it wants a topic that it cannot take
   bool is_attached_ = false;
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free

@@ -73,7 +73,8 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   SlotStored& stored_of = stored(index);
   stored_of.info = &made.info;
   stored_of.index = index;
-  stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
+  if (made.info.description != nullptr)  // else no event of it ever comes
+    stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
   if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
   return index;
@@ -299,6 +300,7 @@ void SinkQueue::finish_batch() {
   }
   revision_.fetch_add(1, std::memory_order_acq_rel);
   has_batch_ = false;
+  if (topic_fault_.empty()) topic_fault_ = std::exchange(topic_fault_in_batch_, {});
   if (refusals_in_batch_ == 0) return;
   if (refusals_ == 0) first_refusal_ = std::move(first_refusal_in_batch_);
   refusals_ += std::exchange(refusals_in_batch_, 0);
@@ -307,6 +309,7 @@ void SinkQueue::finish_batch() {
 void SinkQueue::fail_batch() noexcept {
   is_open_ = false;
   refusals_in_batch_ = 0;
+  topic_fault_in_batch_.clear();
   if (!has_batch_) return;
   for (SlotStored* s : slots_in_batch_) s->refused_in_batch = 0;
 }
@@ -365,6 +368,10 @@ Result<void> SinkQueue::close_writer() {
   return call_writer([this] { return writer_->close(); });
 }
 
+void SinkQueue::note_topic_fault(const Error& why) {
+  if (topic_fault_in_batch_.empty()) topic_fault_in_batch_ = why.text();
+}
+
 void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
   ++stored(index).refused_in_batch;
   if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
@@ -413,5 +420,9 @@ std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
   return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
 }
 void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }
+void Batch::refuse_topic(const Record& record, const Error& why) {
+  queue_->note_refusal(record.slot, why);
+  queue_->note_topic_fault(why);
+}
 
 }  // namespace rtdata

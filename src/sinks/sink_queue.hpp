@@ -117,6 +117,10 @@ class SinkQueue {
   /// The writer said that it has ended.
   bool has_ended() const noexcept { return has_ended_; }
   void note_refusal(std::uint32_t slot, const Error& why);
+  /// A topic of the batch can never be stored.
+  void note_topic_fault(const Error& why);
+  /// Why, of the first of them; empty while there is none.
+  const std::string& topic_fault() const noexcept { return topic_fault_; }
   /// What was refused since the last call: how many, and the first reason.
   std::uint64_t take_refusals(Error& why);
 
@@ -179,6 +183,8 @@ class SinkQueue {
   std::uint64_t refusals_in_batch_ = 0;
   Error first_refusal_;
   Error first_refusal_in_batch_;
+  std::string topic_fault_;
+  std::string topic_fault_in_batch_;
   bool has_ended_ = false;
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted

@@ -273,19 +273,14 @@ TEST_SUITE("sinks") {
     Directory directory;
     const std::string path = directory / "run.db";
     record(path, 1);
-    struct stat status {};
-    REQUIRE(::stat(path.c_str(), &status) == 0);
-    std::ostringstream name;
-    name << "rtdata-" << std::hex << status.st_dev << "-" << status.st_ino;
-    const bool has_memory = ::access("/dev/shm", W_OK | X_OK) == 0;
-    const std::string live = (has_memory ? "/dev/shm/" : directory / ".") + name.str();
-    const int fd = ::open(live.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+    const std::string lock = path + "-lock";
+    const int fd = ::open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
     REQUIRE(fd >= 0);
     REQUIRE(::flock(fd, LOCK_EX) == 0);
     const std::string message = refusal({.path = path});
     CAPTURE(message);
     CHECK(message.find("process " + std::to_string(::getpid()) + " records into it") != std::string::npos);
-    ::unlink(live.c_str());
+    ::unlink(lock.c_str());
     ::close(fd);
   }
 

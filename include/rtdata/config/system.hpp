@@ -16,7 +16,7 @@
 /// than the one that runs it. Relative paths are relative to the working directory.
 ///
 /// Keys of the file: name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp:
-/// bad-name, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
+/// bad-name, cannot-record, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
 /// matches-nothing, no-sensors, overloaded-lane, overloaded-loop, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.

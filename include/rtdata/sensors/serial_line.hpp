@@ -15,9 +15,9 @@
 /// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line` is
 ///   `keep`. It is not counted.
 /// - A line that cannot be used (columns missing, no number, out of its type's range, longer than `max_line`) is counted
-///   as failed and reported, and costs no other line anything.
-/// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, equal numbers as
-///   repeated (and not published). A number that goes back is a restart of the device, unless it is the wrap of the
+///   as unreadable and reported, and costs no other line anything.
+/// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines in
+///   between that came and could not be used; equal numbers as repeated (and not published). A number that goes back is a restart of the device, unless it is the wrap of the
 ///   field's type.
 /// - A device that goes away makes the sensor faulted; it is opened again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it wherever it is plugged in again. Absent at the start:
@@ -79,7 +79,7 @@ struct SerialConfig {
   std::string comment = "#";  ///< lines that begin with it are skipped; empty: none
   unsigned skip_lines = 0;    ///< lines skipped after each opening, such as a heading
   FirstLine first_line = FirstLine::discard;
-  std::size_t max_line = 4096;                            ///< bytes; a longer line has failed
+  std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
@@ -98,7 +98,7 @@ struct SerialConfig {
                   range(0, 1000000)),
         parameter("first_line", &SerialConfig::first_line,
                   "what comes first after opening may be half a line: discard or keep it"),
-        parameter("max_line", &SerialConfig::max_line, "a longer line has failed", rtdata::unit("By"),
+        parameter("max_line", &SerialConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
         parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines"),
         parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again",

@@ -24,7 +24,9 @@
 /// of another format); those of `Sink`.
 #pragma once
 
+#include <span>
 #include <string>
+#include <vector>
 
 #include "rtdata/config/parameter.hpp"
 #include "rtdata/data/codec.hpp"
@@ -60,6 +62,12 @@ struct FileConfig {
         include_member(&FileConfig::sink));
   }
 };
+
+/// Of these, which the files cannot take: a second one on one path of a format with a header, one whose file is there
+/// with another header, or with something else. An error each, `where` its topic or file. Files are read, none is made.
+/// A format that is not among `formats` is not looked at.
+std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
+                                  const CodecRegistry& formats = CodecRegistry::standard());
 
 class FileSink : public Sink {
  public:

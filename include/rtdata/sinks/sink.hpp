@@ -12,6 +12,9 @@
 ///     };
 ///     rtdata::Sink sink(loop, {.name = "lines"}, std::make_unique<Lines>());
 ///
+/// A topic that the patterns match and that the writer cannot take is never left out in silence: its events are offered
+/// and dropped as refused, and the sink is faulted with the reason for as long as it lives.
+///
 /// Every event offered ends as stored, dropped with a reason, or is still queued (ledger.hpp). A failed batch is kept
 /// and tried again with a delay that doubles; meanwhile the queue fills, and when it is full events are dropped by the
 /// chosen policy, and counted.
@@ -180,6 +183,9 @@ class Batch {
   /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals hold
   /// only if the batch succeeds.
   void refuse(const Record& record, const Error& why);
+  /// As `refuse`; no other record of its topic can be stored either, so that the sink is faulted for as long as it lives,
+  /// with this reason. The others' records are stored. To be called for each record of the topic.
+  void refuse_topic(const Record& record, const Error& why);
 
  private:
   friend class detail::SinkQueue;
@@ -193,6 +199,12 @@ class Batch {
 struct LiveCounts {
   std::uint64_t offered = 0;
   std::uint64_t dropped = 0;
+};
+
+/// A topic that a sink is to take, before either is made. See `refused_topics` of each kind.
+struct TopicToRecord {
+  std::string_view name;
+  const Description* description;  ///< null: not known yet
 };
 
 /// Stores records. Called on the sink's lane, one call at a time.
@@ -212,7 +224,8 @@ class Writer {
   /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
   virtual std::optional<Error> take_warning() { return std::nullopt; }
   /// On the loop's thread, before the first event of a topic: from the sink's constructor, or later, while the lane may
-  /// be at work. `number` is that of the slots to come. An error leaves the topic out; the constructor throws it.
+  /// be at work. `number` is that of the slots to come. An error: no event of the topic comes here, each is
+  /// counted as refused, and the sink is faulted; the constructor throws it.
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
   /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
   virtual LiveCounts* live_counts(std::uint32_t slot);

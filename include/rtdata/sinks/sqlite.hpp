@@ -14,7 +14,9 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "rtdata/sinks/sink.hpp"
 
@@ -34,6 +36,9 @@ struct SqliteConfig {
   Duration max_age{0};          ///< rows older than this are deleted, and counted as pruned; 0: no limit
   SinkConfig sink = {};         ///< what every sink has; its name is the path unless given
 };
+
+/// Of these, which a recording cannot have a table for: an error each, `where` its topic.
+std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
 class SqliteSink : public Sink {
  public:

@@ -20,6 +20,27 @@ namespace {
 constexpr std::string_view topic_mark = "{topic}";
 constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // a batch is written in pieces of this size
 
+std::string path_of(std::string path, std::string_view topic) {
+  std::string part(topic);
+  std::replace(part.begin(), part.end(), '/', '-');
+  for (std::size_t at = path.find(topic_mark); at != std::string::npos; at = path.find(topic_mark, at + part.size())) {
+    path.replace(at, topic_mark.size(), part);
+  }
+  return path;
+}
+
+/// A file holds one topic: this one, unless there is another already.
+Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const std::string& pattern,
+                       const std::string& path, std::string_view topic) {
+  const auto [other, is_new] = topic_by_path.try_emplace(path, topic);
+  if (is_new || other->second == topic) return {};
+  const bool is_pattern = pattern.find(topic_mark) != std::string::npos;
+  return Error{
+      Errc::bad_argument, "cannot record topic " + std::string(topic), path,
+      (is_pattern ? "the file holds topic " : "the columns of a file are those of one topic, here ") + other->second,
+      is_pattern ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
+}
+
 class FileWriter final : public Writer {
  public:
   FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
@@ -43,15 +64,10 @@ class FileWriter final : public Writer {
   }
 
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override {
-    const std::string path = path_of(topic);
+    const std::string path = path_of(config_.path, topic);
     const std::string header = header_codec_->header(description);
     if (is_pattern_ || !header.empty()) {
-      if (const auto [other, is_new] = topic_by_path_.try_emplace(path, topic); !is_new && other->second != topic) {
-        return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
-                     (is_pattern_ ? "the file holds topic " : "the columns of a file are those of one topic, here ") +
-                         other->second,
-                     is_pattern_ ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
-      }
+      if (auto taken = take_path(topic_by_path_, config_.path, path, topic); !taken) return taken;
     }
     return is_set_up_ ? Result<void>{} : prepare(number, path, header);  // later ones are opened by the lane
   }
@@ -68,8 +84,17 @@ class FileWriter final : public Writer {
     for (const Record& record : batch) {
       const std::uint32_t number = record.info->topic_number;
       if (!is_ready(number)) {
-        if (auto done = prepare(number, path_of(record.info->topic), codec_->header(*record.info->description)); !done)
-          return done;
+        if (const auto untaken = untaken_.find(number); untaken != untaken_.end()) {
+          batch.refuse_topic(record, untaken->second);
+          continue;
+        }
+        auto done = prepare(number, path_of(config_.path, record.info->topic),
+                            codec_->header(*record.info->description));
+        if (!done && is_for_good(done.error())) {
+          batch.refuse_topic(record, untaken_.emplace(number, done.error()).first->second);
+          continue;
+        }
+        if (!done) return done;
       }
       if (!repairs_.empty()) return take_repairs();
       OutputFile& file = files_[by_topic_[number]];
@@ -110,16 +135,9 @@ class FileWriter final : public Writer {
  private:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
 
-  std::string path_of(std::string_view topic) const {
-    std::string path = config_.path;
-    if (!is_pattern_) return path;
-    std::string part(topic);
-    std::replace(part.begin(), part.end(), '/', '-');
-    for (std::size_t at = path.find(topic_mark); at != std::string::npos;
-         at = path.find(topic_mark, at + part.size())) {
-      path.replace(at, topic_mark.size(), part);
-    }
-    return path;
+  /// The file is there and is another's: waiting does not help.
+  static bool is_for_good(const Error& error) {
+    return error.code == Errc::description_differs || error.code == Errc::damaged || error.code == Errc::bad_argument;
   }
 
   bool is_ready(std::uint32_t number) const noexcept {
@@ -172,10 +190,15 @@ class FileWriter final : public Writer {
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
+  std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
 };
 
+std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
+  return config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+}
+
 std::unique_ptr<FileWriter> make_writer(const FileConfig& config, const CodecRegistry& formats) {
-  const std::string format = config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+  const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
   return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
 }
@@ -187,6 +210,24 @@ SinkConfig with_name(const FileConfig& config) {
 }
 
 }  // namespace
+
+std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
+                                  const CodecRegistry& formats) {
+  std::vector<Error> refused;
+  auto codec = formats.make(codec_name(config, formats));
+  if (!codec) return refused;
+  const bool is_pattern = config.path.find(topic_mark) != std::string::npos;
+  std::map<std::string, std::string> topic_by_path;
+  for (const TopicToRecord& topic : topics) {
+    const std::string header = topic.description != nullptr ? (*codec)->header(*topic.description) : "";
+    if (!is_pattern && header.empty()) continue;
+    const std::string path = path_of(config.path, topic.name);
+    Result<void> taken = take_path(topic_by_path, config.path, path, topic.name);
+    if (taken && !header.empty()) taken = OutputFile::check_header(path, header);
+    if (!taken) refused.push_back(std::move(taken).error());
+  }
+  return refused;
+}
 
 FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {
   auto made = make_writer(config, formats);

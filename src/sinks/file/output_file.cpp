@@ -24,6 +24,19 @@ bool is_by_lines(const Codec& codec) {
   return codec.first_event(lines) == lines.size();
 }
 
+Result<void> compare_header(int fd, const std::string& path, const std::string& header) {
+  std::string there(header.size(), '\0');
+  const ssize_t got = ::pread(fd, there.data(), there.size(), 0);
+  if (got < 0) return system_error(errno, "cannot read the file's header", path, "");
+  there.resize(static_cast<std::size_t>(got));
+  if (there == header) return {};
+  if (got == 0 || (header.starts_with(there) && !there.ends_with('\n'))) return {};  // half a header is moved aside
+  there.resize(std::min(there.find('\n'), there.size()));
+  return Error{Errc::description_differs, "cannot append to", path,
+               "its header is \"" + there + "\", not \"" + header.substr(0, header.find('\n')) + "\"",
+               "choose another path"};
+}
+
 }  // namespace
 
 OutputFile::OutputFile(OutputFile&& other) noexcept
@@ -138,14 +151,17 @@ Result<void> OutputFile::begin(const std::string& header) {
   writes_header_ = size_at_open_ == 0 && !header.empty();
   has_begun_ = true;
   if (size_at_open_ == 0 || header.empty()) return {};
-  std::string there(header.size(), '\0');
-  const ssize_t got = ::pread(fd_, there.data(), there.size(), 0);
-  if (got < 0) return failed(errno, "cannot read the file's header");
-  if (there == header) return {};
-  there.resize(std::min(there.find('\n'), there.size()));
-  return Error{Errc::description_differs, "cannot append to", path_,
-               "its header is \"" + there + "\", not \"" + header.substr(0, header.find('\n')) + "\"",
-               "choose another path"};
+  return compare_header(fd_, path_, header);
+}
+
+Result<void> OutputFile::check_header(const std::string& path, const std::string& header) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (fd < 0) return {};  // it is not there, or what else is wrong is told elsewhere
+  struct stat about {};
+  const bool has_content = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode) && about.st_size > 0;
+  Result<void> same = has_content ? compare_header(fd, path, header) : Result<void>{};
+  ::close(fd);
+  return same;
 }
 
 void OutputFile::begin_batch() {

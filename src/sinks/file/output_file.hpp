@@ -28,6 +28,8 @@ class OutputFile {
   Result<void> repair(Codec& codec, std::string& what);
   /// Compares the header of a file with content, or sees to it that the first batch begins with it.
   Result<void> begin(const std::string& header);
+  /// Whether a file of this path, if there is one, can go on with this header. Opens it for reading only.
+  static Result<void> check_header(const std::string& path, const std::string& header);
   bool is_open() const noexcept { return fd_ >= 0; }
   bool has_begun() const noexcept { return has_begun_; }
   const std::string& path() const noexcept { return path_; }

@@ -14,11 +14,6 @@
 
 namespace rtdata::sqlite {
 
-/// In this order in `RunSums`. The first column of each but rtdata_topic is the run.
-inline constexpr std::array<std::string_view, 7> account_tables = {
-    "rtdata_run", "rtdata_schedule", "rtdata_ledger", "rtdata_gap", "rtdata_clock", "rtdata_error", "rtdata_health"};
-using RunSums = std::array<RowSum, account_tables.size()>;
-
 /// rtdata_topic is of all runs.
 inline constexpr std::string_view topic_table_name = "rtdata_topic";
 inline constexpr std::int64_t all_runs = 0;

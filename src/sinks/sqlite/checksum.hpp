@@ -3,6 +3,7 @@
 
 #include <sqlite3.h>
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -25,6 +26,11 @@ struct RowSum {
   }
   bool operator==(const RowSum&) const = default;
 };
+
+/// The tables of the account in which each row is of a run; their first column. In this order in `RunSums`.
+inline constexpr std::array<std::string_view, 7> account_tables = {
+    "rtdata_run", "rtdata_schedule", "rtdata_ledger", "rtdata_gap", "rtdata_clock", "rtdata_error", "rtdata_health"};
+using RunSums = std::array<RowSum, account_tables.size()>;
 
 /// Takes the values of a row one after the other, each as SQLite gives it back, and hashes them. Throws bad_alloc.
 class RowHash {

@@ -6,6 +6,7 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -16,7 +17,7 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account lacks something anyway
-  bool has_checksums;
+  std::int64_t format;
 };
 
 /// The tables of a topic that hold rows of the run, newest version first.
@@ -98,8 +99,9 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
-      "received = iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed)), dropped_newest = "
-      "dropped_newest + ?3, "
+      "received = iif(?10, max(received, ?1 + repeated + filtered + unreadable), "
+      "iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed))), "
+      "dropped_newest = dropped_newest + ?3, "
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
   if (!update) return std::move(update).error();
   for (const LedgerRow& row : *rows) {
@@ -107,7 +109,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
     std::int64_t offered = row.stored + row.added + row.dropped;
     std::int64_t unsaved = 0;
     std::int64_t dropped_more = 0;
-    if (live != nullptr && row.slot >= 0) {
+    if (live != nullptr && row.slot >= 0 && live->has(static_cast<std::uint32_t>(row.slot))) {
       const LiveCounts& counts = live->counts(static_cast<std::uint32_t>(row.slot));
       const auto refused = row.dropped - std::min(row.dropped, static_cast<std::int64_t>(counts.dropped));
       dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
@@ -123,65 +125,17 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
         .bind(5, row.first_sequence)
         .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    update->bind(10, std::int64_t{run.format >= first_version_of_own_data_account});
     if (auto done = update->run(); !done) return done;
   }
   return {};
 }
 
-/// Gives the rows of a run that no checksum covers a line that says so.
-Result<void> seal_values(Database& database, std::int64_t run, const std::string& topic, const std::string& table) {
-  auto columns = columns_of(database, table);
-  if (!columns) return std::move(columns).error();
-  auto query = database.prepare(
-      "SELECT l.origin, l.stored - l.pruned - ifnull(sum(c.rows), 0), ifnull(max(c.last_sequence), 0) + 1, "
-      "l.last_sequence FROM rtdata_ledger l LEFT JOIN rtdata_checksum c ON c.run = l.run AND c.table_name = ?1 AND "
-      "c.origin = l.origin WHERE l.run = ?2 AND l.topic = ?3 GROUP BY l.origin");
-  if (!query) return std::move(query).error();
-  query->bind(1, table).bind(2, run).bind(3, topic);
-  std::vector<std::pair<std::string, ChecksumLine>> lines;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    if (query->integer(1) <= 0) continue;
-    ChecksumLine line{run,
-                      table,
-                      {},
-                      static_cast<std::uint64_t>(query->integer(2)),
-                      static_cast<std::uint64_t>(query->integer(3)),
-                      static_cast<int>(columns->size()),
-                      {static_cast<std::uint64_t>(query->integer(1)), 0},
-                      false};
-    lines.emplace_back(query->text(0), line);
-  }
-  for (auto& [origin, line] : lines) {
-    line.origin = origin;
-    if (auto inserted = insert_line(database, line); !inserted) return inserted;
-  }
-  return {};
-}
-
-/// The table that holds the rows of a run's topic; empty: none.
-Result<std::string> table_of(Database& database, std::int64_t run, const std::string& topic) {
-  auto tables = tables_of(database, topic);
-  if (!tables) return std::move(tables).error();
-  for (std::string& table : *tables) {
-    auto rows = database.prepare("SELECT 1 FROM " + quoted(table) + " WHERE run = ? ORDER BY rowid DESC LIMIT 1");
-    if (!rows) return std::move(rows).error();
-    rows->bind(1, run);
-    auto row = rows->step();
-    if (!row) return std::move(row).error();
-    if (*row) return std::move(table);
-  }
-  return std::string();
-}
-
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& live, AccountSums& sums) {
-  const bool is_known = live.belongs_to(run.uuid);
-  if (run.has_checksums) {
-    auto found = sums_found(database, run.run);
-    if (!found) return std::move(found).error();
-    sums.set(run.run, *found);
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
+  const bool is_known = live != nullptr && live->is_complete();
+  const bool has_checksums = run.format >= first_version_with_checksums;
+  if (has_checksums) {
+    if (auto taken = take_over_sums(database, run.run, live, sums); !taken) return std::move(taken).error();
   }
   std::vector<std::string> topics;
   {
@@ -197,13 +151,11 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
   std::int64_t lost = 0;
   std::int64_t last_time = run.ended;
   for (const std::string& topic : topics) {
-    if (auto sealed = seal_topic(database, run, topic, is_known ? &live : nullptr, lost, last_time); !sealed)
+    if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
-    if (!run.has_checksums) continue;
-    auto table = table_of(database, run.run, topic);
-    if (!table) return std::move(table).error();
-    if (table->empty()) continue;
-    if (auto sealed = seal_values(database, run.run, topic, *table); !sealed) return std::move(sealed).error();
+  }
+  if (has_checksums) {
+    if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
@@ -219,7 +171,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
-  if (run.has_checksums) {
+  if (has_checksums) {
     if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
   }
   return remark;
@@ -227,7 +179,8 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile& l
 
 }  // namespace
 
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live, AccountSums& sums) {
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
     auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
@@ -237,13 +190,16 @@ Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live, A
       if (!row) return std::move(row).error();
       if (!*row) break;
       open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3)),
-                      query->integer(4) >= first_version_with_checksums});
+                      query->integer(4)});
     }
   }
   std::vector<std::string> remarks;
   for (const OpenRun& run : open) {
-    auto remark = seal_run(database, run, live, sums);
+    auto live = LiveFile::find(recording, run.uuid, noted);
+    if (!live) return std::move(live).error();
+    auto remark = seal_run(database, run, *live ? &**live : nullptr, sums);
     if (!remark) return std::move(remark).error();
+    if (*live) used.push_back(std::move(**live));
     remarks.push_back(*remark);
   }
   return remarks;

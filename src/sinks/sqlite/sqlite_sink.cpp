@@ -1,6 +1,7 @@
 #include "loop/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
+#include "sinks/sqlite/topic_table.hpp"
 
 namespace rtdata {
 namespace {
@@ -26,6 +27,16 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
 }
 
 }  // namespace
+
+std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRecord> topics) {
+  std::vector<Error> refused;
+  for (const TopicToRecord& topic : topics) {
+    if (topic.description == nullptr) continue;
+    if (auto fits = sqlite::check_columns(topic.name, *topic.description); !fits)
+      refused.push_back(std::move(fits).error());
+  }
+  return refused;
+}
 
 SqliteSink::SqliteSink(Loop& loop, SqliteConfig config) : Sink(loop, named(config), make_writer(loop, config)) {}
 

@@ -62,18 +62,40 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
                       "check the permissions of the file and its folder"});
   }
   (void)format_of(database_, config_.path).or_throw();
-  live_ = std::move(LiveFile::open(config_.path)).or_throw();
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  lock_ = std::move(RecordingLock::take(recording)).or_throw();
+  try {
+    begin(run, recording, remarks);
+  } catch (...) {
+    if (lock_.noted().empty()) lock_.remove();
+    throw;
+  }
+}
+
+void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks) {
   throw_if(configure());
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
   throw_if(sums_.watch(database_));
-  remarks = std::move(seal_runs(database_, live_, sums_)).or_throw();
+  std::vector<LiveFile> used;
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), sums_, used)).or_throw();
   throw_if(begin_run(run, uuid));
   throw_if(sums_.write_changes(database_));
-  throw_if(database_.execute("COMMIT"));
+  if (auto made = LiveFile::make(recording, uuid)) {
+    live_ = std::move(*made);
+  } else {
+    tell_of_live_file(made.error());
+  }
+  if (auto committed = database_.execute("COMMIT"); !committed) {
+    live_.remove();
+    committed.or_throw();
+  }
+  if (live_) live_.sums().set(sums_.sums_of(run_));
   sums_.committed();
-  live_.begin(uuid);  // only now: sealing has read the last run's account
+  lock_.note(live_.path());
+  for (LiveFile& one : used) one.remove();
+  LiveFile::remove_left(recording);
 }
 
 Result<void> SqliteWriter::configure() {
@@ -151,7 +173,17 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
 }
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
-  return slot < LiveFile::most_slots ? &live_.counts(slot) : nullptr;
+  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+}
+
+void SqliteWriter::tell_of_live_file(const Error& why) {
+  has_told_of_live_file_ = true;
+  warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
+                   why.what + " " + why.where + ": " + why.why, why.advice};
+}
+
+Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
+  return check_columns(topic, description);
 }
 
 Result<void> SqliteWriter::open() { return prepare_account(); }
@@ -169,7 +201,7 @@ Result<void> SqliteWriter::prepare_account() {
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to, carried) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried, unreadable) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -178,7 +210,7 @@ Result<void> SqliteWriter::prepare_account() {
        "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
-       "carried=excluded.carried"},
+       "carried=excluded.carried, unreadable=excluded.unreadable"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
@@ -211,20 +243,20 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (done) done = write_rows(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
   if (done) done = write_checksums(batch.account());
+  if (done) stage();
   if (done) done = commit_.run();
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
-    ranges_.rolled_back();
-    sums_.rolled_back();
+    rolled_back();
     return done;
   }
-  ranges_.committed();
-  sums_.committed();
+  committed();
   known_slots_ = slots;
   if (batch.account() != nullptr) {
     last_account_ = batch.account()->at;
     look_at_space();
+    if (!has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   }
   if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
   return {};
@@ -245,19 +277,46 @@ Result<void> SqliteWriter::write_slots(const Batch& batch) {
 Result<void> SqliteWriter::write_rows(Batch& batch) {
   for (const Record& record : batch) {
     const std::uint32_t number = record.info->topic_number;
-    if (number >= tables_.size()) tables_.resize(number + 1);
-    if (tables_[number] == nullptr) {
-      auto table = TopicTable::prepare(database_, *record.info, run_, ranges_);
-      if (!table) return std::move(table).error();
-      tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+    TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
+    if (table == nullptr) [[unlikely]] {
+      auto found = table_of(record);
+      if (!found) return std::move(found).error();
+      table = *found;
+      if (table == nullptr) {
+        batch.refuse_topic(record, untaken_.at(number));
+        continue;
+      }
     }
-    if (auto inserted = tables_[number]->insert(record); !inserted) return inserted;
+    if (auto inserted = table->insert(record); !inserted) return inserted;
   }
   for (const auto& table : tables_) {
     if (table == nullptr) continue;
     if (auto flushed = table->flush(); !flushed) return flushed;
   }
   return {};
+}
+
+Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
+  const std::uint32_t number = record.info->topic_number;
+  if (untaken_.contains(number)) return nullptr;
+  if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
+  auto table = TopicTable::prepare(database_, *record.info, run_, ranges_);
+  // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
+  const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
+                                     table.error().code == Errc::bad_description);
+  if (!table && !is_refused) return std::move(table).error();
+  if (is_refused) {
+    Error why = std::move(table).error();
+    why.what = "cannot make a table for topic " + record.info->topic;
+    why.advice = "give the topic another name, or record into another file";
+    untaken_.emplace(number, std::move(why));
+    if (auto undone = database_.execute("ROLLBACK TO topic"); !undone) return std::move(undone).error();
+  }
+  if (auto done = database_.execute("RELEASE topic"); !done) return std::move(done).error();
+  if (is_refused) return nullptr;
+  if (number >= tables_.size()) tables_.resize(number + 1);
+  tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+  return tables_[number].get();
 }
 
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
@@ -296,6 +355,7 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
     ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
     ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
+    ledger_.bind(26, as_integer(s.unreadable));
     if (auto done = ledger_.run(); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
@@ -304,10 +364,13 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   for (const Account::GapEntry& entry : account.gaps) {
     const SlotInfo& slot = batch.slot(entry.slot);
     gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    gap_.bind(4, std::string_view(entry.gap.kind == Gap::Kind::missed ? "missed" : "failed")).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first))
-        .bind(7, to_nanoseconds(entry.gap.last))
-        .bind(8, as_integer(entry.gap.count));
+    gap_.bind(4, name_of(entry.gap.kind)).bind(5, entry.gap.reason);
+    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last));
+    if (entry.gap.count != 0) {
+      gap_.bind(8, as_integer(entry.gap.count));
+    } else {
+      gap_.bind_null(8);
+    }
     if (auto done = gap_.run(); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
@@ -360,19 +423,34 @@ Result<void> SqliteWriter::write_checksums(const Account* account) {
   return sums_.write_changes(database_);
 }
 
+void SqliteWriter::stage() {
+  ranges_.stage(live_);
+  if (live_) live_.sums().stage(sums_.sums_of(run_));
+}
+
+void SqliteWriter::committed() {
+  ranges_.committed(live_);
+  sums_.committed();
+  if (live_) live_.sums().settle();
+}
+
+void SqliteWriter::rolled_back() {
+  ranges_.rolled_back(live_);
+  sums_.rolled_back();
+}
+
 Result<void> SqliteWriter::prune_to_limits() {
   if (auto begun = database_.execute("BEGIN IMMEDIATE"); !begun) return begun;
   auto done = prune(database_, ranges_, config_.max_bytes, config_.max_age, last_account_);
   if (done) done = sums_.write_changes(database_);
+  if (done) stage();
   if (done) done = database_.execute("COMMIT");
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
-    ranges_.rolled_back();
-    sums_.rolled_back();
+    rolled_back();
     return done;
   }
-  ranges_.committed();
-  sums_.committed();
+  committed();
   return database_.execute("PRAGMA incremental_vacuum(1000)");
 }
 
@@ -416,6 +494,7 @@ Result<void> SqliteWriter::close() {
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
   live_.remove();
+  lock_.remove();
   is_closed_ = true;
   return {};
 }

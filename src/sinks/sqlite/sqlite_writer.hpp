@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -10,6 +11,7 @@
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
 
@@ -35,30 +37,41 @@ class SqliteWriter final : public Writer {
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
   Result<void> close() override;
+  Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
 
  private:
+  void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
   Result<void> configure();
   Result<void> make_schema();
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
   Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
+  /// The topic's table; null when it can never be made: then `untaken_` has the reason.
+  Result<TopicTable*> table_of(const Record& record);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> write_checksums(const Account* account);
   Result<void> prune_to_limits();
+  /// Of the checksums: before a transaction commits, after it has, and after it was given up.
+  void stage();
+  void committed();
+  void rolled_back();
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
   void look_at_space();
+  void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
   AccountSums sums_;  // the connection calls it
   ValueRanges ranges_;
-  Database database_;
+  RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
+  Database database_;
   std::int64_t run_ = 0;
   std::string boot_id_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
+  std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
   Statement slot_;
@@ -76,12 +89,14 @@ class SqliteWriter final : public Writer {
   Time last_account_{};
   int wal_pages_ = 0;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
+  bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
 };
 
-/// Within a transaction: seals every run that is still marked as recording. The caller holds the lock. `live` holds the
-/// counts of the last run, if they survived. Returns a remark for each.
-Result<std::vector<std::string>> seal_runs(Database& database, LiveFile& live, AccountSums& sums);
+/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
+/// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
+Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                           AccountSums& sums, std::vector<LiveFile>& used);
 
 /// In a transaction: deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
 /// `now` is on the line of the recorded times.

@@ -34,7 +34,7 @@ void ValueRanges::remove(sqlite3_stmt* row, const std::string& table, RowHash& h
 
 Result<void> ValueRanges::write(Database& database, Close which, Time at) {
   const auto close = [&](std::uint32_t number) -> Result<void> {
-    const OpenRange range = slots_[number].pending;
+    const LiveRange range = slots_[number].pending;
     if (range.rows == 0) return {};
     Slot& slot = touch(number);
     slot.pending = {};
@@ -61,19 +61,27 @@ Result<void> ValueRanges::write(Database& database, Close which, Time at) {
   return {};
 }
 
-void ValueRanges::committed() {
+void ValueRanges::stage(LiveFile& live) const {
+  for (const std::uint32_t number : touched_) {
+    if (live.has(number)) live.slot(number).range.stage(slots_[number].pending);
+  }
+}
+
+void ValueRanges::committed(LiveFile& live) {
   for (const std::uint32_t number : touched_) {
     slots_[number].settled = slots_[number].pending;
     slots_[number].is_touched = false;
+    if (live.has(number)) live.slot(number).range.settle();
   }
   touched_.clear();
   closed_at_ = pending_closed_at_;
 }
 
-void ValueRanges::rolled_back() {
+void ValueRanges::rolled_back(LiveFile& live) {
   for (const std::uint32_t number : touched_) {
     slots_[number].pending = slots_[number].settled;
     slots_[number].is_touched = false;
+    if (live.has(number)) live.slot(number).range.set(slots_[number].settled);
   }
   touched_.clear();
   pending_closed_at_ = closed_at_;

@@ -8,16 +8,9 @@
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/live_file.hpp"
 
 namespace rtdata::sqlite {
-
-/// The range of an origin's rows whose checksum is not in the recording yet. Without rows there is none.
-struct OpenRange {
-  std::uint64_t first_sequence = 0;
-  std::uint64_t last_sequence = 0;
-  std::uint64_t rows = 0;
-  std::uint64_t sum = 0;
-};
 
 /// Ranges grow in memory with each transaction; a line is written only when one is closed, so that a small commit does
 /// not write a second page for its checksum.
@@ -43,17 +36,18 @@ class ValueRanges {
   /// A row that the transaction deletes again: the statement is at it, all columns of the table from the first on.
   void remove(sqlite3_stmt* row, const std::string& table, RowHash& hash);
   std::int64_t run() const noexcept { return run_; }
-  /// After the transaction.
-  void committed();
-  void rolled_back();
+  /// Before the transaction commits, and after it: a kill leaves in the live file what is not in the recording.
+  void stage(LiveFile& live) const;
+  void committed(LiveFile& live);
+  void rolled_back(LiveFile& live);
 
  private:
   struct Slot {
     const SlotInfo* info = nullptr;
     std::string table;
     int columns = 0;
-    OpenRange settled;  // as the last transaction left it
-    OpenRange pending;
+    LiveRange settled{};  // as the last transaction left it
+    LiveRange pending{};
     bool is_touched = false;
   };
   Slot& touch(std::uint32_t number) {
