@@ -9,11 +9,15 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "rtdata/config/item.hpp"
+#include "rtdata/config/problem.hpp"
 #include "sinks/file/output_file.hpp"
+#include "sinks/file/rotation.hpp"
 
 namespace rtdata {
 
 using detail::OutputFile;
+using detail::Rotation;
 
 namespace {
 
@@ -44,7 +48,7 @@ Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const 
 class FileWriter final : public Writer {
  public:
   FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
-      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)) {
+      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)), rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
@@ -98,7 +102,12 @@ class FileWriter final : public Writer {
       }
       if (!repairs_.empty()) return take_repairs();
       OutputFile& file = files_[by_topic_[number]];
-      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) batch.refuse(record, encoded.error());
+      const std::size_t from = file.buffer.size();
+      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) {
+        batch.refuse(record, encoded.error());
+      } else if (rotation_.is_on()) {
+        if (auto done = rotation_.see_to(file, by_topic_[number], from, record.header.time); !done) return done;
+      }
       if (file.buffer.size() < piece_bytes) continue;
       if (auto done = file.write_out(); !done) return done;
     }
@@ -118,6 +127,13 @@ class FileWriter final : public Writer {
     if (!done) return done;
     for (OutputFile& file : files_) file.close();
     return {};
+  }
+
+  std::optional<Error> take_warning() override {
+    std::string trouble = rotation_.take_trouble();
+    if (trouble.empty()) return std::nullopt;
+    return Error{Errc::io_failed, "files are not rotated as set", config_.path, std::move(trouble),
+                 "the file grows on, and it is tried again with each event"};
   }
 
   /// What was found at the ends of the files since the last call: an error that tells, when there was something.
@@ -187,6 +203,7 @@ class FileWriter final : public Writer {
   std::map<std::string, std::string> topic_by_path_;
   bool is_set_up_ = false;
   // loop until it is set up, then lane
+  Rotation rotation_;
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
@@ -227,6 +244,13 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
     if (!taken) refused.push_back(std::move(taken).error());
   }
   return refused;
+}
+
+void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::string wrong = Rotation::mistake(config);
+  if (wrong.empty()) return;
+  const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");
+  problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
 }
 
 FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {

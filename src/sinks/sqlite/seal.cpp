@@ -1,4 +1,4 @@
-// Runs that ended without closing, and rows beyond the limits of a recording.
+// Runs that ended without closing.
 #include <algorithm>
 #include <limits>
 #include <string_view>
@@ -203,74 +203,6 @@ Result<std::vector<std::string>> seal_runs(Database& database, const std::string
     remarks.push_back(*remark);
   }
   return remarks;
-}
-
-namespace {
-
-/// Deletes the rows of a table up to the rowid, and counts them in the ledger.
-Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to,
-                         ValueRanges& open_ranges) {
-  auto deleted = sums_before_delete(database, table, up_to, open_ranges);
-  if (!deleted) return std::move(deleted).error();
-  auto update = database.prepare(
-      "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
-  if (!update) return std::move(update).error();
-  for (const DeletedRows& rows : *deleted) {
-    update->bind(1, static_cast<std::int64_t>(rows.rows)).bind(2, rows.run).bind(3, topic).bind(4, rows.origin);
-    if (auto done = update->run(); !done) return done;
-  }
-  auto remove = database.prepare("DELETE FROM " + quoted(table) + " WHERE rowid <= ?");
-  if (!remove) return std::move(remove).error();
-  remove->bind(1, up_to);
-  return remove->run();
-}
-
-}  // namespace
-
-Result<void> prune(Database& database, ValueRanges& open_ranges, std::uint64_t max_bytes, Duration max_age, Time now) {
-  constexpr std::int64_t most_rows_a_table = 5000;
-  bool is_too_large = false;
-  if (max_bytes > 0) {
-    auto bytes = database.integer(
-        "SELECT (page_count - freelist_count) * page_size FROM pragma_page_count(), pragma_freelist_count(), "
-        "pragma_page_size()");
-    if (!bytes) return std::move(bytes).error();
-    is_too_large = static_cast<std::uint64_t>(*bytes) > max_bytes;
-  }
-  std::vector<std::pair<std::string, std::string>> tables;
-  {
-    auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
-    if (!query) return std::move(query).error();
-    for (;;) {
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
-      tables.emplace_back(query->text(0), query->text(1));
-    }
-  }
-  for (const auto& [topic, table] : tables) {
-    // Rows lie in order of recording: the oldest first. The last one stays, so that rowids go on ascending.
-    auto first = database.integer("SELECT min(rowid) FROM " + quoted(table));
-    if (!first) return std::move(first).error();
-    auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
-    if (!last) return std::move(last).error();
-    if (*last <= *first) continue;
-    std::int64_t up_to = 0;
-    if (is_too_large) up_to = std::min(*first + std::min(most_rows_a_table, (*last - *first) / 10 + 1), *last) - 1;
-    if (max_age.count() > 0) {
-      auto query = database.prepare("SELECT max(rowid) FROM (SELECT rowid, time FROM " + quoted(table) +
-                                    " ORDER BY rowid LIMIT ?) WHERE time < ?");
-      if (!query) return std::move(query).error();
-      query->bind(1, most_rows_a_table).bind(2, to_nanoseconds(now - max_age));
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (*row && !query->is_null(0)) up_to = std::max(up_to, std::min(query->integer(0), *last - 1));
-    }
-    if (up_to >= *first) {
-      if (auto pruned = prune_table(database, topic, table, up_to, open_ranges); !pruned) return pruned;
-    }
-  }
-  return {};
 }
 
 }  // namespace rtdata::sqlite

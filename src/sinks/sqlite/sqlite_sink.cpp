@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "loop/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -6,9 +8,12 @@
 namespace rtdata {
 namespace {
 
+constexpr Duration card_batch_time = std::chrono::seconds{10};
+
 SinkConfig named(const SqliteConfig& config) {
   SinkConfig sink = config.sink;
   if (sink.name.empty()) sink.name = config.path;
+  if (config.profile == SqliteProfile::card) sink.batch_time = std::max<Duration>(sink.batch_time, card_batch_time);
   return sink;
 }
 

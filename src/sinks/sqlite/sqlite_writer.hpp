@@ -11,6 +11,7 @@
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
@@ -40,6 +41,7 @@ class SqliteWriter final : public Writer {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+  StorePace pace() const override;
 
  private:
   void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
@@ -52,14 +54,18 @@ class SqliteWriter final : public Writer {
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> write_checksums(const Account* account);
-  Result<void> prune_to_limits();
   /// Of the checksums: before a transaction commits, after it has, and after it was given up.
   void stage();
   void committed();
   void rolled_back();
   Result<void> prepare_account();
+  Result<void> prune();
+  /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
+  Result<void> tend_log();
   Result<void> checkpoint(int mode);
+  Result<void> sync_log();
   void look_at_space();
+  void look_at_size();
   void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
@@ -85,9 +91,14 @@ class SqliteWriter final : public Writer {
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
-  Time limits_looked_at_{};
-  Time last_account_{};
-  int wal_pages_ = 0;
+  Pruner pruner_;
+  bool is_too_large_ = false;  // and has been told
+  Time now_{};                 // of the last row or account
+  Time log_synced_at_{};
+  Time readers_waited_for_at_{};
+  int log_pages_ = 0;  // after the last transaction
+  std::size_t rows_in_last_ = 0;
+  int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
@@ -97,9 +108,5 @@ class SqliteWriter final : public Writer {
 /// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                            AccountSums& sums, std::vector<LiveFile>& used);
-
-/// In a transaction: deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
-/// `now` is on the line of the recorded times.
-Result<void> prune(Database& database, ValueRanges& open_ranges, std::uint64_t max_bytes, Duration max_age, Time now);
 
 }  // namespace rtdata::sqlite
