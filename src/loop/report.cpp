@@ -29,8 +29,10 @@ void RuntimeCore::tell_hub(Callback<void()> what) {
   });
 }
 
-void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text,
+void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view told,
                       std::string_view error_id) noexcept try {
+  const std::string without = config.secrets.empty() ? std::string() : hide(std::string(told));
+  const std::string_view text = config.secrets.empty() ? told : std::string_view(without);
   if (hub != nullptr && !on_log) {
     return tell_hub([hub = hub, level, object = std::string(object), text = std::string(text),
                      id = std::string(error_id)] { hub->log(level, object, text, id); });
@@ -97,7 +99,7 @@ text<N> fitting(std::string_view content) {
 
 void RuntimeCore::health_changed(std::string_view kind, std::string_view name, Health health,
                                  std::string_view reason) noexcept try {
-  const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(reason)};
+  const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(hide(std::string(reason)))};
   const std::string key = std::string(kind) + '\n' + std::string(name);
   if (auto joined = changes_.take(key, change, clock_->monotonic())) {
     write(*joined);
@@ -128,7 +130,11 @@ void RuntimeCore::write(const Joined<HealthChange>& joined) noexcept {
 }
 
 void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept try {
-  const auto& [object, error] = joined.what;
+  const auto& [object, met] = joined.what;
+  const auto shown = [&, &met = met] {
+    return Error{met.code, hide(met.what), hide(met.where), hide(met.why), hide(met.advice)};
+  };
+  const Error error = config.secrets.empty() ? met : shown();
   for (Listener* listener : listeners)
     listener->on_error(event_time(joined.first), event_time(joined.last), object, error, joined.count);
   if (loop == nullptr) loop = own_loop;
@@ -141,15 +147,12 @@ void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexc
     return;
   }
   if (hub != nullptr && !on_log) {
-    return tell_hub([hub = hub, joined] {
+    return tell_hub([hub = hub, object = object, error, count = joined.count] {
       hub->log_line(
-          {{LogLevel::error, joined.what.object, joined.what.error.text(), std::string(joined.what.error.id())},
-           {},
-           {},
-           joined.count});
+          {{LogLevel::error, hub->hide(object), hub->hide(error.text()), std::string(error.id())}, {}, {}, count});
     });
   }
-  log_line({{LogLevel::error, object, error.text(), std::string(error.id())}, {}, {}, joined.count});
+  log_line({{LogLevel::error, hide(object), error.text(), std::string(error.id())}, {}, {}, joined.count});
 } catch (...) {  // out of memory: nothing is left to tell it to
 }
 
