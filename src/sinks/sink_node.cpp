@@ -369,6 +369,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
                       "they could not be stored before the deadline" + (reason_.empty() ? "" : " (" + reason_ + ")"),
                       "look at the storage; the next start seals the recording"});
     }
+    runtime.flush_repeats(RuntimeCore::Repeated::all);  // of closing; nobody may come later to tell of them
     return lost;
   }
 

@@ -496,7 +496,7 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
     "device": "/dev/ttyUSB0", "baud_rate": 250000, "character_size": 7, "parity": "mark", "stop_bits": 2, "format": "json",
     "fields": [{"name": "a", "type": "uint32", "key": "x.a"}, {"name": "b", "unit": "V", "scale": 0.1}, {"name": "c", "type": "text", "length": 9}],
     "separator": ";", "comment": "//", "skip_lines": 3, "first_line": "keep", "max_line": 128, "sequence_field": "a",
-    "retry_first": "1 s", "retry_longest": "1 min", "required": true, "start": false})")
+    "silence": "10 s", "retry_first": "1 s", "retry_longest": "1 min", "required": true, "start": false})")
                               .root;
   const auto config = read_config<SerialConfig>(item);
   CHECK(config.device == "/dev/ttyUSB0");
@@ -516,11 +516,12 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
   CHECK(config.first_line == FirstLine::keep);
   CHECK(config.max_line == 128);
   CHECK(config.sequence_field == "a");
+  CHECK(config.silence == 10s);
   CHECK(config.retry_first == 1s);
   CHECK(config.retry_longest == 1min);
   CHECK(config.required);
   CHECK(!config.start);
-  CHECK(parameters_of<SerialConfig>().size() == 17);
+  CHECK(parameters_of<SerialConfig>().size() == 18);
 }
 
 TEST_CASE("US-5 every row of a real flight comes out of the line") {
