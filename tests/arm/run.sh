@@ -72,5 +72,6 @@ here=../../release/rtdata
 for format in csv json; do
     emulated export host.db --topic host/process --format $format >there.txt
     "$here" export host.db --topic host/process --format $format >here.txt
-    [ -s here.txt ] && cmp here.txt there.txt
+    [ -s here.txt ]
+    cmp here.txt there.txt
 done
