@@ -60,7 +60,7 @@ cd "build/$arch"
 ctest --output-on-failure --timeout 900 -R '^(data|loop|sensors|config|contract)$'
 
 # What the program records there, it and this machine's read alike.
-emulated() { $qemu -L "/usr/$triplet" ../rtdata "$@"; }
+emulated() { $qemu -L "/usr/$triplet" -E "LD_LIBRARY_PATH=$root/usr/lib/$triplet" ../rtdata "$@"; }
 rm -rf recording
 mkdir recording
 cd recording
