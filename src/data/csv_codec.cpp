@@ -2,6 +2,7 @@
 #include <cstring>
 #include <limits>
 
+#include "data/character.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
@@ -114,7 +115,7 @@ Result<Value> value_of(const Leaf& leaf, Cell& cell) {
       if (bool flag = false; detail::read_boolean(cell.text, flag)) return Value(flag);
       return wrong("true or false");
     case Kind::character:
-      if (char c = 0; detail::char_of_text(detail::unescaped(cell.text), c)) return Value(c);
+      if (const auto c = detail::character_of(detail::unescaped(cell.text))) return Value(*c);
       return wrong("character");
     case Kind::text:
     case Kind::record:
@@ -172,8 +173,7 @@ class CsvCodec final : public Codec {
       } else if (leaf.kind == Kind::f32) {
         append_floating<float>(row_, from);
       } else if (leaf.kind == Kind::character) {
-        char bytes[2];
-        append_text(detail::text_of_char(static_cast<unsigned char>(*from), bytes), WhenEmpty::quoted);
+        append_text(detail::text_of(static_cast<char>(*from)), WhenEmpty::quoted);
       } else if (leaf.kind == Kind::text) {
         append_text(detail::text_at(leaf, from), WhenEmpty::quoted);
       } else {

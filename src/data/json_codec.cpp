@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "data/character.hpp"
 #include "data/copy.hpp"
 #include "data/json_decode.hpp"
 #include "data/number_text.hpp"
@@ -188,9 +189,7 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
     case Kind::boolean:
       return put(to, *from != std::byte{0} ? "true" : "false");
     case Kind::character: {
-      const auto c = load<unsigned char>(from);
-      char bytes[2];
-      return put_string(to, detail::text_of_char(c, bytes));
+      return put_string(to, detail::text_of(static_cast<char>(from[0])));
     }
     case Kind::text: {
       const auto length = static_cast<std::size_t>(from[0]) | static_cast<std::size_t>(from[1]) << 8;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
+#include "data/character.hpp"
 #include "data/nearest.hpp"
 #include "data/utf8.hpp"
 
@@ -200,7 +201,7 @@ class Reader {
           if (node.text == "-Infinity") return -infinity;
         }
         if (leaf.kind == Kind::character) {
-          if (char c = 0; detail::char_of_text(detail::unescaped(node.text), c)) return c;
+          if (const auto c = detail::character_of(detail::unescaped(node.text))) return *c;
         }
         return detail::unescaped(node.text);
       default:

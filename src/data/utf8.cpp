@@ -133,24 +133,4 @@ bool has_escape(std::string_view text) noexcept {
   return false;
 }
 
-std::string_view text_of_char(unsigned char c, char (&bytes)[2]) noexcept {
-  if (c < 0x80) {
-    bytes[0] = static_cast<char>(c);
-    return {bytes, 1};
-  }
-  bytes[0] = static_cast<char>(0xc0 | c >> 6);
-  bytes[1] = static_cast<char>(0x80 | (c & 0x3f));
-  return {bytes, 2};
-}
-
-bool char_of_text(std::string_view text, char& c) noexcept {
-  if (text.size() == 1) {
-    c = text[0];
-    return true;
-  }
-  if (text.size() != 2 || (static_cast<unsigned char>(text[0]) & 0xfc) != 0xc0) return false;
-  c = static_cast<char>((text[0] & 0x03) << 6 | (text[1] & 0x3f));
-  return true;
-}
-
 }  // namespace rtdata::detail

@@ -32,11 +32,6 @@ bool has_escape(std::string_view text) noexcept;
 /// The byte that is written as the four characters at the start of `text`; -1 when they are none.
 int escaped_byte(std::string_view text) noexcept;
 
-/// A char as a text: ASCII as it is, a byte from 0x80 on as the character U+0080 to U+00FF. At most two bytes.
-std::string_view text_of_char(unsigned char c, char (&bytes)[2]) noexcept;
-/// The way back; false when the text is not one of these.
-bool char_of_text(std::string_view text, char& c) noexcept;
-
 /// The content of a text in a payload, at its value.
 inline std::string_view text_at(const Leaf& leaf, const std::byte* value) noexcept {
   const auto length = static_cast<std::size_t>(value[0]) | static_cast<std::size_t>(value[1]) << 8;

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "data/character.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
 #include "sensors/sysfs_file.hpp"
@@ -168,9 +169,9 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
       return {};
     }
     case Kind::character: {
-      char c = 0;
-      if (!char_of_text(text, c)) return failure(Errc::bad_data, index, shown(text) + " is not one character");
-      *to = static_cast<std::byte>(c);
+      const auto c = character_of(text);
+      if (!c) return failure(Errc::bad_data, index, shown(text) + " is not one character");
+      *to = static_cast<std::byte>(*c);
       return {};
     }
     case Kind::boolean: {

@@ -72,15 +72,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     const auto threw = [&](const char* what) {
       return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
     };
+    Result<void> taken;
     try {
-      return take_topic(topic);
+      taken = take_topic(topic);
     } catch (const std::exception& e) {
-      return threw(e.what());
+      taken = threw(e.what());
     } catch (...) {
-      return threw("an exception that is no std::exception");
+      taken = threw("an exception that is no std::exception");
     }
+    if (!taken) {
+      account_.refuse_topic(topic, *this);
+      fault_for_good(taken.error().text());
+    }
+    return taken;
   }
-  void on_refusal(const Error& error) override { report(error, 1); }
+  void on_refusal(const Error& error) override {
+    Call call(*this);
+    report(error, 1);
+    tell_health();
+  }
 
   Result<void> take_topic(TopicCore& topic) {
     const auto matches = [&](const std::string& pattern) { return topic_matches(pattern, topic.name); };
@@ -127,7 +137,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     RuntimeCore& runtime = loop()->runtime;
     runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
     runtime.flush_repeats(RuntimeCore::Repeats::old);
-    if (is_open()) flush();
+    if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   }
   std::string blame_name() const override { return object_name(); }
   bool tell_times(CallbackStatus& status) const override {
@@ -138,6 +148,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void stored(StoreJob& job) {
     if (!is_attached_) return;  // too late: counted as lost
+    if (!job.topic_fault.empty()) fault_for_good(job.topic_fault);
     if (job.refused != 0 && !job.has_ended) {
       Error error = job.refusal;
       if (job.refused > 1) error.where += " (the first of " + std::to_string(job.refused) + ")";
@@ -153,6 +164,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       if (!is_open() || !job.has_ended) return;
     } else if (job.has_ended) {
       // stays faulted
+    } else if (!fault_.empty()) {
+      health_ = Health::faulted;
+      reason_ = fault_;
     } else if (health_ != Health::ok) {
       health_ = Health::ok;
       reason_.clear();
@@ -176,14 +190,13 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     Call call(*this);
     is_storing_ = false;
     if (outcome == LaneJob::Outcome::finished) stored(*job_);
-    if (is_open() &&
-        health_ != told_health_) {  // when nothing here is under way, since this sink may take the event itself
-      told_health_ = health_;
-      loop()->runtime.health_changed("sink", config_.name, health_, reason_);
-    }
+    tell_health();  // when nothing here is under way, since this sink may take the event itself
   }
 
-  void flush() {
+  void flush() { hand_over(Hand::rows_and_account); }
+
+  enum class Hand { rows, rows_and_account };
+  void hand_over(Hand what) {
     if (closing_) return;
     bool has_rows = false;
     if (is_busy()) {  // the chunk goes on filling
@@ -191,9 +204,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     } else {
       has_rows = queue_->hand_over();
     }
+    const bool has_account = what == Hand::rows_and_account;
     if (retry_.is_running()) {
-      is_account_due_ = true;
-    } else if (begin_account() || has_rows) {
+      is_account_due_ = is_account_due_ || has_account;
+    } else if ((has_account && begin_account()) || has_rows) {
       start_storing();
     }
   }
@@ -226,6 +240,19 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
   }
 
+  /// What will not get better: the first reason stays.
+  void fault_for_good(std::string reason) {
+    if (fault_.empty()) fault_ = loop()->runtime.hide(std::move(reason));
+    health_ = Health::faulted;
+    reason_ = fault_;
+  }
+
+  void tell_health() {
+    if (!is_open() || health_ == told_health_) return;
+    told_health_ = health_;
+    loop()->runtime.health_changed("sink", config_.name, health_, reason_);
+  }
+
   Duration next_delay() noexcept {
     retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : std::min(2 * retry_delay_, config_.retry_longest);
     return with_jitter(retry_delay_, config_.name, ++failures_);
@@ -243,9 +270,19 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void failed(const Error& error) {
     health_ = Health::faulted;
-    reason_ = error.text();
+    reason_ = loop()->runtime.hide(error.text());
     if (!job_->has_ended && is_attached_) retry_.start(next_delay());
     report(error, 1);
+  }
+
+  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
+  bool is_account_worth_it() const noexcept {
+    constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
+    const StorePace& pace = queue_->pace();
+    const std::uint64_t slots = queue_->slot_count();
+    return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
+           loop()->now() - account_at_ >= pace.account_time ||
+           queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
   }
 
   /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
@@ -253,7 +290,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool begin_account() {
     if (next_part_.is_running()) return false;  // the one before is under way
     is_account_due_ = !account_.has_room();
-    return !is_account_due_ && tell(SinkAccount::Part::first);
+    if (is_account_due_) return false;
+    account_at_ = loop()->now();
+    slots_told_ = queue_->slot_count();
+    return tell(SinkAccount::Part::first);
   }
 
   void account_more() {
@@ -385,11 +425,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as published
   std::string reason_;
+  std::string fault_;  // for good: it wants a topic that it cannot take
   bool is_attached_ = false;
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
-  std::string unknown_;  // what the last account does not know
+  MonotonicTime account_at_{};    // when the last one was begun
+  std::uint64_t slots_told_ = 0;  // that it had
+  std::string unknown_;           // what the last account does not know
   bool closing_ = false;
   bool closed_ = false;
 };

@@ -71,6 +71,9 @@ class SinkNotes {
       health_.push_back({time, change});
     }
   }
+  bool is_empty() const noexcept {
+    return gaps_.empty() && segments_.empty() && errors_.empty() && clock_.empty() && health_.empty();
+  }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
   void move_into(Account& account) {

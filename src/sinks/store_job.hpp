@@ -22,6 +22,7 @@ class StoreJob final : public LaneJob {
     has_ended = queue->has_ended();
     refused = queue->take_refusals(refusal);
     try {
+      topic_fault = queue->topic_fault();
       warning = queue->writer().take_warning();
     } catch (...) {  // a warning less
     }
@@ -36,6 +37,7 @@ class StoreJob final : public LaneJob {
   Result<void> result;
   std::uint64_t refused = 0;
   Error refusal;
+  std::string topic_fault;  // why a topic can never be stored; empty: all can
   std::optional<Error> warning;
 };
 

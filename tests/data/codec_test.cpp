@@ -57,6 +57,11 @@ struct Number {
   RTDATA_FIELDS(Number, (d), (f))
 };
 
+struct Letter {
+  char c = 'x';
+  RTDATA_FIELDS(Letter, (c))
+};
+
 struct Small {
   std::int32_t i = 0;
   std::optional<double> d;
@@ -132,6 +137,39 @@ TEST_SUITE("data") {
         check_round_trip(*codec, Event<Small>{{{}, 1, "o"}, {1, 2.0, static_cast<char>(c), {}, false, {}}});
       }
     }
+  }
+
+  TEST_CASE("US-31 NFR-2 a char is a number from 0 to 255 in every format, on every processor") {
+    const auto json = make_json_codec();
+    const auto raw = make_raw_codec();
+    const auto csv = make_csv_codec();
+    for (unsigned code = 0; code < 256; ++code) {
+      CAPTURE(code);
+      const Event<Letter> event{{from_nanoseconds(1), 2, "o"}, {static_cast<char>(code)}};
+      // The character of Unicode with that number, in UTF-8.
+      std::string utf8;
+      if (code < 0x80) {
+        utf8 += static_cast<char>(code);
+      } else {
+        utf8 += code < 0xc0 ? "\xc2" : "\xc3";
+        utf8 += static_cast<char>(0x80 + code % 0x40);
+      }
+      CHECK(to_string(Value(event.data.c)) == utf8);
+      Bytes bytes;
+      encode(*json, "t", event, bytes).or_throw();
+      CHECK(nlohmann::json::parse(as_text(bytes))["data"]["c"] == utf8);
+      bytes.clear();
+      encode(*csv, "t", event, bytes).or_throw();
+      if (utf8.find_first_of("\",\r\n\t ") == std::string::npos) CHECK(as_text(bytes) == "1,o,2," + utf8 + "\n");
+      bytes.clear();
+      encode(*raw, "t", event, bytes).or_throw();
+      CHECK(static_cast<unsigned>(bytes.back()) == code);
+    }
+    // A byte of its own, as other programs write it, means the same.
+    const auto decoded = decode<Letter>(*csv, as_bytes("1,o,2,\xe9\n")).or_throw();
+    CHECK(static_cast<unsigned char>(decoded.data.c) == 0xe9);
+    CHECK_FALSE(decode<Letter>(*csv, as_bytes("1,o,2,\xc4\x80\n")));  // U+0100
+    CHECK_FALSE(decode<Letter>(*csv, as_bytes("1,o,2,\xc3\x28\n")));
   }
 
   TEST_CASE("US-31 numbers come back bit for bit") {

@@ -61,7 +61,11 @@ inline VerifyReport verified(const std::string& path) { return verify(Recording:
 
 /// Makes it one of an older format, without what that one had not.
 inline void make_older(const std::string& path, int format) {
-  sql(path, "ALTER TABLE rtdata_ledger DROP COLUMN unreadable");
+  sql(path,
+      "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
+      "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
+      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; UPDATE rtdata_run SET format = " +
+          std::to_string(format));
   if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
   if (format < 3) sql(path, "DROP TABLE rtdata_health");
   sql(path, "PRAGMA user_version = " + std::to_string(format));

@@ -79,7 +79,7 @@ Error error_of(sqlite3* database, std::string_view doing) {
   return {kind, std::string(doing), file != nullptr ? file : "", std::move(why), advice_of(kind)};
 }
 
-std::string quoted(std::string_view name) {
+std::string Quoted::operator()(std::string_view name) const {
   std::string text = "\"";
   for (const char c : name) {
     if (c == '"') text += '"';

@@ -212,6 +212,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
   const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
+  const std::string unreadable = *version < sqlite::first_version_of_own_data_account ? "0" : "unreadable";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
@@ -219,7 +220,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
       " last_sequence, pruned, rows_up_to, " +
-          carried + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+          carried + ", " + unreadable + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -236,7 +237,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         for (std::uint64_t* count : counts) *count = count_of(row, column++);
         sensor.lost_is_known = !row.is_null(13);
         entry.rows_up_to = row.integer(column++);
-        entry.carried = count_of(row, column);
+        entry.carried = count_of(row, column++);
+        sensor.unreadable = count_of(row, column);
         return entry;
       });
 }

@@ -61,7 +61,7 @@ bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts t
         return true;
       }
       const std::int64_t number = sqlite3_column_int64(row, column);
-      value = static_cast<char>(number);
+      value = static_cast<char>(number);  // below 0: as older versions stored what is above 127, on x86
       return type == SQLITE_INTEGER && number >= -128 && number <= 255;
     }
     case Kind::enumeration:

@@ -72,10 +72,10 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
-  kind TEXT NOT NULL,               -- missed, failed
+  kind TEXT NOT NULL,               -- missed, failed, joined; without a schedule disconnected, silent, joined
   reason TEXT NOT NULL,
-  first INTEGER NOT NULL, last INTEGER NOT NULL,  -- when the first and the last tick were due
-  count INTEGER);                   -- ticks; NULL: it has no schedule
+  first INTEGER NOT NULL, last INTEGER NOT NULL,  -- when the first and the last tick were due; else from and to
+  count INTEGER);                   -- ticks without a reading; without a schedule NULL, or how many were joined
 CREATE TABLE IF NOT EXISTS rtdata_clock(
   run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL,
   source TEXT NOT NULL,             -- system, or the name of a plugged clock

@@ -82,7 +82,7 @@ void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Valu
       if (v >= ' ' && v <= '~') {
         sqlite3_bind_text(statement, index, &v, 1, SQLITE_TRANSIENT);
       } else {
-        sqlite3_bind_int(statement, index, v);
+        sqlite3_bind_int(statement, index, static_cast<unsigned char>(v));
       }
     }
     void operator()(std::int64_t v) const { sqlite3_bind_int64(statement, index, v); }
@@ -123,14 +123,17 @@ T load(const std::byte* at) {
 
 }  // namespace
 
+Result<void> check_columns(std::string_view topic, const Description& description) {
+  if (description.leaves().size() <= most_columns) return {};
+  return Error{Errc::bad_description, "cannot record", "topic " + std::string(topic),
+               "it has " + std::to_string(description.leaves().size()) + " values an event",
+               "a table has at most " + std::to_string(most_columns) + " columns: split it"};
+}
+
 Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
                                        detail::EscapedTexts& escaped) {
   const Description& description = *slot.description;
-  if (description.leaves().size() > most_columns) {
-    return Error{Errc::bad_description, "cannot record", "topic " + slot.topic,
-                 "it has " + std::to_string(description.leaves().size()) + " values an event",
-                 "a table has at most 1990 columns: split it"};
-  }
+  if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
   auto known = database.prepare(
       "SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   if (!known) return std::move(known).error();

@@ -13,6 +13,9 @@
 
 namespace rtdata::sqlite {
 
+/// Whether a table can have a column for each of its values. Errors: bad-description.
+Result<void> check_columns(std::string_view topic, const Description& description);
+
 class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets the
