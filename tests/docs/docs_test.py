@@ -4,7 +4,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: configuration -->   `rtdata check` finds no mistake in it
   <!-- test: compile -->         it compiles
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
-  <!-- test: python -->          it runs in that folder, and prints something
+  <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
@@ -15,6 +15,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 problems = []
@@ -63,6 +64,8 @@ def check_blocks(source, build, compiler, program):
                     done = run([program, "check", file])
                     if done.returncode != 0:
                         problem(where, "is no good configuration:\n" + done.stdout + done.stderr)
+                elif kind == "python" and (missing := [m for m in argument.split() if find_spec(m) is None]):
+                    print(f"skipped: {where}, since {', '.join(missing)} is not installed (script/bootstrap --all)")
                 elif kind == "python":
                     done = run([sys.executable, "-c", block["text"]], cwd=folder)
                     if done.returncode != 0 or not done.stdout:
