@@ -15,7 +15,6 @@ import re
 import subprocess
 import sys
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 
 problems = []
@@ -28,6 +27,14 @@ def problem(where, what):
 
 def run(command, **options):
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
+
+
+def python_with(modules):
+    """This Python, or the system's, for which packages of the distribution are; None when neither has them."""
+    for python in (sys.executable, "/usr/bin/python3"):
+        if not modules or (Path(python).exists() and run([python, "-c", f"import {', '.join(modules)}"]).returncode == 0):
+            return python
+    return None
 
 
 def pages(source):
@@ -64,10 +71,10 @@ def check_blocks(source, build, compiler, program):
                     done = run([program, "check", file])
                     if done.returncode != 0:
                         problem(where, "is no good configuration:\n" + done.stdout + done.stderr)
-                elif kind == "python" and (missing := [m for m in argument.split() if find_spec(m) is None]):
-                    print(f"skipped: {where}, since {', '.join(missing)} is not installed (script/bootstrap --all)")
+                elif kind == "python" and (python := python_with(argument.split())) is None:
+                    print(f"skipped: {where}, since not all of {argument} is installed (script/bootstrap --all)")
                 elif kind == "python":
-                    done = run([sys.executable, "-c", block["text"]], cwd=folder)
+                    done = run([python, "-c", block["text"]], cwd=folder)
                     if done.returncode != 0 or not done.stdout:
                         problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
                 else:
