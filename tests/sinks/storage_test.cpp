@@ -91,7 +91,7 @@ TEST_SUITE("sinks") {
       CHECK(normal < set_up + 3600 * page * topics * 115 / 100);
       const std::uint64_t card = written_by({.path = folder / ("card" + name), .profile = SqliteProfile::card}, topics,
                                             3600s);
-      CHECK(card < normal / 5);
+      CHECK(card < normal / 10);
       for (const char* profile : {"normal", "card"}) {
         CHECK(number(folder / (profile + name), "SELECT sum(stored) FROM rtdata_ledger") == 3601 * topics);
         check_balanced(folder / (profile + name));

@@ -118,7 +118,9 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
 }
 
 Result<void> SqliteWriter::configure() {
-  std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
+  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a quarter.
+  std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
+  sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
   switch (config_.profile) {
     case SqliteProfile::normal:
       sql += "NORMAL;";
