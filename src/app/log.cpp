@@ -10,6 +10,8 @@
 #include <cstdio>
 #include <utility>
 
+#include "data/utf8.hpp"
+
 namespace rtdata::app {
 
 std::string_view name_of(LogLevel level) noexcept {
@@ -119,7 +121,7 @@ void Log::write(LogLevel level, std::string_view object, std::string_view text, 
     if (!error_id.empty()) line.append(" [").append(error_id).append("]");
     std::replace(line.begin(), line.end(), '\n', ' ');
     line += '\n';
-    writer_.write(line);
+    writer_.write(detail::is_readable(line) ? line : detail::readable(line));
   } catch (const std::bad_alloc&) {  // no memory for a line: the fatal end, if it comes, has its own
   }
 }

@@ -1,5 +1,7 @@
 #include "rtdata/app/standard.hpp"
 
+#include <algorithm>
+
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/serial_line.hpp"
@@ -14,7 +16,7 @@ namespace rtdata {
 #ifdef RTDATA_WITH_SQLITE
 static constexpr auto parameters(type_tag<SqliteConfig>) {
   return parameter_list(
-      parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required),
+      parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required, TextIs::output_file),
       parameter(
           "profile", &SqliteConfig::profile,
           "what a power cut may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
@@ -30,6 +32,11 @@ static constexpr auto parameters(type_tag<SqliteConfig>) {
 }
 
 static void check_config(const SqliteConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const auto is_recordable = check_recordable(config.path); !is_recordable) {
+    const ConfigItem* path = item.find("path");
+    const Error& error = is_recordable.error();
+    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+  }
   if (config.max_bytes == 0 || config.max_bytes >= SqliteConfig::least_max_bytes) return;
   const ConfigItem* value = item.find("max_bytes");
   problems.add((value != nullptr ? *value : item)
@@ -39,6 +46,25 @@ static void check_config(const SqliteConfig& config, const ConfigItem& item, Pro
 #endif
 
 namespace {
+
+/// The shipped formats, and no others.
+struct ShippedFileConfig : FileConfig {
+  friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
+  friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
+    std::vector<std::string> formats = CodecRegistry::standard().names();
+    formats.emplace_back("jsonl");
+    if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;
+    const ConfigItem* format = item.find("format");
+    std::string message = "there is no format \"" + config.format + "\"";
+    std::string nearest = nearest_name(config.format, formats);
+    if (nearest.empty()) {
+      message += "; there are";
+      for (const std::string& known : formats) message += " " + known;
+    }
+    problems.add(
+        (format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+  }
+};
 
 std::shared_ptr<const Description> host_description(HostQuantity what) {
   switch (what) {
@@ -92,9 +118,9 @@ Registry standard_registry() {
       [](const SqliteConfig& config) { return config.path; },
       [](Loop& loop, const SqliteConfig& config) { return SqliteSink(loop, config); });
 #endif
-  registry.add_sink<FileConfig>(
-      "file", "a file of JSON lines, CSV or raw bytes", [](const FileConfig& config) { return config.path; },
-      [](Loop& loop, const FileConfig& config) { return FileSink(loop, config); });
+  registry.add_sink<ShippedFileConfig>(
+      "file", "a file of JSON lines, CSV or raw bytes", [](const ShippedFileConfig& config) { return config.path; },
+      [](Loop& loop, const ShippedFileConfig& config) { return FileSink(loop, config); });
   registry.add_sink<ConsoleConfig>(
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },

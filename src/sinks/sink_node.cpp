@@ -242,7 +242,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   /// What will not get better: the first reason stays.
   void fault_for_good(std::string reason) {
-    if (fault_.empty()) fault_ = std::move(reason);
+    if (fault_.empty()) fault_ = loop()->runtime.hide(std::move(reason));
     health_ = Health::faulted;
     reason_ = fault_;
   }
@@ -270,7 +270,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void failed(const Error& error) {
     health_ = Health::faulted;
-    reason_ = error.text();
+    reason_ = loop()->runtime.hide(error.text());
     if (!job_->has_ended && is_attached_) retry_.start(next_delay());
     report(error, 1);
   }

@@ -55,3 +55,6 @@ fi
 
 cmake --preset "$arch"
 cmake --build --preset "$arch" -j "$(nproc)"
+cd "build/$arch"
+# What is not about real time, which an emulator does not have, and starts no other program.
+ctest --output-on-failure --timeout 600 -R '^(data|config|contract)$'

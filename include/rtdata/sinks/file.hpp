@@ -4,9 +4,8 @@
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
 ///
 /// The file is made when it is not there and appended to when it is. Half an event that a kill or a power cut left at
-/// its end is seen to at the next start, and reported: half a line of JSON is completed with a line end, so that it
-/// spoils itself alone. Half a row of CSV and half an event of raw bytes could be taken for values that were never
-/// measured: they are moved to FILE.half. (To find the end, these two are read through once at the start.)
+/// its end is seen to at the next start, and reported: half an event could be taken for values that were never measured,
+/// so it is moved to FILE.half. (To find the end, CSV and raw bytes are read through once at the start.)
 ///
 /// `{topic}` in the file's name stands for the topic, its `/` written as `-`: a file each. A format with a header (CSV)
 /// holds one topic a file: a second topic on one path is an error that says so. The header is written into a new or
@@ -79,7 +78,8 @@ struct FileConfig {
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required),
+        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
+                  TextIs::output_file, placeholders("topic")),
         parameter("format", &FileConfig::format,
                   "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
         parameter("sync", &FileConfig::sync,

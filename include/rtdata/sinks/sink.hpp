@@ -65,8 +65,9 @@ struct SinkConfig {
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default"),
-        parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below"),
+        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default", TextIs::name),
+        parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below",
+                  TextIs::topic_pattern),
         parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together (sqlite: all of batch_time)",
                   range(1, 1'000'000)),
         parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after so long, however small it is",

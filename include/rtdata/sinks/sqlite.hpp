@@ -48,6 +48,10 @@ struct SqliteConfig {
 /// Of these, which a recording cannot have a table for: an error each, `where` its topic.
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
+/// Whether what is at the path, if anything, is a recording, as far as its first bytes tell; the file is not changed.
+/// Errors: not-a-recording, newer-version.
+Result<void> check_recordable(const std::string& path);
+
 class SqliteSink : public Sink {
  public:
   SqliteSink() noexcept = default;

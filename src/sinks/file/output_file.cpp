@@ -12,6 +12,7 @@
 #include <span>
 #include <utility>
 
+#include "data/utf8.hpp"
 #include "sinks/lock_holder.hpp"
 
 namespace rtdata::detail {
@@ -26,10 +27,16 @@ bool is_by_lines(const Codec& codec) {
 }
 
 Result<void> compare_header(int fd, const std::string& path, const std::string& header) {
-  std::string there(header.size(), '\0');
+  using detail::byte_order_mark;
+  std::string there(byte_order_mark.size() + header.size(), '\0');
   const ssize_t got = ::pread(fd, there.data(), there.size(), 0);
   if (got < 0) return system_error(errno, "cannot read the file's header", path, "");
   there.resize(static_cast<std::size_t>(got));
+  if (there.starts_with(byte_order_mark)) {  // an editor may have put it there
+    there.erase(0, byte_order_mark.size());
+  } else if (there.size() > header.size()) {
+    there.resize(header.size());
+  }
   if (there == header) return {};
   if (got == 0 || (header.starts_with(there) && !there.ends_with('\n'))) return {};  // half a header is moved aside
   there.resize(std::min(there.find('\n'), there.size()));
@@ -100,15 +107,7 @@ Result<void> OutputFile::open(const std::string& path) {
 Result<void> OutputFile::repair(Codec& codec, std::string& what) {
   what.clear();
   if (size_at_open_ == 0) return {};
-  if (is_by_lines(codec)) {
-    std::byte last{};
-    if (::pread(fd_, &last, 1, size_at_open_ - 1) != 1) return failed(errno, "cannot read the file's end");
-    if (last == std::byte{'\n'}) return {};
-    constexpr std::byte line_end{'\n'};
-    std::size_t written = 0;
-    what = "the file ended in half a line, which was completed with a line end";
-    return append(&line_end, 1, written);
-  }
+  if (is_by_lines(codec)) return repair_lines(what);
   std::vector<std::byte> tail;  // from the last event's start on
   for (off_t at = 0;;) {
     const std::size_t kept = tail.size();
@@ -132,8 +131,32 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
     return Error{Errc::damaged, "cannot append to", path_, "what it holds is no " + std::string(codec.name()),
                  "check `format`, or choose another path"};
   }
-  what = "the file ended in half an event, whose " + std::to_string(tail.size()) + " bytes were moved to " + path_ +
-         ".half";
+  what = half_moved(tail.size());
+  return move_aside(tail);
+}
+
+std::string OutputFile::half_moved(std::size_t size) const {
+  return "the file ended in half an event, whose " + std::to_string(size) + " bytes were moved to " + path_ + ".half";
+}
+
+Result<void> OutputFile::repair_lines(std::string& what) {
+  std::vector<std::byte> tail;  // the end of the file, back to its last line end
+  for (off_t begin = size_at_open_; begin > 0;) {
+    const auto size = static_cast<std::size_t>(std::min<off_t>(begin, window_bytes));
+    begin -= static_cast<off_t>(size);
+    std::vector<std::byte> window(size);
+    if (::pread(fd_, window.data(), size, begin) != static_cast<ssize_t>(size))
+      return failed(errno, "cannot read the file's end");
+    const auto last = std::find(window.rbegin(), window.rend(), std::byte{'\n'});
+    tail.insert(tail.begin(), last.base(), window.end());
+    if (last != window.rend()) break;
+    if (tail.size() > 2 * window_bytes) {
+      return Error{Errc::damaged, "cannot append to", path_, "its last megabytes have no line end",
+                   "check `format`, or choose another path"};
+    }
+  }
+  if (tail.empty()) return {};
+  what = half_moved(tail.size());
   return move_aside(tail);
 }
 

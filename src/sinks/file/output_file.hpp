@@ -56,6 +56,8 @@ class OutputFile {
   void close() noexcept;
 
  private:
+  Result<void> repair_lines(std::string& what);
+  std::string half_moved(std::size_t size) const;
   Result<void> move_aside(std::span<const std::byte> tail);
   Error failed(int errno_value, const char* what) const;
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);

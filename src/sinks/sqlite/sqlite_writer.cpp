@@ -271,11 +271,13 @@ Result<void> SqliteWriter::write(Batch& batch) {
   // Before the batch, not after it: what fails here must not make it come again when it is stored already.
   if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
+  escaped_.begin_batch();
   auto done = begin_.run();
   // First, so that the new rows take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, now_);
   if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
+  if (done) done = write_escaped(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
   if (done) done = commit_.run();
   if (!done) {
@@ -285,6 +287,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
     return done;
   }
   known_slots_ = slots;
+  escaped_.end_batch(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   rows_in_last_ = batch.size();
   look_at_space();
@@ -331,7 +334,7 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_);
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -348,6 +351,19 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   if (number >= tables_.size()) tables_.resize(number + 1);
   tables_[number] = std::make_unique<TopicTable>(std::move(*table));
   return tables_[number].get();
+}
+
+Result<void> SqliteWriter::write_escaped(const Batch& batch) {
+  for (const auto& [number, count] : escaped_.in_batch()) {
+    auto add = database_.prepare(
+        "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
+        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts");
+    if (!add) return std::move(add).error();
+    const SlotInfo& slot = batch.slot(number);
+    add->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
+    if (auto done = add->run(); !done) return done;
+  }
+  return {};
 }
 
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {

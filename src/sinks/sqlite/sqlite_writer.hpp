@@ -38,7 +38,9 @@ class SqliteWriter final : public Writer {
   Result<void> close() override;
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
-  std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+  std::optional<Error> take_warning() override {
+    return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
+  }
   StorePace pace() const override;
 
  private:
@@ -50,6 +52,7 @@ class SqliteWriter final : public Writer {
   Result<void> write_rows(Batch& batch);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
+  Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   Result<void> prepare_account();
   Result<void> prune();
@@ -67,6 +70,7 @@ class SqliteWriter final : public Writer {
   Database database_;
   std::int64_t run_ = 0;
   std::string boot_id_;
+  detail::EscapedTexts escaped_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
   std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
   Statement begin_;

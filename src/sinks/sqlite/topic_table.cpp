@@ -101,6 +101,19 @@ void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Valu
   std::visit(Binder{statement, index, leaf}, value);
 }
 
+enum class Text { plain, escaped };
+/// `text` lives until the statement has run.
+Text bind_text(sqlite3_stmt* statement, int index, std::string_view text) {
+  if (!detail::needs_escape(text)) {
+    sqlite3_bind_text64(statement, index, text.data(), text.size(), SQLITE_STATIC, SQLITE_UTF8);
+    return Text::plain;
+  }
+  std::string escaped;
+  detail::append_escaped(escaped, text);
+  sqlite3_bind_text64(statement, index, escaped.data(), escaped.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+  return Text::escaped;
+}
+
 template <class T>
 T load(const std::byte* at) {
   T value;
@@ -117,7 +130,8 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
                "a table has at most " + std::to_string(most_columns) + " columns: split it"};
 }
 
-Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run) {
+Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                                       detail::EscapedTexts& escaped) {
   const Description& description = *slot.description;
   if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
   auto known = database.prepare(
@@ -165,6 +179,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
 
   TopicTable table;
   table.database_ = &database;
+  table.escaped_ = &escaped;
   table.name_ = name;
   // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
   // In the order of the table's columns it moves no value twice.
@@ -236,6 +251,15 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
         sqlite3_bind_int(statement, index, load<bool>(at) ? 1 : 0);
         break;
       default:
+        if (column.leaf->kind == Kind::text) {
+          const std::byte* value = value_bytes(*column.leaf, payload);
+          if (value == nullptr) {
+            sqlite3_bind_null(statement, index);
+          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value)) == Text::escaped) {
+            escaped_->add(record.slot);
+          }
+          break;
+        }
         bind_value(statement, index, *column.leaf, read(*column.leaf, payload));
         break;
     }

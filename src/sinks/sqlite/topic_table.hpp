@@ -8,6 +8,7 @@
 
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/escaped_texts.hpp"
 #include "sinks/sqlite/database.hpp"
 
 namespace rtdata::sqlite {
@@ -19,7 +20,9 @@ class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets the
   /// further columns; otherwise a new table is made. Errors: those of the database, bad-name.
-  static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run);
+  /// Texts that are no UTF-8 are counted in `escaped`, which outlives the table.
+  static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                                    detail::EscapedTexts& escaped);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   Result<void> insert(const Record& record);
@@ -42,6 +45,7 @@ class TopicTable {
   Result<void> run(Insert& insert, std::span<const Record> records);
 
   Database* database_ = nullptr;
+  detail::EscapedTexts* escaped_ = nullptr;
   std::string name_;
   std::vector<Column> columns_;
   Insert one_;
