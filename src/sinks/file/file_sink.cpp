@@ -53,8 +53,8 @@ class FileWriter final : public Writer {
       : config_(config),
         codec_(std::move(codec)),
         header_codec_(std::move(header_codec)),
-        rotation_(config),
-        is_text_(codec_->name() == "json" || codec_->name() == "csv") {
+        is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
