@@ -297,9 +297,10 @@ TEST_SUITE("sinks") {
     {
       auto database = Database::open(path, Database::Mode::write).or_throw();
       sqlite::Pruner pruner(SqliteConfig::least_max_bytes, Duration{0});
+      sqlite::ValueRanges ranges;
       do {
         database.execute("BEGIN IMMEDIATE").or_throw();
-        pruner.make_room(database, from_nanoseconds(100'000'000'000)).or_throw();
+        pruner.make_room(database, ranges, from_nanoseconds(100'000'000'000)).or_throw();
         database.execute("COMMIT").or_throw();
       } while (pruner.has_more());
     }

@@ -45,7 +45,6 @@ Result<void> Pruner::find_tables(Database& database) {
           {&table.up_to,
            "SELECT min(CASE WHEN time >= ?2 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time FROM " + name +
                " ORDER BY rowid LIMIT ?1)"},
-          {&table.counts, "SELECT run, origin, count(*) FROM " + name + " WHERE rowid <= ? GROUP BY run, origin"},
           {&table.remove, "DELETE FROM " + name + " WHERE rowid <= ?"},
       };
       for (const auto& [statement, sql] : all) {
@@ -97,29 +96,23 @@ Result<Pruner::Pages> Pruner::pages(Database& database) {
   return now;
 }
 
-Result<std::int64_t> Pruner::delete_rows(Table& table, std::int64_t up_to) {
-  table.counts.bind(1, up_to);
+Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to) {
+  auto sums = sums_before_delete(database, table.name, up_to, ranges);
+  if (!sums) return std::move(sums).error();
   std::int64_t deleted = 0;
-  for (;;) {
-    auto row = table.counts.step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    deleted += table.counts.integer(2);
-    count_pruned_.bind(1, table.counts.integer(2)).bind(2, table.counts.integer(0));
-    count_pruned_.bind(3, table.topic).bind(4, table.counts.text(1));
-    if (auto done = count_pruned_.run(); !done) {
-      table.counts.reset();
-      return std::move(done).error();
-    }
+  for (const DeletedRows& rows : *sums) {
+    const auto count = static_cast<std::int64_t>(rows.rows);
+    deleted += count;
+    count_pruned_.bind(1, count).bind(2, rows.run).bind(3, table.topic).bind(4, rows.origin);
+    if (auto done = count_pruned_.run(); !done) return std::move(done).error();
   }
-  table.counts.reset();
   table.remove.bind(1, up_to);
   if (auto done = table.remove.run(); !done) return std::move(done).error();
   if (auto looked = look_at(table); !looked) return std::move(looked).error();
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_before(std::int64_t time) {
+Result<std::int64_t> Pruner::delete_before(Database& database, ValueRanges& ranges, std::int64_t time) {
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time >= time) continue;
@@ -128,26 +121,27 @@ Result<std::int64_t> Pruner::delete_before(std::int64_t time) {
     if (!row) return std::move(row).error();
     const std::int64_t up_to = std::min(table.up_to.integer(table.up_to.is_null(0) ? 1 : 0), table.last_rowid - 1);
     table.up_to.reset();
-    auto count = delete_rows(table, up_to);
+    auto count = delete_rows(database, ranges, table, up_to);
     if (!count) return count;
     deleted += *count;
   }
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_part_of_future(std::int64_t now) {
+Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now) {
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time < now) continue;
     const std::int64_t part = (table.last_rowid - table.first_rowid) / steps_of_a_span;
-    auto count = delete_rows(table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid - 1));
+    auto count = delete_rows(database, ranges, table,
+                             std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid - 1));
     if (!count) return count;
     deleted += *count;
   }
   return deleted;
 }
 
-Result<void> Pruner::make_room(Database& database, Time now) {
+Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
   auto begin = pages(database);
@@ -169,7 +163,7 @@ Result<void> Pruner::make_room(Database& database, Time now) {
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
     const std::int64_t oldest = at - max_age_.count();
-    auto deleted = delete_before(oldest);
+    auto deleted = delete_before(database, ranges, oldest);
     if (!deleted) return std::move(deleted).error();
     has_more_ = std::any_of(tables_.begin(), tables_.end(),
                             [&](const Table& table) { return table.has_rows() && table.first_time < oldest; });
@@ -189,11 +183,11 @@ Result<void> Pruner::make_room(Database& database, Time now) {
       std::int64_t deleted = 0;
       if (first < at) {
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
-        auto old = delete_before(first + step * (std::int64_t{1} << shift));
+        auto old = delete_before(database, ranges, first + step * (std::int64_t{1} << shift));
         if (!old) return std::move(old).error();
         deleted += *old;
       }
-      auto ahead = delete_part_of_future(at);
+      auto ahead = delete_part_of_future(database, ranges, at);
       if (!ahead) return std::move(ahead).error();
       deleted += *ahead;
       shift = deleted > 0 ? 0 : shift + 1;

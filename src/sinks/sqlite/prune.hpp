@@ -8,6 +8,7 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -24,8 +25,8 @@ class Pruner {
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
 
   /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the line of
-  /// the recorded times.
-  Result<void> make_room(Database& database, Time now);
+  /// the recorded times. What is deleted is taken out of the checksums; `ranges`: those that are not written yet.
+  Result<void> make_room(Database& database, ValueRanges& ranges, Time now);
   /// The last call did not delete all that is beyond the limits.
   bool has_more() const noexcept { return has_more_; }
   /// All rows that may be deleted are, and what is left is still too large.
@@ -43,7 +44,6 @@ class Pruner {
     Statement first;   // row number and time of its first row
     Statement last;    // row number of its last row
     Statement up_to;   // row number of the last of its first rows that are all before a time
-    Statement counts;  // rows up to a row number, by run and origin
     Statement remove;  // up to a row number
     std::int64_t first_rowid = 0;
     std::int64_t first_time = 0;
@@ -58,12 +58,12 @@ class Pruner {
   Result<void> look_at(Table& table);
   Result<Pages> pages(Database& database);
   /// Deletes what is before the instant, some thousand rows at most. The number of rows.
-  Result<std::int64_t> delete_before(std::int64_t time);
+  Result<std::int64_t> delete_before(Database& database, ValueRanges& ranges, std::int64_t time);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of them as
   /// of the time that the others span.
-  Result<std::int64_t> delete_part_of_future(std::int64_t now);
+  Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
   /// The only place where rows are deleted.
-  Result<std::int64_t> delete_rows(Table& table, std::int64_t up_to);
+  Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);
   Result<void> shrink(Database& database, const Pages& now);
 
   std::uint64_t max_bytes_ = 0;

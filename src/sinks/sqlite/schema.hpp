@@ -23,6 +23,9 @@ inline constexpr int first_version_of_own_data_account = 5;
 /// Texts of events that are no UTF-8 have escapes.
 inline constexpr int first_version_of_escapes = 5;
 
+/// Rows and accounts have checksums.
+inline constexpr int first_version_with_checksums = 5;
+
 /// Accounts count from the beginning of the recording; before, from that of the sensor.
 inline constexpr int first_version_of_own_account = 4;
 
@@ -95,6 +98,14 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change
   name TEXT NOT NULL,
   state TEXT NOT NULL,              -- ok, degraded, faulted
   reason TEXT NOT NULL);            -- empty when ok
+CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- since version 5: what hashing the rows of a table must give again
+  run INTEGER NOT NULL,             -- 0: of all runs
+  table_name TEXT NOT NULL,         -- a topic's table, or one of the account
+  origin TEXT NOT NULL,             -- of a topic's table; otherwise empty: all rows of the run
+  first_sequence INTEGER NOT NULL, last_sequence INTEGER NOT NULL,
+  columns INTEGER NOT NULL,         -- so many of the table's first columns are hashed, without `run`
+  rows INTEGER NOT NULL,
+  sum INTEGER);                     -- of the rows' hashes mod 2^64, as a signed number; NULL: not known
 )sql"
                                       // Texts of events that were no UTF-8.
                                       R"sql(

@@ -6,6 +6,7 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -130,8 +131,12 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live) {
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   const bool is_known = live != nullptr && live->is_complete();
+  const bool has_checksums = run.format >= first_version_with_checksums;
+  if (has_checksums) {
+    if (auto taken = take_over_sums(database, run.run, live, sums); !taken) return std::move(taken).error();
+  }
   std::vector<std::string> topics;
   {
     auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
@@ -149,6 +154,9 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
   }
+  if (has_checksums) {
+    if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
+  }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
   remark += is_known ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
@@ -163,13 +171,16 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
+  if (has_checksums) {
+    if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
+  }
   return remark;
 }
 
 }  // namespace
 
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           std::vector<LiveFile>& used) {
+                                           AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
     auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
@@ -186,7 +197,7 @@ Result<std::vector<std::string>> seal_runs(Database& database, const std::string
   for (const OpenRun& run : open) {
     auto live = LiveFile::find(recording, run.uuid, noted);
     if (!live) return std::move(live).error();
-    auto remark = seal_run(database, run, *live ? &**live : nullptr);
+    auto remark = seal_run(database, run, *live ? &**live : nullptr, sums);
     if (!remark) return std::move(remark).error();
     if (*live) used.push_back(std::move(**live));
     remarks.push_back(*remark);

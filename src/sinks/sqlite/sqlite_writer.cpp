@@ -100,9 +100,11 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
+  throw_if(sums_.watch(database_));
   std::vector<LiveFile> used;
-  remarks = std::move(seal_runs(database_, recording, lock_.noted(), used)).or_throw();
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), sums_, used)).or_throw();
   throw_if(begin_run(run, uuid));
+  throw_if(sums_.write_changes(database_));
   if (auto made = LiveFile::make(recording, uuid)) {
     live_ = std::move(*made);
   } else {
@@ -112,6 +114,8 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
     live_.remove();
     committed.or_throw();
   }
+  if (live_) live_.sums().set(sums_.sums_of(run_));
+  sums_.committed();
   lock_.note(live_.path());
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
@@ -202,6 +206,8 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   insert->bind(12, std::int64_t{schema_version});
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
+  sums_.begin(run_);
+  ranges_.begin(run_, run.started);
   boot_id_ = run.boot_id;
   return {};
 }
@@ -277,18 +283,22 @@ Result<void> SqliteWriter::write(Batch& batch) {
   escaped_.begin_batch();
   auto done = begin_.run();
   // First, so that the new rows take the pages of the old ones within one transaction.
-  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, now_);
+  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
   if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
   if (done) done = write_escaped(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
+  if (done) done = write_checksums(batch.account());
+  if (done) stage();
   if (done) done = commit_.run();
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
+    rolled_back();
     pruner_.close();
     return done;
   }
+  committed();
   known_slots_ = slots;
   escaped_.end_batch(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
@@ -336,7 +346,7 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_);
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -460,6 +470,34 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   return run_end_.run();
 }
 
+Result<void> SqliteWriter::write_checksums(const Account* account) {
+  const bool is_last = account != nullptr && account->is_last;
+  const auto which = is_last              ? ValueRanges::Close::all
+                     : account != nullptr ? ValueRanges::Close::aged
+                                          : ValueRanges::Close::full;
+  if (auto done = ranges_.write(database_, which, account != nullptr ? account->at : Time{}); !done) return done;
+  if (is_last) {
+    if (auto done = sums_.write_lines(database_, run_); !done) return done;
+  }
+  return sums_.write_changes(database_);
+}
+
+void SqliteWriter::stage() {
+  ranges_.stage(live_);
+  if (live_) live_.sums().stage(sums_.sums_of(run_));
+}
+
+void SqliteWriter::committed() {
+  ranges_.committed(live_);
+  sums_.committed();
+  if (live_) live_.sums().settle();
+}
+
+void SqliteWriter::rolled_back() {
+  ranges_.rolled_back(live_);
+  sums_.rolled_back();
+}
+
 Result<void> SqliteWriter::tend_log() {
   const std::uint64_t limit = pruner_.log_bytes();
   std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
@@ -515,13 +553,17 @@ Result<void> SqliteWriter::flush() {
 
 Result<void> SqliteWriter::prune() {
   auto done = begin_.run();
-  if (done) done = pruner_.make_room(database_, now_);
+  if (done) done = pruner_.make_room(database_, ranges_, now_);
+  if (done) done = sums_.write_changes(database_);
+  if (done) stage();
   if (done) done = commit_.run();
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    rolled_back();
     pruner_.close();
     return done;
   }
+  committed();
   return tend_log();
 }
 

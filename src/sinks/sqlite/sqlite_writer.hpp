@@ -9,11 +9,13 @@
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
 #include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -55,6 +57,11 @@ class SqliteWriter final : public Writer {
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
+  Result<void> write_checksums(const Account* account);
+  /// Of the checksums: before a transaction commits, after it has, and after it was given up.
+  void stage();
+  void committed();
+  void rolled_back();
   Result<void> prepare_account();
   Result<void> prune();
   /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
@@ -66,7 +73,9 @@ class SqliteWriter final : public Writer {
   void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
-  RecordingLock lock_;  // given up last
+  AccountSums sums_;  // the connection calls it
+  ValueRanges ranges_;
+  RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
   Database database_;
   std::int64_t run_ = 0;
@@ -104,6 +113,6 @@ class SqliteWriter final : public Writer {
 /// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
 /// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           std::vector<LiveFile>& used);
+                                           AccountSums& sums, std::vector<LiveFile>& used);
 
 }  // namespace rtdata::sqlite
