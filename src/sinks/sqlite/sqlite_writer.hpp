@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <chrono>
 #include <map>
 #include <memory>
 #include <optional>
@@ -97,9 +98,10 @@ class SqliteWriter final : public Writer {
   bool space_is_short_ = false;
   Pruner pruner_;
   bool is_too_large_ = false;  // and has been told
-  Time now_{};                 // of the last row or account
-  Time log_synced_at_{};
-  Time readers_waited_for_at_{};
+  Time now_{};                 // of the last account
+  using SteadyTime = std::chrono::steady_clock::time_point;
+  SteadyTime log_synced_at_{};
+  SteadyTime readers_waited_for_at_{};
   int log_pages_ = 0;  // after the last transaction
   std::size_t rows_in_last_ = 0;
   int page_bytes_ = 4096;
