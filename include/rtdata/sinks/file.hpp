@@ -16,7 +16,7 @@
 /// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
 /// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
-/// reported. A file that somebody deletes is made anew, and that is reported.
+/// reported. A file that somebody deletes or moves is made anew, and that is reported, at the next batch.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
 /// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,

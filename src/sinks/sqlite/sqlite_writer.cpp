@@ -232,6 +232,11 @@ Result<void> SqliteWriter::prepare_account() {
 
 Result<void> SqliteWriter::write(Batch& batch) {
   const auto slots = static_cast<std::uint32_t>(batch.slots());
+  if (has_moved()) {
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
+    return Error{Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
+                 "leave it where it is while it is recorded into; start again"};
+  }
   auto done = begin_.run();
   if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
@@ -250,6 +255,11 @@ Result<void> SqliteWriter::write(Batch& batch) {
   }
   if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
   return {};
+}
+
+bool SqliteWriter::has_moved() {
+  int moved = 0;
+  return sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_HAS_MOVED, &moved) == SQLITE_OK && moved != 0;
 }
 
 Result<void> SqliteWriter::write_slots(const Batch& batch) {

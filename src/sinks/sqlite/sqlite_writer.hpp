@@ -49,6 +49,8 @@ class SqliteWriter final : public Writer {
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_account(const Batch& batch, const Account& account);
+  /// The file is no longer at its path.
+  bool has_moved();
   Result<void> prepare_account();
   Result<void> checkpoint(int mode);
   void look_at_space();
