@@ -61,7 +61,7 @@ class Run {
     const std::size_t before = plan.problems.size();
     check_log_file(file, plan);
     if (plan.problems.size() != before) return;  // it is another's file
-    if (auto opened = log_.open(file, settings.level); !opened) {
+    if (auto opened = log_.open(file, settings); !opened) {
       say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
     }
   }

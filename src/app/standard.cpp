@@ -17,22 +17,31 @@ namespace rtdata {
 static constexpr auto parameters(type_tag<SqliteConfig>) {
   return parameter_list(
       parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required, TextIs::output_file),
-      parameter("profile", &SqliteConfig::profile,
-                "what a power cut may cost: normal: the last commits, safe: nothing committed, fast: the file",
-                choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
-                        value("fast", SqliteProfile::fast))),
-      parameter("max_bytes", &SqliteConfig::max_bytes, "the oldest rows are deleted above this size; 0: no limit",
+      parameter(
+          "profile", &SqliteConfig::profile,
+          "what a power cut may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
+          "10 s at risk",
+          choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
+                  value("fast", SqliteProfile::fast), value("card", SqliteProfile::card))),
+      parameter("max_bytes", &SqliteConfig::max_bytes,
+                "the oldest rows are deleted when the recording takes more; 0: no limit, else 4 MiB at least",
                 unit("By")),
-      parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit"),
+      parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit",
+                range(std::chrono::seconds{0}, std::chrono::hours{24 * 36500})),
       include_member(&SqliteConfig::sink));
 }
 
 static void check_config(const SqliteConfig& config, const ConfigItem& item, Problems& problems) {
-  const auto is_recordable = check_recordable(config.path);
-  if (is_recordable) return;
-  const ConfigItem* path = item.find("path");
-  const Error& error = is_recordable.error();
-  problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+  if (const auto is_recordable = check_recordable(config.path); !is_recordable) {
+    const ConfigItem* path = item.find("path");
+    const Error& error = is_recordable.error();
+    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+  }
+  if (config.max_bytes == 0 || config.max_bytes >= SqliteConfig::least_max_bytes) return;
+  const ConfigItem* value = item.find("max_bytes");
+  problems.add((value != nullptr ? *value : item)
+                   .problem("out-of-range", "max_bytes is " + std::to_string(config.max_bytes) +
+                                                ": give at least 4194304 (4 MiB), or 0 for no limit"));
 }
 #endif
 

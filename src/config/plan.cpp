@@ -452,6 +452,13 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   return plan;
 }
 
+void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems) {
+  if (settings.max_bytes == 0 || settings.max_bytes >= 4096) return;
+  problems.add(
+      child_or_self(item, "max_bytes")
+          .problem("out-of-range", std::to_string(settings.max_bytes) + " is out of range: give 4096 at least, or 0"));
+}
+
 void check_config(const TierSettings& settings, const ConfigItem& item, Problems& problems) {
   const auto complain = [&](const char* key, std::string message) {
     problems.add(child_or_self(item, key).problem("bad-value", std::move(message)));

@@ -364,9 +364,9 @@ f.json:16:38: sinks[2].when_full
     CHECK(problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
  "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "c\nd"}]})") ==
           "f.json:1:12: tiers.main: the main loop has that name; give the tier another\n"
-          "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
           "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?)\n"
-          "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters and no control characters\n"
+          "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
           "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers`\n");
     CHECK(
         planned(

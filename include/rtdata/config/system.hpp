@@ -24,6 +24,7 @@
 /// Thread: plans any, systems the loop's.
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <optional>
@@ -43,6 +44,9 @@ namespace rtdata {
 struct LogSettings {
   std::string file = {};            ///< empty: the program's default
   LogLevel level = LogLevel::info;  ///< lesser ones are left out
+  /// Before it becomes larger it is renamed to FILE.1, what was that to FILE.2, and so on; 0: never.
+  std::uint64_t max_bytes = std::uint64_t{10} << 20;
+  unsigned keep = 5;  ///< how many of those before are kept
 
   friend constexpr auto parameters(type_tag<LogSettings>) {
     return parameter_list(
@@ -51,8 +55,13 @@ struct LogSettings {
                   TextIs::device),
         parameter("level", &LogSettings::level, "the least important lines that are written",
                   choices(value("debug", LogLevel::debug), value("info", LogLevel::info),
-                          value("warning", LogLevel::warning), value("error", LogLevel::error))));
+                          value("warning", LogLevel::warning), value("error", LogLevel::error))),
+        parameter("max_bytes", &LogSettings::max_bytes,
+                  "a new file before this one becomes larger, which is renamed to FILE.1; 0: never, else 4096 at least",
+                  unit("By")),
+        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)));
   }
+  friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
 /// See Loop::Config.

@@ -7,9 +7,13 @@
 ///
 /// Each line becomes one event, whose fields are the configured ones; its time is that of the read which brought its end.
 ///
-/// - CSV: one column a field, in order; a field without a name is a column that is not kept. Blanks around a column do not
-///   count, nor do double quotes around it. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a
-///   field's `key` reaches into nested objects.
+/// - CSV as in RFC 4180, a row a line: one column a field, in order; a field without a name is a column that is not kept.
+///   Blanks around a column do not count, nor do double quotes around it; in them a separator belongs to the column and a
+///   quote is written twice. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a field's `key` reaches
+///   into nested objects.
+/// - An empty column (JSON: null, or no such key) is no value in a field that is `optional`, and else a mistake, but for a
+///   text, which it leaves empty. Numbers become the nearest that there is: 1e-400 is 0. A bool is true, false, 1 or 0, in
+///   upper or lower case. A byte order mark at the beginning does not count.
 /// - A line ends with a newline, a carriage return before it does not count. Empty lines and those that begin with
 ///   `comment` are skipped, as are the first `skip_lines` lines after opening.
 /// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line` is
@@ -44,6 +48,7 @@ struct LineField {
   double scale = 1;         ///< a float or double is multiplied by it
   std::string key = {};     ///< JSON: where it is in the object, levels separated by dots; empty: as the name
   std::size_t length = 32;  ///< of a text: the most bytes it may have
+  bool optional = false;    ///< an empty column, null or a missing key is no value; else the line cannot be used
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
@@ -58,7 +63,8 @@ struct LineField {
         parameter("scale", &LineField::scale, "factor, for float and double", only_with("type", "float", "double")),
         parameter("key", &LineField::key, "JSON: where it is, levels separated by dots; empty: as the name"),
         parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
-                  only_with("type", "text")));
+                  only_with("type", "text")),
+        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"));
   }
 };
 

@@ -12,6 +12,8 @@
 #include <cstdio>
 #include <ctime>
 
+#include "data/utf8.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -134,11 +136,13 @@ class ConsoleWriter final : public Writer {
     text_ += text;
   }
 
-  /// Without what would move the cursor or colour the screen.
+  /// Without what would move the cursor or colour the screen, and without what is no UTF-8.
   void append_clean(std::string_view text) {
-    for (const char c : text) {
-      if (static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
-        text_ += c;
+    for (std::size_t i = 0, size = 0; i < text.size(); i += std::max<std::size_t>(size, 1)) {
+      const char c = text[i];
+      size = detail::utf8_size(text.substr(i));
+      if (size > 0 && static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
+        text_ += text.substr(i, size);
         continue;
       }
       char escaped[8];

@@ -26,13 +26,14 @@ struct LiveFile::Header {
   std::uint64_t device;  // of the recording's file
   std::uint64_t inode;
   std::atomic<std::uint64_t> is_incomplete;
+  Kept<RunSums> sums;
   char recording[PATH_MAX];
 };
 
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{2} << 32) | sizeof(LiveSlot);
+constexpr std::uint64_t layout = (std::uint64_t{3} << 32) | sizeof(LiveSlot);
 constexpr std::size_t header_bytes = 8192;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";
@@ -240,6 +241,8 @@ Error LiveFile::no_room() const {
 bool LiveFile::is_complete() const noexcept {
   return header_ != nullptr && header_->is_incomplete.load(std::memory_order_acquire) == 0;
 }
+
+Kept<RunSums>& LiveFile::sums() noexcept { return header_->sums; }
 
 void LiveFile::remove() noexcept {
   if (fd_ < 0) return;

@@ -15,6 +15,7 @@
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/sqlite/checksum.hpp"
 
 namespace rtdata::sqlite {
 
@@ -113,6 +114,9 @@ class LiveFile {
   Error no_room() const;
   /// Whether each slot of the run has its place here.
   bool is_complete() const noexcept;
+
+  /// The checksums of the run's account, which are not in the recording before it ends. The lane's.
+  Kept<RunSums>& sums() noexcept;
 
   // Of slots that it has.
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }

@@ -2,6 +2,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cstring>
 
@@ -14,9 +15,12 @@
 namespace rtdata {
 namespace {
 
+constexpr Duration card_batch_time = std::chrono::seconds{10};
+
 SinkConfig named(const SqliteConfig& config) {
   SinkConfig sink = config.sink;
   if (sink.name.empty()) sink.name = config.path;
+  if (config.profile == SqliteProfile::card) sink.batch_time = std::max<Duration>(sink.batch_time, card_batch_time);
   return sink;
 }
 
