@@ -118,7 +118,8 @@ def main():
                     if item["type"] != case["if"]["properties"]["type"]["const"]:
                         continue
                     for key, value in case["then"]["properties"].items():
-                        if key not in item and "default" in value:
+                        # What is off by default, in an object of its own, may have no value to write for it.
+                        if key not in item and "default" in value and not isinstance(value["default"], dict):
                             item[key] = value["default"]
         originals.append(("every parameter", full))
         path = os.path.join(folder, "mutated.json")
