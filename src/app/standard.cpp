@@ -51,6 +51,11 @@ namespace {
 struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
+    if (config.keep != 0 && config.rotate.bytes == 0 && config.rotate.time.count() == 0) {
+      const ConfigItem* keep = item.find("keep");
+      problems.add((keep != nullptr ? *keep : item)
+                       .problem("bad-value", "it says how many files are kept, and without `rotate` there is one"));
+    }
     std::vector<std::string> formats = CodecRegistry::standard().names();
     formats.emplace_back("jsonl");
     if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;

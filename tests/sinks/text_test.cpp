@@ -231,7 +231,7 @@ TEST_SUITE("sinks") {
     const Folder folder;
     {
       app::Log log;
-      log.open(folder / "log", LogLevel::debug).or_throw();
+      log.open(folder / "log", LogSettings{.level = LogLevel::debug}).or_throw();
       log.write(LogLevel::info, "sensor \xe4", std::string("a\0\xff", 3), "");
     }
     CHECK(bytes_of(folder / "log").find("info sensor \\xe4: a\\x00\\xff\n") != std::string::npos);
