@@ -71,7 +71,8 @@ Error cannot_cross(const TopicCore& topic) {
           "use text<N> for strings, arrays for vectors; or subscribe on the loop that publishes it"};
 }
 
-RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_) : face(face_), config(std::move(config_)) {
+RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_)
+    : face(face_), config(std::move(config_)), secrets(config.secrets) {
   use_clock(config.clock != nullptr ? *config.clock : system_clock_);
 }
 

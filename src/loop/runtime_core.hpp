@@ -246,7 +246,8 @@ class RuntimeCore {
   }
   /// Something does better or worse: to the recordings, and to the topic `$rtdata/health`.
   /// The text without the secrets of the configuration.
-  std::string hide(std::string text) const { return hidden(std::move(text), config.secrets); }
+  std::string hide(std::string text) const { return hidden(std::move(text), secrets); }
+  std::vector<std::string> secrets;  ///< at first those of the configuration; of what is made later, too
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:

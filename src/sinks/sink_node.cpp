@@ -33,7 +33,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         account_(queue_),
         job_(std::make_shared<StoreJob>(queue_)),
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
-        retry_(loop.face, [this] { start_storing(); }),
+        retry_(loop.face, [this] { try_again(); }),
         next_part_(loop.face, [this] { account_more(); }) {}
 
   void attach() {
@@ -237,7 +237,23 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (is_busy() || closed_ || !is_attached_) return;
     job_->closing = closing_;
     is_storing_ = lane_->submit(job_);
-    if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
+    if (is_storing_) return;
+    has_no_thread_ = true;  // told by the timer, since this may be within a publish
+    health_ = Health::faulted;
+    reason_ = no_thread().text();
+    retry_.start(next_delay());
+  }
+
+  void try_again() {
+    Call call(*this);
+    if (std::exchange(has_no_thread_, false)) report(no_thread(), 1);
+    tell_health();
+    if (is_open()) start_storing();
+  }
+
+  Error no_thread() const {
+    return {Errc::io_failed, "cannot store", config_.name, "the system gives no thread",
+            "look at the limits of threads (ulimit -u); events wait in the queue"};
   }
 
   /// What will not get better: the first reason stays.
@@ -428,7 +444,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   std::string fault_;  // for good: it wants a topic that it cannot take
   bool is_attached_ = false;
   bool is_storing_ = false;
-  bool is_due_ = false;  // to be handed over as soon as the lane is free
+  bool has_no_thread_ = false;  // and that is still to be told
+  bool is_due_ = false;         // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
   MonotonicTime account_at_{};    // when the last one was begun
   std::uint64_t slots_told_ = 0;  // that it had

@@ -86,9 +86,16 @@ class FileWriter final : public Writer {
 
   Result<void> write(Batch& batch) override {
     for (OutputFile& file : files_) {
-      if (!file.close_if_deleted()) continue;
-      return Error{Errc::not_found, "the file was deleted", file.path(),
-                   "what had been written into it is gone with it", "a new one is made"};
+      switch (file.close_if_gone()) {
+        case OutputFile::Gone::no:
+          continue;
+        case OutputFile::Gone::deleted:
+          return Error{Errc::not_found, "the file was deleted", file.path(),
+                       "what had been written into it is gone with it", "a new one is made"};
+        case OutputFile::Gone::moved:
+          return Error{Errc::not_found, "the file was moved", file.path(),
+                       "what had been written into it is where it was moved to", "a new one is made"};
+      }
     }
     for (OutputFile& file : files_) file.begin_batch();
     escaped_.begin_batch();

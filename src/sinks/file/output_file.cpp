@@ -288,11 +288,15 @@ Result<void> OutputFile::sync() {
   return {};
 }
 
-bool OutputFile::close_if_deleted() {
+OutputFile::Gone OutputFile::close_if_gone() {
   struct stat about {};
-  if (fd_ < 0 || ::fstat(fd_, &about) != 0 || about.st_nlink > 0) return false;
+  if (fd_ < 0 || ::fstat(fd_, &about) != 0) return Gone::no;
+  struct stat there {};
+  const bool is_there = ::stat(path_.c_str(), &there) == 0 && there.st_dev == about.st_dev &&
+                        there.st_ino == about.st_ino;
+  if (about.st_nlink > 0 && is_there) return Gone::no;
   close();
-  return true;
+  return about.st_nlink == 0 ? Gone::deleted : Gone::moved;
 }
 
 }  // namespace rtdata::detail

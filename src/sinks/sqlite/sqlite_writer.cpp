@@ -278,6 +278,11 @@ Result<void> SqliteWriter::prepare_account() {
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
+  if (has_moved()) {
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
+    return Error{Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
+                 "leave it where it is while it is recorded into; start again"};
+  }
   // Before the batch, not after it: what fails here must not make it come again when it is stored already.
   if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
@@ -307,6 +312,11 @@ Result<void> SqliteWriter::write(Batch& batch) {
   look_at_space();
   if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   return {};
+}
+
+bool SqliteWriter::has_moved() {
+  int moved = 0;
+  return sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_HAS_MOVED, &moved) == SQLITE_OK && moved != 0;
 }
 
 Result<void> SqliteWriter::write_slots(const Batch& batch) {

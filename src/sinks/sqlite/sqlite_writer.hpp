@@ -57,6 +57,8 @@ class SqliteWriter final : public Writer {
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
+  /// The file is no longer at its path.
+  bool has_moved();
   Result<void> write_checksums(const Account* account);
   /// Of the checksums: before a transaction commits, after it has, and after it was given up.
   void stage();
