@@ -20,6 +20,8 @@ void RangeCheck::add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash&
     }
   }
   Range& range = ranges[current_];
+  if (range.found.rows == 0) range.first_found = sequence;
+  range.last_found = sequence;
   if (range.is_known) {
     range.found.add(sqlite::hash_of(hash, row, 2, range.columns + 1));
   } else {
@@ -192,6 +194,12 @@ void check_ranges(const Findings& found, const std::string& place, const RangeCh
     if (range.found.rows != range.said.rows) {
       found.problem(place + plural(range.found.rows, "row") + " of " + sequences(range) + ", the checksum is of " +
                     plural(range.said.rows, "row") + ".");
+    } else if (range.is_known && (range.last_found != range.last_sequence ||
+                                  (range.first_found != range.first_sequence &&
+                                   (&range != &check.ranges.front() || found.report.pruned == 0)))) {
+      found.problem(place + "the checksum of " + sequences(range) + " is of rows up to " +
+                    std::to_string(range.last_found) + ", the first of which is " + std::to_string(range.first_found) +
+                    ".");
     } else if (!range.is_known) {
       unknown += range.found.rows;
     } else if (range.found.sum != range.said.sum) {
