@@ -109,6 +109,11 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     if (!row) return std::move(row).error();
     if (!*row) break;
     const std::int64_t run = statement->integer(1);
+    if (sqlite3_column_type(statement->raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
+      problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) + " has no number as its run.");
+      if (problems.size() > 100) break;
+      continue;
+    }
     const std::string_view origin = statement->text(3);
     const auto sequence = static_cast<std::uint64_t>(statement->integer(4));
     if (current.rows == nullptr || current.rows->run != run || current.rows->origin != origin) {
@@ -243,6 +248,13 @@ Result<VerifyReport> verify(const Recording& recording) {
   }
   auto version = recording.file()->version();
   if (!version) return std::move(version).error();
+  if (*version >= 2) {
+    auto odd = recording.file()->database.integer(
+        "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
+        "typeof(rate) <> 'real'");
+    if (!odd) return std::move(odd).error();
+    if (*odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
+  }
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {

@@ -47,6 +47,12 @@ Result<Checksums> Checksums::load(const RecordingFile& file) {
     const sqlite::RowSum said{static_cast<std::uint64_t>(query->integer(6)),
                               static_cast<std::uint64_t>(query->integer(7))};
     const int columns = static_cast<int>(query->integer(5));
+    for (const int column : {0, 3, 4, 5, 6, 7}) {
+      const int type = sqlite3_column_type(query->raw(), column);
+      if (type != SQLITE_INTEGER && !(column == 7 && type == SQLITE_NULL))
+        checksums.strays.push_back("A checksum of " + table + " of run " + std::to_string(run) +
+                                   " has something else in it than numbers.");
+    }
     const bool is_account = table == sqlite::topic_table_name ||
                             std::find(sqlite::account_tables.begin(), sqlite::account_tables.end(), table) !=
                                 sqlite::account_tables.end();
@@ -91,7 +97,9 @@ Result<void> Checksums::scan_accounts(const RecordingFile& file, const std::vect
       if (!row) return std::move(row).error();
       if (!*row) break;
       const std::int64_t run = is_of_all ? sqlite::all_runs : query->integer(0);
-      if (!is_of_all && !std::binary_search(runs.begin(), runs.end(), run)) ++unknown[run];
+      const bool has_run = is_of_all || (sqlite3_column_type(query->raw(), 0) == SQLITE_INTEGER &&
+                                         std::binary_search(runs.begin(), runs.end(), run));
+      if (!has_run) ++unknown[run];
       const auto line = lines_of.find(run);
       if (line == lines_of.end()) continue;
       line->second.found.add(
