@@ -23,7 +23,7 @@ void RangeCheck::add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash&
   if (range.found.rows == 0) range.first_found = sequence;
   range.last_found = sequence;
   if (range.is_known) {
-    range.found.add(sqlite::hash_of(hash, row, 2, range.columns + 1));
+    range.found.add(sqlite::hash_of(hash, row, 2, std::min(range.columns, sqlite3_column_count(row) - 1) + 1));
   } else {
     ++range.found.rows;
   }

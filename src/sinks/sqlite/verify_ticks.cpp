@@ -69,7 +69,11 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, const st
     const bool is_within = joined_up_to >= joined_from && from <= joined_up_to;
     if (!is_within) end_joined();
     if (!is_within && from < at) {
-      mistake(text_of(gap) + " overlaps the one before");
+      if (gap.kind == gaps[next_gap - 1]->kind) {
+        mistake(text_of(gap) + " overlaps the one before");
+      } else {
+        is_unclear_ = true;  // a read under way when the rate changed failed later
+      }
       continue;
     }
     if (is_within) {
@@ -108,7 +112,7 @@ void TickCheck::mistake(std::string sentence) {
 }
 
 void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
-  if (sequence < first_sequence_) return;  // which is a mistake of its own
+  if (is_unclear_ || sequence < first_sequence_) return;  // which is a mistake of its own
   const std::uint64_t number = sequence - first_sequence_;
   // What was under way when the recording began may have been the first one.
   const Stretch* earliest = number < carried_ ? nullptr : find(number - carried_, lower_);

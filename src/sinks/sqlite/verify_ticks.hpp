@@ -58,6 +58,7 @@ class TickCheck {
   std::size_t lower_ = 0, upper_ = 0;
   std::vector<std::string> sentences_;
   std::uint64_t mistakes_ = 0;
+  bool is_unclear_ = false;  // which ticks were taken: rows are not held to them
 };
 
 }  // namespace rtdata::detail
