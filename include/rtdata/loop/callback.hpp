@@ -45,7 +45,7 @@ class Callback<R(Args...)> {
   Callback(Callback&& other) noexcept { take(other); }
   Callback& operator=(Callback&& other) noexcept {
     if (this != &other) {
-      reset();
+      const Callback old(std::move(*this));  // goes last: its captures' destructors may use this object
       take(other);
     }
     return *this;
