@@ -139,7 +139,7 @@ std::uint64_t Loop::close(Duration deadline) {
                       "it is attached: only the program can run it", "use drain(deadline, done)"});
   }
   core_->check_thread("cannot close", "loop " + config().name);
-  if (core_->is_running()) {
+  if (core_->is_running() || core_->is_in_callback()) {
     throw SetupError({Errc::busy, "cannot close", "loop " + config().name,
                       "it is running, and this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});

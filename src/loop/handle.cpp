@@ -29,16 +29,19 @@ void LoopCore::unlink(Node& node) noexcept {
   node.previous_ = node.next_ = nullptr;
 }
 
+void LoopCore::check_not_ending(const char* what) const {
+  if (!is_ending_) return;
+  throw SetupError({Errc::busy, what, "loop " + config.name, "it is being destroyed",
+                    "make nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
+}
+
 Node::Node(LoopCore& loop) : loop_(&loop) {
   if (loop.runs_elsewhere()) {
     throw SetupError({Errc::busy, "cannot make an object", "loop " + loop.config.name, "it runs on a thread of its own",
                       "make it before the tier runs, or with tier.call([](rtdata::Loop& loop) { ... })"});
   }
   loop.check_thread("cannot make an object", "");
-  if (loop.is_ending()) {
-    throw SetupError({Errc::busy, "cannot make an object", "loop " + loop.config.name, "it is being destroyed",
-                      "make nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
-  }
+  loop.check_not_ending("cannot make an object");
   loop.link(*this);
 }
 Node::~Node() {

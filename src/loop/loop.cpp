@@ -163,6 +163,7 @@ void LoopCore::arm_clock() noexcept {
 }
 
 void LoopCore::close_nodes() noexcept {
+  is_ending_ = true;
   on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
   while (nodes_ != nullptr) {
     nodes_->retain();
@@ -173,7 +174,6 @@ void LoopCore::close_nodes() noexcept {
 }
 
 LoopCore::~LoopCore() {
-  is_ending_ = true;
   close_nodes();
   drop_posted();
   while (!lanes_.empty()) {  // one by one: a job's `done` may ask for lanes
@@ -442,7 +442,8 @@ Loop::Loop(Runtime& runtime, Config config)
                                                    ? detail::LoopCore::Time::manual
                                                    : detail::LoopCore::Time::real)) {}
 Loop::~Loop() {
-  if (own_runtime_ != nullptr) own_runtime_->on_log({});  // as for on_error
+  core_->begin_ending();
+  if (own_runtime_ != nullptr) own_runtime_->core().on_log.reset();  // as for on_error
 }
 
 void Loop::run() { core_->run(); }
@@ -458,6 +459,7 @@ const Loop::Config& Loop::config() const noexcept { return core_->config; }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) {
   core_->check_thread("cannot set on_error", "loop " + config().name);
+  core_->check_not_ending("cannot set on_error");
   core_->on_error.set(std::move(handler));
 }
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }

@@ -150,6 +150,9 @@ class LoopCore {
   void dispose_later(Node& node) noexcept;
   /// It is being destroyed.
   bool is_ending() const noexcept { return is_ending_; }
+  void begin_ending() noexcept { is_ending_ = true; }
+  /// SetupError (busy) while it is being destroyed.
+  void check_not_ending(const char* what) const;
 
   /// Lanes by key: one per physical device; made when first asked for.
   Lane& lane(const std::string& key, Duration give_up_after);

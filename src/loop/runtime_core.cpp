@@ -335,7 +335,10 @@ Runtime::~Runtime() = default;
 
 const Runtime::Config& Runtime::config() const noexcept { return core_->config; }
 void Runtime::on_log(Callback<void(const LogRecord&)> handler) {
-  if (core_->own_loop != nullptr) core_->own_loop->check_thread("cannot set on_log", "runtime");
+  if (core_->own_loop != nullptr) {
+    core_->own_loop->check_thread("cannot set on_log", "runtime");
+    core_->own_loop->check_not_ending("cannot set on_log");
+  }
   core_->on_log.set(std::move(handler));
 }
 
