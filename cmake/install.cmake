@@ -27,7 +27,22 @@ else()
   file(RELATIVE_PATH RTDATA_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
   string(REGEX REPLACE "/$" "" RTDATA_PC_PREFIX "\${pcfiledir}/${RTDATA_PC_PREFIX}")
 endif()
+# Who links a static library links what that needs, also without --static, which asks for what only static libraries of
+# others need.
+if(NOT BUILD_SHARED_LIBS)
+  set(RTDATA_PC_LIBUV "libuv >= 1.43")
+  set(RTDATA_PC_SQLITE "sqlite3 >= 3.37")
+endif()
 foreach(module rtdata rtdata-sqlite)
   configure_file(cmake/${module}.pc.in ${module}.pc @ONLY)
   install(FILES ${CMAKE_CURRENT_BINARY_DIR}/${module}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
 endforeach()
+
+# The service starts the program where it is installed, which only the installation knows (--prefix).
+if(TARGET rtdata_main)
+  install(CODE "
+    set(RTDATA_BINDIR \"${CMAKE_INSTALL_BINDIR}\")
+    cmake_path(ABSOLUTE_PATH RTDATA_BINDIR BASE_DIRECTORY \"\${CMAKE_INSTALL_PREFIX}\" NORMALIZE)
+    configure_file([[${CMAKE_CURRENT_SOURCE_DIR}/packaging/rtdata@.service.in]] [[${CMAKE_CURRENT_BINARY_DIR}/rtdata@.service]] @ONLY)")
+  install(FILES ${CMAKE_CURRENT_BINARY_DIR}/rtdata@.service DESTINATION lib/systemd/system)
+endif()

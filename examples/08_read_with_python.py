@@ -28,6 +28,6 @@ for entry in db.execute("SELECT * FROM rtdata_ledger WHERE topic = ? ORDER BY ru
     dropped = entry["dropped_newest"] + entry["dropped_oldest"] + entry["dropped_refused"] + entry["dropped_unsaved"]
     stored += entry["stored"] - entry["pruned"]
     print(f"run {entry['run']} {entry['origin']}: scheduled {entry['scheduled']} taken {entry['taken']} "
-          f"missed {entry['missed']} failed {entry['failed']}; offered {entry['offered']} stored {entry['stored']} "
+          f"missed {entry['missed']} failed {entry['failed']}; unreadable {entry['unreadable']}; offered {entry['offered']} stored {entry['stored']} "
           f"dropped {dropped}")
 sys.exit(0 if rows == stored else 1)

@@ -22,6 +22,7 @@ RunAccount account_of(const Runtime& runtime) {
     topic->late += sensor.counts.late;
     topic->missed += sensor.counts.missed;
     topic->failed += sensor.counts.failed;
+    topic->unreadable += sensor.counts.unreadable;
     topic->lost += sensor.counts.lost;
     if (sensor.health > topic->health) {
       topic->health = sensor.health;
@@ -30,6 +31,7 @@ RunAccount account_of(const Runtime& runtime) {
     account.late += sensor.counts.late;
     account.missed += sensor.counts.missed;
     account.failed += sensor.counts.failed;
+    account.unreadable += sensor.counts.unreadable;
     account.lost += sensor.counts.lost;
   }
   account.sinks = runtime.sinks();
@@ -48,17 +50,29 @@ RunAccount account_of(const Runtime& runtime) {
 std::string progress(const RunAccount& account) {
   const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
   return std::to_string(account.events) + " events" + part(account.late, "late") + part(account.missed, "missed") +
-         part(account.failed, "failed") + (account.lost > 0 ? part(account.lost, "lost") : "") +
-         part(account.dropped, "dropped") + part(account.queued, "queued");
+         part(account.failed, "failed") + (account.unreadable > 0 ? part(account.unreadable, "unreadable") : "") +
+         (account.lost > 0 ? part(account.lost, "lost") : "") + part(account.dropped, "dropped") +
+         part(account.queued, "queued");
 }
 
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths) {
   std::string text;
-  Table topics({"topic", ">events", ">late", ">missed", ">failed", ">lost", ">dropped", "health"});
+  const bool has_unreadable = account.unreadable > 0;
+  std::vector<std::string> columns{"topic", ">events", ">late", ">missed", ">failed", ">lost", ">dropped", "health"};
+  if (has_unreadable) columns.insert(columns.begin() + 5, ">unreadable");
+  Table topics(columns);
   for (const TopicAccount& topic : account.topics) {
-    topics.add({topic.topic, std::to_string(topic.events), std::to_string(topic.late), std::to_string(topic.missed),
-                std::to_string(topic.failed), std::to_string(topic.lost), std::to_string(topic.dropped),
-                std::string(name_of(topic.health)) + (topic.reason.empty() ? "" : ": " + fitted(topic.reason, 60))});
+    std::vector<std::string> row{
+        topic.topic,
+        std::to_string(topic.events),
+        std::to_string(topic.late),
+        std::to_string(topic.missed),
+        std::to_string(topic.failed),
+        std::to_string(topic.lost),
+        std::to_string(topic.dropped),
+        std::string(name_of(topic.health)) + (topic.reason.empty() ? "" : ": " + fitted(topic.reason, 60))};
+    if (has_unreadable) row.insert(row.begin() + 5, std::to_string(topic.unreadable));
+    topics.add(row);
   }
   if (!topics.empty()) text += topics.text();
   Table sinks({"sink", ">stored", ">dropped", "where", "health"});

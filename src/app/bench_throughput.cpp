@@ -218,7 +218,7 @@ nlohmann::ordered_json measure_storage(const std::string& parent, Duration durat
   Json json{{"folder", parent}};
   json["rtdata"] = measure_sink(folder.path(), duration / 2);
   // What a recording that could not be closed leaves for the next run, of which there will be none.
-  if (auto live = sqlite::LiveFile::open(folder.path() + database_name)) live->remove();
+  sqlite::LiveFile::remove_left(folder.path() + database_name);
   json["limit"] = measure_bare_sqlite(folder.path(), duration / 2);
   return json;
 }

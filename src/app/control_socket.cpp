@@ -14,6 +14,7 @@
 #include <charconv>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 
 namespace rtdata::app {
 namespace {
@@ -22,14 +23,36 @@ constexpr Duration pause = std::chrono::milliseconds{20};
 constexpr int most_after_end = 8;  // lines of who has ended its side: there is no pause between them
 constexpr Duration patience = std::chrono::seconds{5};
 
+/// Set to an absolute path; of several, parted by ':', the first. Else empty.
+std::string folder_in(const char* variable) {
+  const char* const value = std::getenv(variable);
+  return value != nullptr && value[0] == '/' ? std::string(value, std::strcspn(value, ":")) : std::string();
+}
+
 /// Where sockets may be, best first.
 std::vector<std::string> folders() {
   std::vector<std::string> all;
-  if (const char* only = std::getenv("RTDATA_RUNTIME_DIR"); only != nullptr && only[0] == '/') return {only};
-  if (const char* runtime = std::getenv("XDG_RUNTIME_DIR"); runtime != nullptr && runtime[0] == '/')
-    all.push_back(std::string(runtime) + "/rtdata");
+  if (std::string only = folder_in("RTDATA_RUNTIME_DIR"); !only.empty()) return {std::move(only)};
+  // Of a service, made by systemd below /run; it may have a /tmp that nobody else sees.
+  if (std::string service = folder_in("RUNTIME_DIRECTORY"); !service.empty()) all.push_back(std::move(service));
+  if (const std::string user = folder_in("XDG_RUNTIME_DIR"); !user.empty()) all.push_back(user + "/rtdata");
   all.push_back("/run/rtdata");
   all.push_back("/tmp/rtdata-" + std::to_string(::geteuid()));
+  return all;
+}
+
+/// The folders, and those in them: services have one each.
+std::vector<std::string> folders_to_search() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders()) {
+    std::error_code none;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, none)) {
+      if (std::filesystem::is_directory(entry.symlink_status(none))) all.push_back(entry.path());
+    }
+    all.push_back(std::move(folder));
+  }
+  std::sort(all.begin(), all.end());
+  all.erase(std::unique(all.begin(), all.end()), all.end());
   return all;
 }
 
@@ -174,17 +197,16 @@ void ControlSocket::accept() {
     later_ = Timer(loop_, std::chrono::seconds{1}, [this] { look_for_clients(); });
     return;
   }
-  if (clients_.size() >= most_clients || !is_trusted(fd)) {
-    constexpr std::string_view refusal = "{\"error\":\"too many clients\"}\n";
-    if (is_trusted(fd)) [[maybe_unused]]
-      const ssize_t told = ::send(fd, refusal.data(), refusal.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (!is_trusted(fd)) {
     ::close(fd);
     return;
   }
+  if (clients_.size() >= most_clients) make_room();
   auto client = std::make_unique<Client>();
   const std::uint64_t number = ++last_number_;
   client->number = number;
   client->fd = fd;
+  client->last_asked = loop_.now();
   try {
     client->timer = Timer(loop_, [this, number] { timed_out(number); });
     client->watch = FdWatch(loop_, fd, FdWatch::readable, "control client",
@@ -195,6 +217,17 @@ void ControlSocket::accept() {
     throw;
   }
   clients_.push_back(std::move(client));
+}
+
+/// Whoever has asked nothing for the longest gives way.
+void ControlSocket::make_room() {
+  const auto quietest = std::min_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
+    return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;
+  });
+  constexpr std::string_view why = "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n";
+  if ((*quietest)->out.empty()) [[maybe_unused]]
+    const ssize_t told = ::send((*quietest)->fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  drop((*quietest)->number);
 }
 
 ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
@@ -253,6 +286,7 @@ bool ControlSocket::answer_next(Client& client) {
   client.in.erase(0, end + 1);
   client.searched = 0;
   client.is_answered = true;
+  client.last_asked = loop_.now();
   client.watch.set_events(FdWatch::Events{});
   return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
 }
@@ -295,7 +329,7 @@ void ControlSocket::timed_out(std::uint64_t number) {
 
 std::vector<Instance> running_instances() {
   std::vector<Instance> all;
-  for (const std::string& folder : folders()) {
+  for (const std::string& folder : folders_to_search()) {
     if (::geteuid() != 0 && !is_private(folder)) continue;
     for (Instance& one : sockets_in(folder)) {
       if (!is_alive(one.pid)) continue;
@@ -304,6 +338,15 @@ std::vector<Instance> running_instances() {
     }
   }
   std::sort(all.begin(), all.end(), [](const Instance& a, const Instance& b) { return a.pid < b.pid; });
+  return all;
+}
+
+std::vector<std::string> closed_folders() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders_to_search()) {
+    if (::faccessat(AT_FDCWD, folder.c_str(), R_OK | X_OK, AT_EACCESS) != 0 && errno == EACCES)
+      all.push_back(std::move(folder));
+  }
   return all;
 }
 
@@ -365,7 +408,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance", "it has ended, or has 8 clients already", "look again"};
+        return Error{Errc::closed, "no answer", "instance",
+                     "it has ended, or others have asked it more lately: it has 8 clients at a time", "look again"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
     }

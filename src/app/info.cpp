@@ -69,6 +69,7 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
       if (count != 0) losses += (losses.empty() ? "" : ", ") + count_of(count) + " " + what;
     };
     add(topic.failed, "failed");
+    add(topic.unreadable, "unreadable");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
     if (!losses.empty()) out << "    " << losses << "\n";
@@ -116,6 +117,7 @@ Json json_of(const TopicSummary& topic) {
             {"reached_hz", topic.reached_hertz},
             {"missed", topic.missed},
             {"failed", topic.failed},
+            {"unreadable", topic.unreadable},
             {"dropped", topic.dropped},
             {"late", topic.late},
             {"is_complete", topic.is_complete}};

@@ -69,17 +69,19 @@ std::string LiveView::frame(const RunAccount& account, std::size_t columns, std:
   std::size_t name_width = 5;
   for (const TopicAccount& topic : account.topics) name_width = std::max(name_width, width_of(topic.topic));
   name_width = std::min(name_width, std::size_t{22});
-  constexpr std::size_t numbers = 10 + 5 * 8;  // rate, late, missed, failed, lost, dropped
+  const bool has_unreadable = account.unreadable > 0;
+  const std::size_t numbers = 10 + (has_unreadable ? 6 : 5) * 8;  // rate, late, missed, failed, lost, dropped
   const std::size_t value_width = columns > name_width + numbers + 6 ? columns - name_width - numbers - 2 : 4;
 
   const auto line = [&](const std::string& name, const std::string& rate, const std::string& late,
-                        const std::string& missed, const std::string& failed, const std::string& lost,
-                        const std::string& dropped, const std::string& value) {
+                        const std::string& missed, const std::string& failed, const std::string& unreadable,
+                        const std::string& lost, const std::string& dropped, const std::string& value) {
     lines.push_back(padded_right(fitted(name, name_width), name_width) + padded_left(rate, 10) + padded_left(late, 8) +
-                    padded_left(missed, 8) + padded_left(failed, 8) + padded_left(lost, 8) + padded_left(dropped, 8) +
-                    "  " + value);
+                    padded_left(missed, 8) + padded_left(failed, 8) +
+                    (has_unreadable ? padded_left(unreadable, 8) : std::string()) + padded_left(lost, 8) +
+                    padded_left(dropped, 8) + "  " + value);
   };
-  line("topic", "rate", "late", "missed", "failed", "lost", "dropped", "last value");
+  line("topic", "rate", "late", "missed", "failed", "unread", "lost", "dropped", "last value");
   const std::size_t most = std::max<std::size_t>(rows, 6) - 4;
   std::size_t hidden = 0;
   for (const TopicAccount& topic : account.topics) {
@@ -93,7 +95,8 @@ std::string LiveView::frame(const RunAccount& account, std::size_t columns, std:
     std::string value = value_text(last, value_width);
     if (topic.health == Health::faulted) value = fitted(topic.reason, value_width);
     line(topic.topic, frequency_text(rate), short_count(topic.late), short_count(topic.missed),
-         short_count(topic.failed), short_count(topic.lost), short_count(topic.dropped), value);
+         short_count(topic.failed), short_count(topic.unreadable), short_count(topic.lost), short_count(topic.dropped),
+         value);
   }
   if (hidden > 0) lines.push_back("and " + std::to_string(hidden) + " more topics");
   const auto elapsed = std::chrono::duration_cast<std::chrono::seconds>(now - started_);

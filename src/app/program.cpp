@@ -37,7 +37,7 @@ exit status:
   1  an error; verify: the recording is not balanced, or not sealed
   2  run, check: mistakes in the configuration; verify, info, export: the recording
      is unreadable or damaged; top: several instances are running, name one
-  3  run --fail-on-loss: something was missed, failed or dropped)";
+  3  run --fail-on-loss: something was missed, failed, unreadable, lost or dropped)";
 
 /// What a subcommand does once the command line is read; returns the exit status.
 using Action = std::function<int(const Registry&)>;

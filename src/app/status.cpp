@@ -241,6 +241,7 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     one["late"] = counts.late;
     one["missed"] = counts.missed;
     one["failed"] = counts.failed;
+    one["unreadable"] = counts.unreadable;
     one["lost"] = counts.lost_is_known ? Json(counts.lost) : Json();
     one["lateness_ns"] = seen.lateness != nullptr ? lateness_json(*seen.lateness) : Json();
     one["health"] = health_json(sensor.health, sensor.reason);

@@ -1,6 +1,7 @@
 // Columns of text. Private to the program.
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>

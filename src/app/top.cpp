@@ -75,7 +75,11 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
       head.push_back("  ! it does not turn: it has not come out of " + text_of(loop.at("hangs_in")));
   }
   head.push_back("");
-  head.push_back("sensor         loop       wanted    reached   late missed failed  value");
+  const auto unreadable = [](const Json& sensor) { return sensor.value("unreadable", std::uint64_t{0}); };
+  const auto& all = status.at("sensors");
+  const bool has_unreadable = std::any_of(all.begin(), all.end(), [&](const Json& s) { return unreadable(s) > 0; });
+  head.push_back("sensor         loop       wanted    reached   late missed failed" +
+                 std::string(has_unreadable ? " unread" : "") + "  value");
   const auto add_health = [](std::vector<std::string>& lines, const Json& of) {
     const Json& health = of.at("health");
     if (health.at("state") != "ok")
@@ -85,7 +89,8 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
     sensors.push_back(left(text_of(sensor.at("name")), 14) + " " + left(text_of(sensor.at("loop")), 7) +
                       right(rate_text(sensor.at("wanted_hz")), 10) + right(rate_text(sensor.at("reached_hz")), 11) +
                       right(count_text(sensor.at("late")), 7) + right(count_text(sensor.at("missed")), 7) +
-                      right(count_text(sensor.at("failed")), 7) + "  " +
+                      right(count_text(sensor.at("failed")), 7) +
+                      (has_unreadable ? right(count_text(unreadable(sensor)), 7) : "") + "  " +
                       (sensor.at("running") == true ? text_of(sensor.at("value")) : "stopped"));
     add_health(sensors, sensor);
   }
@@ -318,6 +323,8 @@ int top(const TopOptions& options) {
   std::vector<Found> instances = find_instances(options.instance);
   if (instances.empty()) {
     std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
+    for (const std::string& folder : closed_folders())
+      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata top`" << std::endl;
     return exit_other;
   }
   std::vector<const Found*> all, matching;

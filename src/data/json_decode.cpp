@@ -6,7 +6,9 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
+#include "data/character.hpp"
 #include "data/nearest.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata {
 namespace {
@@ -105,17 +107,6 @@ Error bad(std::string where, std::string why, std::string advice = {}) {
   return {Errc::bad_data, "the text is no event in JSON", std::move(where), std::move(why), std::move(advice)};
 }
 
-/// The one character of a string, as a code point up to 0xff.
-bool to_char(std::string_view text, char& c) {
-  if (text.size() == 1) {
-    c = text[0];
-    return true;
-  }
-  if (text.size() != 2 || (static_cast<unsigned char>(text[0]) & 0xfc) != 0xc0) return false;
-  c = static_cast<char>((text[0] & 0x03) << 6 | (text[1] & 0x3f));
-  return true;
-}
-
 class Reader {
  public:
   Reader(const Description& description, std::byte* payload) : leaves_(description.leaves()), payload_(payload) {}
@@ -186,6 +177,7 @@ class Reader {
       case Node::Type::boolean:
         return node.flag;
       case Node::Type::integer:
+        if (floating && node.integer == 0) return -0.0;  // the parser takes a 0 without a sign for a natural number
         if (floating) return nearest(leaf.kind, node.integer);
         return node.integer;
       case Node::Type::natural:
@@ -209,9 +201,9 @@ class Reader {
           if (node.text == "-Infinity") return -infinity;
         }
         if (leaf.kind == Kind::character) {
-          if (char c = 0; to_char(node.text, c)) return c;
+          if (const auto c = detail::character_of(detail::unescaped(node.text))) return *c;
         }
-        return node.text;
+        return detail::unescaped(node.text);
       default:
         return std::monostate{};
     }
@@ -242,7 +234,7 @@ Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const
   if (topic->type != Node::Type::string) return bad("topic", "it is no string");
   if (origin->type != Node::Type::string) return bad("origin", "it is no string");
   event.topic = topic->text;
-  event.origin = origin->text;
+  event.origin = unescaped(origin->text);
   if (time->type == Node::Type::integer) {
     event.time = from_nanoseconds(time->integer);
   } else if (time->type == Node::Type::natural &&

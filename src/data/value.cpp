@@ -7,6 +7,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "data/character.hpp"
 #include "data/nearest.hpp"
 #include "rtdata/data/text.hpp"
 
@@ -143,8 +144,9 @@ Result<void> put(const Leaf& leaf, std::byte* to, const Value& value) {
       }
       const auto* text = std::get_if<std::string>(&value);
       if (text == nullptr) return wrong_type(leaf, value);
-      if (text->size() != 1) return out_of_range(leaf, value, "is not one character");
-      store(to, text->front());
+      const auto c = detail::character_of(*text);
+      if (!c) return out_of_range(leaf, value, "is not one character from U+0000 to U+00FF");
+      store(to, *c);
       return {};
     }
     case Kind::f32: {
@@ -271,7 +273,7 @@ std::string to_string(const Value& value) {
   struct Visitor {
     std::string operator()(std::monostate) const { return "absent"; }
     std::string operator()(bool flag) const { return flag ? "true" : "false"; }
-    std::string operator()(char c) const { return std::string(1, c); }
+    std::string operator()(char c) const { return detail::text_of(c); }
     std::string operator()(const std::string& text) const { return text; }
     std::string operator()(double number) const { return digits(number); }
     std::string operator()(std::int64_t number) const { return digits(number); }

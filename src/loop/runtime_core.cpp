@@ -15,6 +15,22 @@
 
 namespace rtdata {
 
+std::string_view name_of(Gap::Kind kind) noexcept {
+  switch (kind) {
+    case Gap::Kind::missed:
+      return "missed";
+    case Gap::Kind::failed:
+      return "failed";
+    case Gap::Kind::disconnected:
+      return "disconnected";
+    case Gap::Kind::silent:
+      return "silent";
+    case Gap::Kind::joined:
+      return "joined";
+  }
+  return "?";
+}
+
 std::string_view name_of(DropReason reason) noexcept {
   switch (reason) {
     case DropReason::queue_full_newest:

@@ -34,7 +34,7 @@ class FeedNode final : public SourceNode {
   void fail(const Error& error) {
     if (!is_running_) return;
     ++origin_.counts.received;
-    ++origin_.counts.failed;
+    ++origin_.counts.unreadable;
     complain(error, health() == Health::faulted ? Health::faulted : Health::degraded);
   }
   void complain(const Error& error, Health health) {

@@ -61,6 +61,14 @@ class ProcFile {
   std::vector<char> buffer_;
 };
 
+/// A text that came and is not as expected is unreadable; a counter that is not there has failed.
+template <class T>
+Reading<T> sorted_out(Reading<T> reading) {
+  if (Error* error = reading.error(); error != nullptr && error->code == Errc::bad_data)
+    return Unreadable{std::move(*error)};
+  return reading;
+}
+
 /// Reads inline and parses.
 template <class T>
 struct ProcDevice {
@@ -73,7 +81,7 @@ struct ProcDevice {
   void close() noexcept { file.close(); }
   Reading<T> read() {
     const Result<std::string_view> text = file.read();
-    return text ? parse(*text) : Reading<T>(text.error());
+    return text ? sorted_out(parse(*text)) : Reading<T>(text.error());
   }
 };
 
@@ -93,7 +101,7 @@ struct CpuDevice {
     const Result<std::string_view> text = file.read();
     if (!text) return text.error();
     const Result<detail::CpuTicks> now = detail::parse_cpu(*text, device);
-    if (!now) return now.error();
+    if (!now) return sorted_out(Reading<HostCpu>(now.error()));
     const auto last = std::exchange(before, *now);
     return last ? detail::cpu_shares(*last, *now) : Reading<HostCpu>(nothing_new);
   }
@@ -128,7 +136,7 @@ class SysDevice final : public detail::LaneDevice {
     if (!number) {
       Error error = std::move(number).error();
       error.where = path_;
-      return port.fail(std::move(error));
+      return port.unreadable(std::move(error));
     }
     T payload{static_cast<double>(*number) * factor_};
     port.publish(&payload);
@@ -228,6 +236,17 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
   return process;
 }
 
+constexpr const char* no_device = "it does not say which device";
+
+bool lacks_device(const HostConfig& config) {
+  return config.device.empty() && (config.what == HostQuantity::disk || config.what == HostQuantity::network);
+}
+
+const char* device_advice(HostQuantity what) {
+  return what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
+                                    : "set `device`, such as eth0; /proc/net/dev lists them";
+}
+
 detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
   const std::string proc = config.root + "/proc/";
   std::string device = config.device;
@@ -264,6 +283,13 @@ detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
 
 }  // namespace
 
+void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!lacks_device(config)) return;
+  const ConfigItem* device = item.find("device");
+  problems.add((device != nullptr ? *device : item)
+                   .problem("bad-value", std::string(no_device) + "; " + device_advice(config.what)));
+}
+
 ReadTime read_time(const HostConfig& config) {
   using namespace std::chrono_literals;
   // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
@@ -291,12 +317,9 @@ ReadTime read_time(const HostConfig& config) {
 }
 
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
-  const bool needs_device = config.what == HostQuantity::disk || config.what == HostQuantity::network;
-  if (needs_device && config.device.empty()) {
-    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name,
-                      "it does not say which device",
-                      config.what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
-                                                        : "set `device`, such as eth0; /proc/net/dev lists them"});
+  if (lacks_device(config)) {
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device,
+                      device_advice(config.what)});
   }
   *this = HostSensor(make(loop, std::move(sensor), std::move(config)));
 }

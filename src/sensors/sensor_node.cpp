@@ -102,9 +102,8 @@ void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;
   count_read_begun();
   if (port_ != nullptr && what == EndOf::activity) {
-    if (port_->published_) {
+    if (port_->is_usable_) {
       origin_.end_read(port_->is_late_);
-      ++origin_.counts.published;
     } else {
       origin_.fail_read(stopped, port_->tick_->due);
     }
@@ -254,7 +253,6 @@ bool SensorNode::make_ready(const Tick& tick) {
   if (opened && !port.is_begun_) return true;
   if (opened) {  // the schedule of this tick may be over
     origin_.end_read(port.is_late_);
-    ++origin_.counts.repeated;
     return false;
   }
   fail(port, opened.error(), tick);
@@ -289,11 +287,24 @@ void SensorNode::tick(const Tick& tick) {
 
 void SamplePort::publish(void* payload, Time time) {
   if (sensor_ == nullptr) return;  // stopped by its own sampling function
-  published_ = true;
+  is_usable_ = true;
   sensor_->publish(payload, time);
 }
 
+void SamplePort::repeated() noexcept {
+  if (sensor_ == nullptr) return;
+  is_usable_ = true;
+  sensor_->count_repeated();
+}
+
+Sampled SamplePort::unreadable(Error error) {
+  if (sensor_ != nullptr) sensor_->count_unreadable();
+  return fail(std::move(error));
+}
+
 void SensorNode::publish(void* payload, Time time) {
+  ++origin_.counts.received;
+  ++origin_.counts.published;
   try {
     origin_.topic.publish(origin_, time, payload);
   } catch (...) {  // published, and dropped for those who subscribe
@@ -301,13 +312,11 @@ void SensorNode::publish(void* payload, Time time) {
   }
 }
 
-inline void SensorNode::took(Sampled sampled, bool published) {
-  if (sampled == Sampled::value) [[likely]] {
-    origin_.counts.published += published ? 1 : 0;
-  } else {
-    ++origin_.counts.repeated;
-  }
-  if (failures_ != 0) [[unlikely]]
+inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
+  if (sampled == Sampled::nothing_new) count_repeated();
+  if (port.error_) [[unlikely]]
+    return complain(*port.error_);
+  if (health() != Health::ok) [[unlikely]]
     recovered();
 }
 
@@ -322,14 +331,14 @@ void SensorNode::read_inline(const Tick& tick) {
   }
   if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
   port_ = nullptr;
-  if (sampled == Sampled::failed) [[unlikely]]
+  if (has_failed(sampled, port)) [[unlikely]]
     return fail(port, *port.error_, tick);
   if (port.is_begun_) [[unlikely]] {
     origin_.end_read(port.is_late_);
   } else {
     origin_.read_at_once(tick.lateness());
   }
-  took(sampled, port.published_);
+  took(sampled, port);
 }
 
 void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
@@ -345,6 +354,12 @@ void SensorNode::recovered() {
   failures_ = 0;
   rare().retry_delay = Duration{0};
   set_health(Health::ok, nullptr);
+}
+
+void SensorNode::complain(const Error& error) {
+  failures_ = 0;  // those before it are no row any more
+  report(error);
+  if (is_open()) set_health(Health::degraded, &error);
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
@@ -411,13 +426,13 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   } catch (...) {
     sampled = port.fail(thrown("decoding threw"));
   }
-  if (sampled == Sampled::failed) {
+  if (has_failed(sampled, port)) {
     origin_.fail_read(port.error_->id(), transaction.due_);
     failed(*port.error_, loop()->now());
     return;
   }
   origin_.end_read(transaction.began_ - transaction.due_ > transaction.late_after_);
-  took(sampled, port.published_);
+  took(sampled, port);
 }
 
 void Transaction::run() noexcept {

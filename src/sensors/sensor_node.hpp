@@ -35,6 +35,14 @@ class SensorNode final : public SourceNode, public RateMember {
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
   void publish(void* payload, Time time);
+  void count_repeated() noexcept {
+    ++origin_.counts.received;
+    ++origin_.counts.repeated;
+  }
+  void count_unreadable() noexcept {
+    ++origin_.counts.received;
+    ++origin_.counts.unreadable;
+  }
 
  private:
   void on_close() noexcept override;
@@ -53,11 +61,18 @@ class SensorNode final : public SourceNode, public RateMember {
   void end_schedule(EndOf what);
   void read_inline(const Tick& tick);
   void submit(const Tick& tick);
-  void took(Sampled sampled, bool published);
+  /// Whether a read that was told to be well, or not, is to be counted as failed.
+  static bool has_failed(Sampled sampled, const SamplePort& port) noexcept {
+    return (sampled == Sampled::failed || port.error_) && !port.is_usable_;
+  }
+  /// Afterwards, of one that has not failed.
+  void took(Sampled sampled, const SamplePort& port);
   void recovered();
   /// A read on the loop, or the opening before it, has failed.
   void fail(const SamplePort& port, const Error& error, const Tick& tick);
   void failed(const Error& error, MonotonicTime now);
+  /// A part of what was read was no use.
+  void complain(const Error& error);
   void cancel_transaction();
 
   /// A device that is read on a lane.

@@ -47,7 +47,7 @@ void SourceNode::report(const Error& error) noexcept {
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
-  if (reason != nullptr) rare().reason = reason->text();
+  if (reason != nullptr) rare().reason = loop()->runtime.hide(reason->text());
   if (health == health_) return;
   Call call(*this);  // who is told may close this
   LoopCore& on = *loop();

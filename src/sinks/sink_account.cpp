@@ -17,10 +17,15 @@ Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
     const LoopCore::OffLimits off_limits(*topic.runtime().own_loop);
     if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
   }
-  taps_.push_back(std::make_unique<SinkTap>(owner, queue_, topic, number));
+  add_tap(topic, owner, SinkTap::Takes::all);
+  return {};
+}
+
+void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Takes takes) {
+  const auto number = static_cast<std::uint32_t>(taps_.size());
+  taps_.push_back(std::make_unique<SinkTap>(owner, queue_, topic, number, takes));
   tap_of_[&topic] = taps_.back().get();
   topic.add_tap(*taps_.back());
-  return {};
 }
 
 void SinkAccount::end() noexcept {

@@ -19,6 +19,8 @@ class SinkAccount {
 
   /// Takes the events of a topic from now on. Errors: the writer's.
   Result<void> add_topic(TopicCore& topic, SinkTap::Owner& owner);
+  /// Counts its events as refused from now on.
+  void refuse_topic(TopicCore& topic, SinkTap::Owner& owner) { add_tap(topic, owner, SinkTap::Takes::none); }
   /// Takes none any more.
   void end() noexcept;
 
@@ -38,6 +40,7 @@ class SinkAccount {
   Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
 
  private:
+  void add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Takes takes);
   SinkTap* find_tap(const OriginCore& origin) const;
 
   const std::shared_ptr<SinkQueue> queue_;

@@ -72,15 +72,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     const auto threw = [&](const char* what) {
       return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
     };
+    Result<void> taken;
     try {
-      return take_topic(topic);
+      taken = take_topic(topic);
     } catch (const std::exception& e) {
-      return threw(e.what());
+      taken = threw(e.what());
     } catch (...) {
-      return threw("an exception that is no std::exception");
+      taken = threw("an exception that is no std::exception");
     }
+    if (!taken) {
+      account_.refuse_topic(topic, *this);
+      fault_for_good(taken.error().text());
+    }
+    return taken;
   }
-  void on_refusal(const Error& error) override { report(error, 1); }
+  void on_refusal(const Error& error) override {
+    Call call(*this);
+    report(error, 1);
+    tell_health();
+  }
 
   Result<void> take_topic(TopicCore& topic) {
     const auto matches = [&](const std::string& pattern) { return topic_matches(pattern, topic.name); };
@@ -127,7 +137,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     RuntimeCore& runtime = loop()->runtime;
     runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
     runtime.flush_repeats(RuntimeCore::Repeats::old);
-    if (is_open()) flush();
+    if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   }
   std::string blame_name() const override { return object_name(); }
   bool tell_times(CallbackStatus& status) const override {
@@ -138,11 +148,17 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
   void go_on_after(const StoreResult& stored) {
+    if (!stored.topic_fault.empty()) fault_for_good(stored.topic_fault);
     if (!stored.result) {
       health_ = Health::faulted;
-      reason_ = stored.result.error().text();
+      reason_ = loop()->runtime.hide(stored.result.error().text());
       if (!stored.has_ended) return retry_.start(next_delay());
-    } else if (!stored.has_ended) {  // else it stays faulted
+    } else if (stored.has_ended) {
+      // stays faulted
+    } else if (!fault_.empty()) {
+      health_ = Health::faulted;
+      reason_ = fault_;
+    } else {
       health_ = Health::ok;
       reason_.clear();
     }
@@ -184,13 +200,13 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       tell_of(stored, before);
       if (is_open() && stored.has_closed()) finish_drain();
     }
-    if (is_open() && health_ != told_health_) {  // at the end, since this sink may take the event itself
-      told_health_ = health_;
-      loop()->runtime.health_changed("sink", config_.name, health_, reason_);
-    }
+    tell_health();  // at the end, since this sink may take the event itself
   }
 
-  void flush() {
+  void flush() { hand_over(Hand::rows_and_account); }
+
+  enum class Hand { rows, rows_and_account };
+  void hand_over(Hand what) {
     if (closing_) return;
     bool has_rows = false;
     if (is_busy()) {  // the chunk goes on filling
@@ -198,9 +214,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     } else {
       has_rows = queue_->hand_over();
     }
+    const bool has_account = what == Hand::rows_and_account;
     if (retry_.is_running()) {
-      is_account_due_ = true;
-    } else if (begin_account() || has_rows) {
+      is_account_due_ = is_account_due_ || has_account;
+    } else if ((has_account && begin_account()) || has_rows) {
       start_storing();
     }
   }
@@ -234,6 +251,19 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
   }
 
+  /// What will not get better: the first reason stays.
+  void fault_for_good(std::string reason) {
+    if (fault_.empty()) fault_ = loop()->runtime.hide(std::move(reason));
+    health_ = Health::faulted;
+    reason_ = fault_;
+  }
+
+  void tell_health() {
+    if (!is_open() || health_ == told_health_) return;
+    told_health_ = health_;
+    loop()->runtime.health_changed("sink", config_.name, health_, reason_);
+  }
+
   Duration next_delay() noexcept {
     retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : doubled(retry_delay_, config_.retry_longest);
     return with_jitter(retry_delay_, config_.name, ++failures_);
@@ -249,12 +279,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
+  bool is_account_worth_it() const noexcept {
+    constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
+    const StorePace& pace = queue_->pace();
+    const std::uint64_t slots = queue_->slot_count();
+    return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
+           span_between(account_at_, loop()->now()) >= pace.account_time ||
+           queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
+  }
+
   /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
   /// was handed over.
   bool begin_account() {
     if (next_part_.is_running()) return false;  // the one before is under way
     is_account_due_ = !account_.has_room();
-    return !is_account_due_ && tell(SinkAccount::Part::first);
+    if (is_account_due_) return false;
+    account_at_ = loop()->now();
+    slots_told_ = queue_->slot_count();
+    return tell(SinkAccount::Part::first);
   }
 
   void account_more() {
@@ -388,11 +431,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as published
   std::string reason_;
+  std::string fault_;  // for good: it wants a topic that it cannot take
   bool is_attached_ = false;
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
-  std::string unknown_;  // what the last account does not know
+  MonotonicTime account_at_{};    // when the last one was begun
+  std::uint64_t slots_told_ = 0;  // that it had
+  std::string unknown_;           // what the last account does not know
   bool closing_ = false;
   bool closed_ = false;
 };

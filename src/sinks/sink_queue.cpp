@@ -38,7 +38,15 @@ constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { r
 }  // namespace
 
 SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
-    : config_(config), writer_(std::move(writer)), chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+    : config_(config),
+      writer_(std::move(writer)),
+      pace_(writer_->pace()),
+      due_rows_(pace_.bytes == 0 ? config.batch_rows : std::numeric_limits<std::size_t>::max()),
+      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+  const std::size_t part = std::max<std::size_t>(1, chunks_.size() / 8);
+  due_chunks_ = pace_.bytes == 0 ? (chunks_.size() + 1) / 2
+                                 : std::clamp<std::size_t>(pace_.bytes / chunk_bytes, 1, part);
+  most_chunks_ = pace_.bytes == 0 ? std::min(most_chunks_together, chunks_.size() / 8) : due_chunks_ + 1;
   // Pages are the kernel's until they are used: a queue that never fills costs no memory.
   memory_bytes_ = chunks_.size() * chunk_bytes;
   void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1,
@@ -73,7 +81,8 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   SlotStored& stored_of = stored(index);
   stored_of.info = &made.info;
   stored_of.index = index;
-  stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
+  if (made.info.description != nullptr)  // else no event of it ever comes
+    stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
   if (LiveCounts* live = live_counts_of(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
   return index;
@@ -155,7 +164,7 @@ bool SinkQueue::hand_over() {
   const bool has_rows = filling_ != nullptr && filling_->rows != 0;
   const bool is_due = has_rows || full_chunks_ != 0;
   if (has_rows) queue_filling();
-  rows_since_handover_ = 0;
+  rows_since_account_ += std::exchange(rows_since_handover_, 0);
   full_chunks_ = 0;
   return is_due;
 }
@@ -167,6 +176,7 @@ bool SinkQueue::has_account() const noexcept {
 void SinkQueue::hand_over_account() {
   accounts_[next_account_].after_ticket.store(last_ticket_ + 1, std::memory_order_release);
   next_account_ = (next_account_ + 1) % account_count;
+  rows_since_account_ = 0;
 }
 
 SinkCounts SinkQueue::counts() const noexcept {
@@ -275,9 +285,9 @@ bool SinkQueue::gather() {
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
   // What waits already is stored together, in transactions that stay short.
-  const std::size_t most_chunks = std::min(most_chunks_together, chunks_.size() / 8);
+  const std::size_t enough_rows = pace_.bytes == 0 ? config_.batch_rows : 1;
   bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
-  while ((batch_.rows_ < config_.batch_rows || batch_.chunks_.size() < most_chunks) && !has_all) {
+  while ((batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
@@ -314,6 +324,7 @@ void SinkQueue::finish_batch() {
   }
   revision_.fetch_add(1, std::memory_order_acq_rel);
   has_batch_ = false;
+  if (topic_fault_.empty()) topic_fault_ = std::exchange(topic_fault_in_batch_, {});
   if (refusals_in_batch_ == 0) return;
   if (refusals_ == 0) first_refusal_ = std::move(first_refusal_in_batch_);
   refusals_ += std::exchange(refusals_in_batch_, 0);
@@ -322,6 +333,7 @@ void SinkQueue::finish_batch() {
 void SinkQueue::fail_batch() noexcept {
   is_open_ = false;
   refusals_in_batch_ = 0;
+  topic_fault_in_batch_.clear();
   if (!has_batch_) return;
   for (SlotStored* s : slots_in_batch_) s->refused_in_batch = 0;
 }
@@ -380,6 +392,10 @@ Result<void> SinkQueue::close_writer() {
   return call_writer([this] { return writer_->close(); });
 }
 
+void SinkQueue::note_topic_fault(const Error& why) {
+  if (topic_fault_in_batch_.empty()) topic_fault_in_batch_ = why.text();
+}
+
 void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
   ++stored(index).refused_in_batch;
   if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
@@ -428,5 +444,9 @@ std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
   return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
 }
 void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }
+void Batch::refuse_topic(const Record& record, const Error& why) {
+  queue_->note_refusal(record.slot, why);
+  queue_->note_topic_fault(why);
+}
 
 }  // namespace rtdata

@@ -76,10 +76,11 @@ class SinkQueue {
   }
   /// Queues the chunk being filled. False when nothing has come since the last call.
   bool hand_over();
-  /// As many rows as a batch has, or half of the queue, wait to be handed over.
-  bool is_batch_due() const noexcept {
-    return rows_since_handover_ >= config_.batch_rows || 2 * full_chunks_ >= chunks_.size();
-  }
+  /// As much as makes a batch, or half of the queue, waits to be handed over.
+  bool is_batch_due() const noexcept { return rows_since_handover_ >= due_rows_ || full_chunks_ >= due_chunks_; }
+  const StorePace& pace() const noexcept { return pace_; }
+  /// Handed over since the last account was.
+  std::uint64_t rows_since_account() const noexcept { return rows_since_account_; }
   /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
   /// there is to tell cannot wait.
   bool has_account() const noexcept;
@@ -121,6 +122,10 @@ class SinkQueue {
   /// The writer said that it has ended.
   bool has_ended() const noexcept { return has_ended_; }
   void note_refusal(std::uint32_t slot, const Error& why);
+  /// A topic of the batch can never be stored.
+  void note_topic_fault(const Error& why);
+  /// Why, of the first of them; empty while there is none.
+  const std::string& topic_fault() const noexcept { return topic_fault_; }
   /// What was refused since the last call: how many, and the first reason.
   std::uint64_t take_refusals(Error& why);
 
@@ -158,6 +163,10 @@ class SinkQueue {
 
   const SinkConfig config_;
   std::unique_ptr<Writer> writer_;
+  const StorePace pace_;
+  std::size_t due_rows_ = 0;     // a batch by number
+  std::size_t due_chunks_ = 0;   // by memory
+  std::size_t most_chunks_ = 0;  // stored together when more waits
   std::byte* memory_ = nullptr;
   std::size_t memory_bytes_ = 0;
   std::vector<ChunkHeader> chunks_;
@@ -171,6 +180,7 @@ class SinkQueue {
   ChunkHeader* filling_ = nullptr;
   std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;
+  std::uint64_t rows_since_account_ = 0;
   std::size_t full_chunks_ = 0;  // queued since the last hand-over because they were full
   std::size_t next_account_ = 0;
   std::uint64_t full_at_revision_ = ~std::uint64_t{0};  // when no chunk was free
@@ -185,6 +195,8 @@ class SinkQueue {
   std::uint64_t refusals_in_batch_ = 0;
   Error first_refusal_;
   Error first_refusal_in_batch_;
+  std::string topic_fault_;
+  std::string topic_fault_in_batch_;
   bool has_ended_ = false;
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted

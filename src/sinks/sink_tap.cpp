@@ -13,7 +13,7 @@ namespace {
 
 /// What was counted from `before` on; what is in flight is so now.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
-  static_assert(sizeof now == 11 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
+  static_assert(sizeof now == 12 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;
   now.taken -= before.taken;
   now.published -= before.published;
@@ -23,21 +23,23 @@ SensorCounts since(const SensorCounts& before, SensorCounts now) {
   now.received -= before.received;
   now.repeated -= before.repeated;
   now.filtered -= before.filtered;
+  now.unreadable -= before.unreadable;
   now.lost -= before.lost;
   return now;
 }
 
 }  // namespace
 
-SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number)
+SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes)
     : owner_(owner),
       queue_(std::move(queue)),
       topic_(topic),
       number_(number),
+      takes_(takes),
       payload_bytes_(topic.type.size),
       record_bytes_(record_bytes_of(topic.type.size)) {
   for (OriginCore* origin : topic.origins()) {
-    origin->close_gap();  // what follows begins another
+    origin->divide_gaps();  // what follows begins another
     if (origin->sensor != nullptr) origin->sensor->count_read_begun();
     before_.push_back({origin->counts, origin->has_segment() ? origin->segment({}) : Segment{}});
   }
@@ -49,6 +51,10 @@ void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const
   if (place.first_sequence == 0) [[unlikely]]
     place.first_sequence = sequence;
   place.last_sequence = sequence;
+  if (takes_ == Takes::none) [[unlikely]] {  // the lane never has an event of this slot: the count is the loop's
+    place.stored->refused.store(place.stored->refused.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+    return;
+  }
   SinkQueue& queue = *queue_;
   std::byte* to = queue.room(place.slot, record_bytes_);
   if (to == nullptr) [[unlikely]]
@@ -71,7 +77,7 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
 }
 
 void SinkTap::make_place(OriginCore& origin) {
-  assert(topic_.type.description->size() == payload_bytes_);
+  assert(takes_ == Takes::none || topic_.type.description->size() == payload_bytes_);
   const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
   const std::uint32_t slot = queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   if (places_.size() <= origin.index) {

@@ -22,8 +22,10 @@ class SinkTap final : public Tap {
    protected:
     ~Owner() = default;
   };
+  /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused.
+  enum class Takes { all, none };
   /// `number`: of the topic within the sink.
-  SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number);
+  SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
 
   void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
@@ -62,6 +64,7 @@ class SinkTap final : public Tap {
   const std::shared_ptr<SinkQueue> queue_;
   TopicCore& topic_;
   const std::uint32_t number_;
+  const Takes takes_;
   const std::size_t payload_bytes_;
   const std::size_t record_bytes_;
   std::vector<Place> places_;             // by the origin's index within the topic, as the next

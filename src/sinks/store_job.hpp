@@ -18,7 +18,8 @@ struct StoreResult {
   bool has_ended = false;    ///< the writer said that it has: nothing is tried again
   bool was_closing = false;  ///< the writer was closed, if the result is good
   std::uint64_t refused = 0;
-  Error refusal;  ///< the first of them
+  Error refusal;            ///< the first of them
+  std::string topic_fault;  ///< why a topic can never be stored; empty: all can
   std::optional<Error> warning;
 
   bool has_closed() const noexcept { return was_closing && (result || has_ended); }
@@ -36,6 +37,7 @@ class StoreJob final : public LaneJob {
     now.has_ended = queue->has_ended();
     now.refused = queue->take_refusals(now.refusal);
     try {
+      now.topic_fault = queue->topic_fault();
       now.warning = queue->writer().take_warning();
     } catch (...) {  // a warning less
     }

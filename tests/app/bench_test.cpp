@@ -69,8 +69,8 @@ TEST_SUITE("app") {
     } const unmount{folder};
     const auto live_files = [] {
       std::size_t count = 0;
-      for (const auto& entry : std::filesystem::directory_iterator("/dev/shm"))
-        count += entry.path().filename().string().starts_with("rtdata-") ? 1 : 0;
+      for (const auto& entry : std::filesystem::recursive_directory_iterator("/dev/shm"))
+        count += entry.path().extension() == ".live" ? 1 : 0;
       return count;
     };
     const std::size_t before = live_files();

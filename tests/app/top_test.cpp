@@ -253,6 +253,46 @@ TEST_SUITE("app") {
     CHECK(running_instances().size() == 1);
   }
 
+  TEST_CASE("NFR-5 top sees a run that has a runtime directory of its own, as services have, beside others") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    Process other(folder, program, {"run", "other.json"});
+    REQUIRE(other.wait_for("running other"));
+    const std::string own = runtime.path() + "/bench";
+    Process service(folder, "/usr/bin/env",
+                    {"-u", "RTDATA_RUNTIME_DIR", "RUNTIME_DIRECTORY=" + own + ":/run/another", program, "run",
+                     "rig.json"});  // as systemd does
+    REQUIRE(service.wait_for("running rig"));
+    const std::vector<Instance> instances = running_instances();
+    REQUIRE(instances.size() == 2);
+    CHECK(std::count_if(instances.begin(), instances.end(), [&](const Instance& one) {
+            return one.path == own + "/" + std::to_string(one.pid) + ".sock";
+          }) == 1);
+    Process top(folder, program, {"top", "rig", "--once"});
+    CHECK(top.end() == 0);
+    CHECK(top.out.starts_with("rig  pid "));
+  }
+
+  TEST_CASE("NFR-5 who may not look into a service's folder is told where it is") {
+    const RuntimeFolder runtime;
+    const std::string closed = runtime.path() + "/bench";
+    std::filesystem::create_directories(closed);
+    std::filesystem::permissions(closed, std::filesystem::perms::none);
+    for (const std::filesystem::path& up : {std::filesystem::path(closed).parent_path(),
+                                            std::filesystem::path(runtime.path()).parent_path()})
+      std::filesystem::permissions(up, std::filesystem::perms{0755});
+    CHECK(running_instances().empty());
+    constexpr uid_t nobody = 65534;
+    const bool is_root = ::geteuid() == 0;
+    if (is_root) REQUIRE(::seteuid(nobody) == 0);
+    const std::vector<std::string> found = rtdata::app::closed_folders();
+    if (is_root) REQUIRE(::seteuid(0) == 0);
+    CHECK(found == std::vector{closed});
+    std::filesystem::permissions(closed, std::filesystem::perms{0700});
+  }
+
   TEST_CASE("a run without a folder for its socket warns, and runs") {
     const Folder folder;
     ::setenv("RTDATA_RUNTIME_DIR", "/proc/nowhere", 1);

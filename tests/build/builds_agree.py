@@ -35,6 +35,12 @@ for package, least in re.findall(r"pkg_check_modules\(\w+ (?:REQUIRED )?IMPORTED
     if not re.search(rf"dependency\('{package}', version: '>= ?{re.escape(least)}'", meson):
         problems.append(f"CMake needs {package} >= {least}, meson does not say so")
 
+# What is installed beside libraries and headers.
+for name in sorted(p.relative_to(root).as_posix() for p in (root / "packaging").iterdir()):
+    for build, text in (("CMake", cmake), ("meson", meson)):
+        if name not in text:
+            problems.append(f"{build} does not install {name}")
+
 for problem in problems:
     print(problem)
 print(f"{len(listed)} sources in {len(lists)} lists, {len(problems)} problems")

@@ -57,6 +57,11 @@ struct Number {
   RTDATA_FIELDS(Number, (d), (f))
 };
 
+struct Letter {
+  char c = 'x';
+  RTDATA_FIELDS(Letter, (c))
+};
+
 struct Small {
   std::int32_t i = 0;
   std::optional<double> d;
@@ -132,6 +137,39 @@ TEST_SUITE("data") {
         check_round_trip(*codec, Event<Small>{{{}, 1, "o"}, {1, 2.0, static_cast<char>(c), {}, false, {}}});
       }
     }
+  }
+
+  TEST_CASE("US-31 NFR-2 a char is a number from 0 to 255 in every format, on every processor") {
+    const auto json = make_json_codec();
+    const auto raw = make_raw_codec();
+    const auto csv = make_csv_codec();
+    for (unsigned code = 0; code < 256; ++code) {
+      CAPTURE(code);
+      const Event<Letter> event{{from_nanoseconds(1), 2, "o"}, {static_cast<char>(code)}};
+      // The character of Unicode with that number, in UTF-8.
+      std::string utf8;
+      if (code < 0x80) {
+        utf8 += static_cast<char>(code);
+      } else {
+        utf8 += code < 0xc0 ? "\xc2" : "\xc3";
+        utf8 += static_cast<char>(0x80 + code % 0x40);
+      }
+      CHECK(to_string(Value(event.data.c)) == utf8);
+      Bytes bytes;
+      encode(*json, "t", event, bytes).or_throw();
+      CHECK(nlohmann::json::parse(as_text(bytes))["data"]["c"] == utf8);
+      bytes.clear();
+      encode(*csv, "t", event, bytes).or_throw();
+      if (utf8.find_first_of("\",\r\n\t ") == std::string::npos) CHECK(as_text(bytes) == "1,o,2," + utf8 + "\n");
+      bytes.clear();
+      encode(*raw, "t", event, bytes).or_throw();
+      CHECK(static_cast<unsigned>(bytes.back()) == code);
+    }
+    // A byte of its own, as other programs write it, means the same.
+    const auto decoded = decode<Letter>(*csv, as_bytes("1,o,2,\xe9\n")).or_throw();
+    CHECK(static_cast<unsigned char>(decoded.data.c) == 0xe9);
+    CHECK_FALSE(decode<Letter>(*csv, as_bytes("1,o,2,\xc4\x80\n")));  // U+0100
+    CHECK_FALSE(decode<Letter>(*csv, as_bytes("1,o,2,\xc3\x28\n")));
   }
 
   TEST_CASE("US-31 numbers come back bit for bit") {
@@ -235,6 +273,50 @@ TEST_SUITE("data") {
       event.data.d = 1;
       check_round_trip(*codec, event);
     }
+  }
+
+  TEST_CASE("US-31 JSON and CSV: text that is no UTF-8 comes back equal") {
+    for (const char* format : {"json", "csv"}) {
+      auto codec = CodecRegistry::standard().make(format).or_throw();
+      for (const std::string& text : {std::string("\xff"), std::string("a\x80z"), std::string("\0", 1),
+                                      std::string("\\x5c"), std::string("\\"), std::string("\xff\xff\xff\xff")}) {
+        Event<Small> event{{{}, 1, "o"}, {}};
+        event.data.t = text;
+        event.data.c = text[0];
+        event.data.d = -0.0;
+        Bytes bytes;
+        encode(*codec, "t", event, bytes).or_throw();
+        CAPTURE(as_text(bytes));
+        CHECK(as_text(bytes).find('\xff') == std::string::npos);
+        CHECK(as_text(bytes).find('\0') == std::string::npos);
+        const auto same = decode<Small>(*codec, bytes).or_throw();
+        CHECK(same.data == event.data);
+        CHECK(std::signbit(*same.data.d));
+      }
+    }
+  }
+
+  TEST_CASE("US-31 CSV and JSON: numbers and flags as users write them") {
+    auto csv = make_csv_codec();
+    const auto read = [&](const std::string& row) { return decode<Small>(*csv, as_bytes(row)).or_throw().data; };
+    CHECK(read("5,o,2,-0,1e-400,x,abc,TRUE,-0,2").d == 0);
+    CHECK(read("5,o,2,1,-1e-400,x,abc,False,0,2").d == 0);
+    CHECK(std::signbit(*read("5,o,2,1,-0.0000001e-399,x,abc,False,0,2").d));
+    CHECK(read("\xef\xbb\xbf"
+               "5,o,2,1,+1.5,x,abc,1,0,2")
+              .b);
+    CHECK_FALSE(decode<Small>(*csv, as_bytes("5,o,2,1,1e400,x,abc,1,0,2")));
+    CHECK_FALSE(decode<Small>(*csv, as_bytes("5,o,2,1,1000000e399,x,abc,1,0,2")));
+    auto json = make_json_codec();
+    const auto number = [&](const std::string& text) {
+      return decode<Small>(*json,
+                           as_bytes(small_json(R"({"i":-0,"d":)" + text + R"(,"c":"x","t":"","b":true,"a":[1,2]})")))
+          .or_throw()
+          .data.d;
+    };
+    CHECK(std::signbit(*number("-0")));
+    CHECK_FALSE(std::signbit(*number("0")));
+    CHECK(number("1e-400") == 0);
   }
 
   TEST_CASE("US-31 JSON: wrong input is refused") {
@@ -463,7 +545,7 @@ TEST_SUITE("data") {
                             "5,o,2,1,,xy,abc,true,1,2",
                             "5,o,2,1,,,abc,true,1,2",
                             "5,o,2,1,,x,abcde,true,1,2",
-                            "5,o,2,1,,x,abc,1,1,2",
+                            "5,o,2,1,,x,abc,yes,1,2",
                             "5,o,2,1,,x,abc,true,256,2",
                             "5,o,2,1,,x,\"abc,true,1,2",
                             "5,o,2,1,,x,a\"bc,true,1,2",

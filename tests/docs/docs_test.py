@@ -6,6 +6,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
   <!-- test: python -->          it runs in that folder, and prints something
   <!-- test: file PATH -->       the file has it, word for word
+  <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
 that there are into the tables of docs/requirements.md.
 """
@@ -50,6 +51,8 @@ def check_blocks(source, build, compiler, program):
                     done = run([compiler, *flags, file])
                     if done.returncode != 0 or done.stderr:
                         problem(where, "does not compile:\n" + done.stderr)
+                elif kind == "fresh" and page == source / "README.md":
+                    pass
                 elif kind not in ("configuration", "run", "python"):
                     problem(where, f"unknown mark: {block['test']}")
                 elif program is None:
@@ -157,7 +160,8 @@ def check_requirements(source, rewrite):
     for line in page.read_text().splitlines():
         match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)
         if match and rewrite:
-            tests = tests_of(match[1], names)
+            scripts = [test for test in re.findall(r"`([^`]+)`", match[3]) if (source / test).exists()]
+            tests = tests_of(match[1], names) + scripts
             shown = "<br>".join(f"`{test}`" for test in tests) or match[3].strip()
             line = f"| {match[1]} | {match[2]} | {shown} |"
         elif match:

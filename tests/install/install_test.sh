@@ -39,6 +39,38 @@ PYTHON
     echo "$(basename "$PWD"): good"
 }
 
+# The service's own command lines, with its folders elsewhere; systemd makes the runtime directory and names it.
+unit=$work/prefix/lib/systemd/system/rtdata@.service
+if [ -x "$work/prefix/bin/rtdata" ]; then
+    if command -v systemd-analyze >/dev/null; then
+        cp "$unit" "$work/rtdata@bench.service"
+        systemd-analyze verify --man=no "$work/rtdata@bench.service" 2>&1 | grep -F rtdata && exit 1
+    fi
+    setting() { sed -n "s/^$1=//p" "$unit" | sed "s|%i|bench|g; s|/etc/rtdata|$work/etc|g; s|/var/log/rtdata|$work/log|g"; }
+    runtime=$work/run/$(setting RuntimeDirectory)
+    mkdir -p "$work/etc" "$work/log" "$work/state" "$runtime"
+    chmod "$(setting RuntimeDirectoryMode)" "$runtime"
+    cp "$source/examples/host.json" "$work/etc/bench.json"
+    cd "$work/state"
+    $(setting ExecStartPre) >check.log
+    env -u RTDATA_RUNTIME_DIR RUNTIME_DIRECTORY="$runtime" $(setting ExecStart) >run.log 2>&1 &
+    service=$!
+    tries=0
+    until RTDATA_RUNTIME_DIR="$work/run/rtdata" "$work/prefix/bin/rtdata" top --once >top.log 2>&1; do
+        tries=$((tries + 1))
+        if [ $tries -ge 100 ] || ! kill -0 $service; then
+            cat run.log top.log >&2
+            kill $service
+            exit 1
+        fi
+        sleep 0.1
+    done
+    ls "$runtime/$service.sock"
+    kill $service
+    wait $service
+    echo "service: good"
+fi
+
 project find_package
 cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log

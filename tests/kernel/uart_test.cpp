@@ -67,7 +67,7 @@ void check_lines(const std::string& sender, const std::string& receiver, LineFor
     const SensorCounts counts = sensor.counts();
     CHECK(counts.received == lines);
     CHECK(counts.published == lines - 1);
-    CHECK(counts.failed == 1);
+    CHECK(counts.unreadable == 1);
     CHECK(counts.repeated == 0);
     CHECK(errors == std::vector<std::string>{format == LineFormat::csv ? "not-a-number" : "bad-data"});
     close_balanced(loop);

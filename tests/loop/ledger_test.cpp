@@ -57,20 +57,28 @@ TEST_SUITE("loop") {
     sensor.published = 4;
     sensor.repeated = 1;
     sensor.filtered = 1;
+    sensor.unreadable = 26;
+    sensor.received = 32;
     CHECK(sensor.balances());
     CHECK(sensor.has_loss());
-    for (auto term :
-         {&SensorCounts::scheduled, &SensorCounts::taken, &SensorCounts::missed, &SensorCounts::failed,
-          &SensorCounts::in_flight, &SensorCounts::published, &SensorCounts::repeated, &SensorCounts::filtered}) {
+    for (auto term : {&SensorCounts::scheduled, &SensorCounts::taken, &SensorCounts::missed, &SensorCounts::failed,
+                      &SensorCounts::in_flight, &SensorCounts::received, &SensorCounts::published,
+                      &SensorCounts::repeated, &SensorCounts::filtered, &SensorCounts::unreadable}) {
       SensorCounts off = sensor;
       ++(off.*term);
       CHECK_FALSE(off.balances());
     }
     SensorCounts feed;
     feed.received = 4;
-    feed.published = feed.repeated = feed.filtered = feed.failed = 1;
+    feed.published = feed.repeated = feed.filtered = feed.unreadable = 1;
     CHECK(feed.balances());
+    CHECK(feed.has_loss());
     ++feed.received;
+    CHECK_FALSE(feed.balances());
+    --feed.received;
+    feed.lost = 5;  // stands beside the equation
+    CHECK(feed.balances());
+    ++feed.failed;  // without a schedule there are no reads
     CHECK_FALSE(feed.balances());
     CHECK(SubscriptionCounts{.offered = 10, .delivered = 4, .dropped = 3, .cancelled = 2, .queued = 1}.balances());
     CHECK_FALSE(SubscriptionCounts{.offered = 10, .delivered = 4}.balances());

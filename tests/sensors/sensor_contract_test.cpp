@@ -203,7 +203,8 @@ TEST_CASE("US-27 every kind of sensor is degraded or faulted by a corrupt or mis
       stage.until([&] { return sensor.health() == Health::ok; });
       fake->set(Fake::Content::corrupt);
       stage.until([&] { return sensor.health() != Health::ok; });
-      CHECK(sensor.counts().failed > 0);
+      CHECK(sensor.counts().unreadable > 0);
+      CHECK((sensor.counts().failed > 0) == sensor.counts().has_schedule);
       fake->set(Fake::Content::good);
       stage.until([&] { return sensor.health() == Health::ok; });
       fake->unplug();

@@ -298,7 +298,9 @@ TEST_SUITE("sinks") {
       bench.publish(1);
       bench.loop.advance(2s);
       CHECK(bench.errors == std::vector<std::string>{"sink script: not this one"});
-      CHECK(sink.counts().offered == 1);
+      CHECK(sink.counts().offered == 2);
+      CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 1);
+      CHECK(sink.health() == Health::faulted);
     }
     CHECK(bench.script->rows.size() == 1);
     CHECK_THROWS_WITH_AS(bench.make(), "not this one: no", SetupError);

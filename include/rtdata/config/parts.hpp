@@ -25,6 +25,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -89,6 +90,8 @@ struct SinkPlan {
   std::vector<std::string> topics;
   Duration close_deadline{0};  ///< how long closing may wait for it
   ConfigItem item;
+  /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
+  std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics;
   std::function<Owned<Sink>(Loop&)> make;
 };
 
@@ -98,7 +101,8 @@ namespace config_detail {
 struct Placement {
   std::string tier;
   friend constexpr auto parameters(type_tag<Placement>) {
-    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop"));
+    return parameter_list(
+        parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop", TextIs::recorded));
   }
 };
 
@@ -171,7 +175,8 @@ class Registry {
 
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. One whose parameter `path` is required is refused with an empty one. `make(Loop&, const C&)`.
+  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
+  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -181,6 +186,11 @@ class Registry {
       SinkPlan plan = config_detail::sink_plan(type, path(config), config.sink);
       C named = config;
       named.sink.name = plan.name;
+      if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
+        plan.refused_topics = [config](std::span<const TopicToRecord> topics) {
+          return refused_topics(config, topics);
+        };
+      }
       plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
       return plan;
     });

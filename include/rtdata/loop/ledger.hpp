@@ -2,13 +2,15 @@
 ///
 /// Each term is counted where it happens; none is computed from the others. The equations:
 ///
-///   scheduled sensor    scheduled = taken + missed + failed + in_flight;  taken = published + repeated + filtered
-///   without a schedule  received = published + repeated + filtered + failed
-///   topic and sink      offered = stored + dropped + queued      (from attachment on)
-///   subscription        offered = delivered + dropped + cancelled + queued
+///   reads, of a sensor with a schedule   scheduled = taken + missed + failed + in_flight
+///   data, of every sensor                received = published + repeated + filtered + unreadable
+///   topic and sink                       offered = stored + dropped + queued      (from attachment on)
+///   subscription                         offered = delivered + dropped + cancelled + queued
 ///
-/// `late` is the part of taken that began later than due plus max(1 ms, 10 % of the period). "Repeated" means that the
-/// device itself had nothing new; an equal value is data.
+/// One read may bring no sample, one or many. A read that brought nothing usable, an error or data that cannot be decoded,
+/// is failed; any other is taken. `late` is the part of taken that began later than due plus max(1 ms, 10 % of the
+/// period). "Repeated" means that the device itself had nothing new; an equal value is data. `lost` stands beside the
+/// equations: what the source numbered and what never came.
 ///
 /// Values; snapshots taken on the loop's thread between callbacks balance exactly.
 #pragma once
@@ -22,26 +24,29 @@
 namespace rtdata {
 
 struct SensorCounts {
+  // Reads. All 0 without a schedule.
   std::uint64_t scheduled = 0;  ///< ticks of the schedule that have come due
-  std::uint64_t taken = 0;      ///< ticks at which the device was read and answered
+  std::uint64_t taken = 0;      ///< ticks at which the device was read, and there was nothing new or something usable
+  // Data, as far as reading and publishing touch it.
+  std::uint64_t received = 0;  ///< samples that came, usable or not
   std::uint64_t published = 0;
-  std::uint64_t late = 0;      ///< part of taken
-  std::uint64_t missed = 0;    ///< ticks at which nothing was begun (the loop was held, the last read still ran)
-  std::uint64_t failed = 0;    ///< ticks whose read failed, or that passed while the device was faulted
-  std::uint64_t received = 0;  ///< inputs of a sensor without a schedule
-  std::uint64_t repeated = 0;
-  std::uint64_t filtered = 0;
-  std::uint64_t lost = 0;       ///< numbered by the source and never seen here
-  std::uint64_t in_flight = 0;  ///< reads begun and not finished: 0 or 1
+  // Reads.
+  std::uint64_t late = 0;    ///< part of taken
+  std::uint64_t missed = 0;  ///< ticks at which nothing was begun (the loop was held, the last read still ran)
+  std::uint64_t failed = 0;  ///< ticks whose read brought nothing usable, or that passed while the device was faulted
+  // Data.
+  std::uint64_t repeated = 0;    ///< the device had nothing new
+  std::uint64_t filtered = 0;    ///< held back on purpose
+  std::uint64_t unreadable = 0;  ///< came, and could not be decoded
+  std::uint64_t lost = 0;        ///< numbered by the source, and never came
+  std::uint64_t in_flight = 0;   ///< reads begun and not finished: 0 or 1
   bool has_schedule = false;
   bool lost_is_known = false;  ///< the source numbers its data
 
   bool balances() const noexcept {
-    const bool flow = has_schedule ? taken == published + repeated + filtered
-                                   : received == published + repeated + filtered + failed;
-    return flow && (!has_schedule || scheduled == taken + missed + failed + in_flight);
+    return scheduled == taken + missed + failed + in_flight && received == published + repeated + filtered + unreadable;
   }
-  bool has_loss() const noexcept { return missed + failed + lost > 0; }
+  bool has_loss() const noexcept { return missed + failed + unreadable + lost > 0; }
 };
 
 struct SubscriptionCounts {
@@ -71,16 +76,24 @@ struct SinkCounts {
   bool balances() const noexcept { return offered == stored + all_dropped() + queued; }
 };
 
-/// A recorded absence: consecutive ticks without a reading, for one reason.
+/// A recorded absence, for one reason. With a schedule: consecutive ticks without a reading, or several such gaps joined.
+/// Without one: a stretch in which nothing could come, or nothing came.
 struct Gap {
-  enum class Kind : std::uint8_t { missed, failed };
+  enum class Kind : std::uint8_t {
+    missed,        ///< ticks at which nothing was begun
+    failed,        ///< ticks whose reads brought nothing usable
+    disconnected,  ///< no schedule: the device was away
+    silent,        ///< no schedule: it sent nothing for longer than it may
+    joined,        ///< several gaps of one origin, since there were too many: in between it has readings
+  };
   Kind kind = Kind::missed;
-  /// A word or two of the library's ("loop held", "still reading"), or the id and text of the error that caused it.
+  /// A word or two of the library's ("loop held", "still reading"), the id of the error that caused it, or "several".
   std::string_view reason;
-  Time first{};             ///< when the first of them was due
-  Time last{};              ///< when the last of them was due
-  std::uint64_t count = 0;  ///< ticks
+  Time first{};             ///< when the first of its ticks was due; without a schedule, when it began
+  Time last{};              ///< when the last of them was due; without a schedule, when it ended
+  std::uint64_t count = 0;  ///< ticks without a reading; without a schedule, how many were joined, otherwise 0
 };
+std::string_view name_of(Gap::Kind kind) noexcept;
 
 /// A stretch of unchanged schedule: its ticks were due at first_due + n * period, up to `end`.
 struct Segment {

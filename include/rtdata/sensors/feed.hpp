@@ -3,7 +3,8 @@
 ///     rtdata::Feed<Estimate> estimate(loop, {.name = "estimate", .topic = "state/estimate"});
 ///     estimate.publish(Estimate{...});
 ///
-/// It has an origin, an account and health like every sensor; each input ends as published, repeated, filtered or failed.
+/// It has an origin, an account and health like every sensor; each input ends as published, repeated, filtered or
+/// unreadable.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -39,13 +40,13 @@ class AnyFeed : public AnySensor {
   /// `payload` has the description's size and layout. On a closed or stopped feed: nothing.
   void publish_bytes(std::span<const std::byte> payload);
   void publish_bytes(std::span<const std::byte> payload, Time time);
-  /// An input that was no use: counted as failed, reported, and the feed is degraded until the next good one.
+  /// An input that was no use: counted as unreadable, reported, and the feed is degraded until the next good one.
   void fail(const Error& error);
   /// The source cannot be reached: faulted until the next good input. Not an input: counts nothing.
   void fault(const Error& error);
   /// An input that the source had sent before.
   void repeated();
-  /// Inputs that the source numbered and that never came.
+  /// Inputs that the source numbered and that never came; those that came and were no use are not among them.
   void lost(std::uint64_t count);
   /// Says that the source numbers its data, so that `lost` is known and not just zero.
   void set_numbered();

@@ -19,7 +19,8 @@
 ///
 /// The life of a sensor:
 ///   1. made: it starts at once; `stop` and `start` any number of times.
-///   2. each tick of its schedule ends as taken, missed or failed, and is counted (ledger.hpp).
+///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published, repeated,
+///      filtered or unreadable (ledger.hpp).
 ///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
 ///   opened
 ///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
@@ -48,13 +49,19 @@ struct Tick;
 struct NothingNew {};
 inline constexpr NothingNew nothing_new{};
 
-/// What reading a device gives: a value, nothing new, or an error.
+/// The device answered with something that cannot be decoded: counted as unreadable, and the read has failed.
+struct Unreadable {
+  Error error;
+};
+
+/// What reading a device gives: a value, nothing new, an error, or what cannot be decoded.
 template <class T>
 class Reading {
  public:
   Reading(T value) : content_(std::in_place_index<0>, std::move(value)) {}
   Reading(NothingNew) : content_(std::in_place_index<1>) {}
   Reading(Error error) : content_(std::in_place_index<2>, std::move(error)) {}
+  Reading(Unreadable unreadable) : content_(std::in_place_index<3>, std::move(unreadable)) {}
   Reading(Result<T> result) : content_(std::in_place_index<1>) {
     if (result) {
       content_.template emplace<0>(*std::move(result));
@@ -64,9 +71,10 @@ class Reading {
   }
   T* value() noexcept { return std::get_if<0>(&content_); }
   Error* error() noexcept { return std::get_if<2>(&content_); }
+  Unreadable* unreadable() noexcept { return std::get_if<3>(&content_); }
 
  private:
-  std::variant<T, NothingNew, Error> content_;
+  std::variant<T, NothingNew, Error, Unreadable> content_;
 };
 
 /// What becomes of a sensor whose read holds its loop longer than the loop's limit, which is reported in any case.
@@ -95,30 +103,37 @@ namespace detail {
 
 class SensorNode;
 
+/// How a read ended. `value`: well, with whatever was handed to the port, which may be nothing, one sample or many.
 enum class Sampled { value, nothing_new, failed };
 
 /// How a sampling function hands over what it read: lives for one read. Dead once the sensor was stopped meanwhile.
 class SamplePort {
  public:
-  /// Publishes with the time of the read; the payload may be moved from.
+  /// Publishes with the time of the read; the payload may be moved from. Once for each sample that the read brought.
   void publish(void* payload) { publish(payload, time_); }
   /// With the device's own time.
   void publish(void* payload, Time time);
-  /// What a read that failed returns.
+  /// The device gave a sample that it had given before.
+  void repeated() noexcept;
+  /// What a read that failed returns. When something usable was handed over before, the read is taken all the same; the
+  /// error is told.
   Sampled fail(Error error) {
     error_ = std::move(error);
     return Sampled::failed;
   }
+  /// The device gave a sample that cannot be decoded. Others of the same read may be handed over before and afterwards;
+  /// without any, the read has failed, whatever it returns.
+  Sampled unreadable(Error error);
 
  private:
   friend class SensorNode;
   SamplePort(SensorNode& sensor, Time time, const Tick* tick) : sensor_(&sensor), time_(time), tick_(tick) {}
   SensorNode* sensor_;
   Time time_;
-  const Tick* tick_;       // of a read on the loop
-  bool is_begun_ = false;  // counted as such; most reads on the loop are counted when they have ended
-  bool is_late_ = false;   // of one that is begun
-  bool published_ = false;
+  const Tick* tick_;        // of a read on the loop
+  bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
+  bool is_late_ = false;    // of one that is begun
+  bool is_usable_ = false;  // a sample was handed over that can be decoded
   std::optional<Error> error_;
 };
 
@@ -187,8 +202,9 @@ class DeviceOf final : public SensorDevice {
         port.publish(value);
         return Sampled::value;
       }
-      if (reading.error() == nullptr) return Sampled::nothing_new;
-      return port.fail(std::move(*reading.error()));
+      if (Error* error = reading.error()) return port.fail(std::move(*error));
+      if (Unreadable* unreadable = reading.unreadable()) return port.unreadable(std::move(unreadable->error));
+      return Sampled::nothing_new;
     }
   }
   Device device_;

@@ -44,8 +44,9 @@ struct RunInfo {
   RunState state = RunState::recording;
   std::optional<std::uint64_t> lost;  ///< of a sealed run: published and not stored; none: not known
   std::string remark;
-  /// The version of this layout in which it was written (rtdata_run.format). Before 4, accounts count from the beginning
-  /// of the sensor instead of that of the recording.
+  /// The version of this layout in which it was written (rtdata_run.format). Before 5, reads and data have one account:
+  /// with a schedule taken = published + repeated + filtered, received 0; without one received = published + repeated +
+  /// filtered + failed. Before 4, accounts count from the beginning of the sensor instead of that of the recording.
   std::int64_t format = 0;
 };
 
@@ -58,8 +59,8 @@ struct RecordedTopic {
   std::int64_t first_run = 0;
 };
 
-/// The account of one origin on one topic in one run. For a sensor with a schedule:
-/// scheduled + carried = taken + missed + failed + in_flight.
+/// The account of one origin on one topic in one run: scheduled + carried = taken + missed + failed + in_flight, and
+/// received = published + repeated + filtered + unreadable (see RunInfo::format for older ones).
 struct LedgerEntry {
   std::string topic, origin;
   SensorCounts sensor;        ///< since the recording began
@@ -74,10 +75,10 @@ struct LedgerEntry {
 
 struct RecordedGap {
   std::string topic, origin;
-  std::string kind;  ///< "missed" or "failed"
+  std::string kind;  ///< as name_of(Gap::Kind)
   std::string reason;
   Time first{}, last{};
-  std::uint64_t count = 0;
+  std::uint64_t count = 0;  ///< as Gap::count
 };
 
 struct RecordedSegment {
@@ -229,7 +230,7 @@ struct TopicSummary {
   /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
-  std::uint64_t missed = 0, failed = 0, dropped = 0, late = 0;
+  std::uint64_t missed = 0, failed = 0, unreadable = 0, dropped = 0, late = 0;
   bool is_complete = false;           ///< those counts are of the whole run: it was closed; else up to its last account
   std::optional<std::uint64_t> lost;  ///< none: the sources number nothing
   std::optional<Time> first, last;    ///< none without rows

@@ -9,21 +9,52 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "rtdata/config/item.hpp"
+#include "rtdata/config/problem.hpp"
+#include "sinks/escaped_texts.hpp"
 #include "sinks/file/output_file.hpp"
+#include "sinks/file/rotation.hpp"
 
 namespace rtdata {
 
+using detail::EscapedTexts;
 using detail::OutputFile;
+using detail::Rotation;
 
 namespace {
 
 constexpr std::string_view topic_mark = "{topic}";
 constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // a batch is written in pieces of this size
 
+std::string path_of(std::string path, std::string_view topic) {
+  std::string part(topic);
+  std::replace(part.begin(), part.end(), '/', '-');
+  for (std::size_t at = path.find(topic_mark); at != std::string::npos; at = path.find(topic_mark, at + part.size())) {
+    path.replace(at, topic_mark.size(), part);
+  }
+  return path;
+}
+
+/// A file holds one topic: this one, unless there is another already.
+Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const std::string& pattern,
+                       const std::string& path, std::string_view topic) {
+  const auto [other, is_new] = topic_by_path.try_emplace(path, topic);
+  if (is_new || other->second == topic) return {};
+  const bool is_pattern = pattern.find(topic_mark) != std::string::npos;
+  return Error{
+      Errc::bad_argument, "cannot record topic " + std::string(topic), path,
+      (is_pattern ? "the file holds topic " : "the columns of a file are those of one topic, here ") + other->second,
+      is_pattern ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
+}
+
 class FileWriter final : public Writer {
  public:
   FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
-      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)) {
+      : config_(config),
+        codec_(std::move(codec)),
+        header_codec_(std::move(header_codec)),
+        is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
@@ -43,15 +74,10 @@ class FileWriter final : public Writer {
   }
 
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override {
-    const std::string path = path_of(topic);
+    const std::string path = path_of(config_.path, topic);
     const std::string header = header_codec_->header(description);
     if (is_pattern_ || !header.empty()) {
-      if (const auto [other, is_new] = topic_by_path_.try_emplace(path, topic); !is_new && other->second != topic) {
-        return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
-                     (is_pattern_ ? "the file holds topic " : "the columns of a file are those of one topic, here ") +
-                         other->second,
-                     is_pattern_ ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
-      }
+      if (auto taken = take_path(topic_by_path_, config_.path, path, topic); !taken) return taken;
     }
     return is_set_up_ ? Result<void>{} : prepare(number, path, header);  // later ones are opened by the lane
   }
@@ -65,15 +91,31 @@ class FileWriter final : public Writer {
                    "what had been written into it is gone with it", "a new one is made"};
     }
     for (OutputFile& file : files_) file.begin_batch();
+    escaped_.begin_batch();
     for (const Record& record : batch) {
       const std::uint32_t number = record.info->topic_number;
       if (!is_ready(number)) {
-        if (auto done = prepare(number, path_of(record.info->topic), codec_->header(*record.info->description)); !done)
-          return done;
+        if (const auto untaken = untaken_.find(number); untaken != untaken_.end()) {
+          batch.refuse_topic(record, untaken->second);
+          continue;
+        }
+        auto done = prepare(number, path_of(config_.path, record.info->topic),
+                            codec_->header(*record.info->description));
+        if (!done && is_for_good(done.error())) {
+          batch.refuse_topic(record, untaken_.emplace(number, done.error()).first->second);
+          continue;
+        }
+        if (!done) return done;
       }
       if (!repairs_.empty()) return take_repairs();
       OutputFile& file = files_[by_topic_[number]];
-      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) batch.refuse(record, encoded.error());
+      if (is_text_) escaped_.look_at(record);
+      const std::size_t from = file.buffer.size();
+      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) {
+        batch.refuse(record, encoded.error());
+      } else if (rotation_.is_on()) {
+        if (auto done = rotation_.see_to(file, by_topic_[number], from, record.header.time); !done) return done;
+      }
       if (file.buffer.size() < piece_bytes) continue;
       if (auto done = file.write_out(); !done) return done;
     }
@@ -84,15 +126,20 @@ class FileWriter final : public Writer {
       if (auto done = sync(); !done) return done;
     }
     for (OutputFile& file : files_) file.end_batch();
+    escaped_.end_batch(batch);
     return {};
   }
 
-  Result<void> close() override {
-    Result<void> done;
-    if (config_.sync != FileSync::never) done = sync();
-    if (!done) return done;
-    for (OutputFile& file : files_) file.close();
-    return {};
+  std::optional<Error> take_warning() override {
+    if (std::string trouble = rotation_.take_trouble(); !trouble.empty()) {
+      return Error{Errc::io_failed, "files are not rotated as set", config_.path, std::move(trouble),
+                   "the file grows on, and it is tried again with each event"};
+    }
+    std::optional<Error> warning = escaped_.take_warning();
+    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_told_total_, true)) return warning;
+    if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
+    warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
+    return warning;
   }
 
   /// What was found at the ends of the files since the last call: an error that tells, when there was something.
@@ -110,16 +157,9 @@ class FileWriter final : public Writer {
  private:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
 
-  std::string path_of(std::string_view topic) const {
-    std::string path = config_.path;
-    if (!is_pattern_) return path;
-    std::string part(topic);
-    std::replace(part.begin(), part.end(), '/', '-');
-    for (std::size_t at = path.find(topic_mark); at != std::string::npos;
-         at = path.find(topic_mark, at + part.size())) {
-      path.replace(at, topic_mark.size(), part);
-    }
-    return path;
+  /// The file is there and is another's: waiting does not help.
+  static bool is_for_good(const Error& error) {
+    return error.code == Errc::description_differs || error.code == Errc::damaged || error.code == Errc::bad_argument;
   }
 
   bool is_ready(std::uint32_t number) const noexcept {
@@ -164,18 +204,28 @@ class FileWriter final : public Writer {
   const FileConfig config_;
   std::unique_ptr<Codec> codec_;         // of whoever the files are
   std::unique_ptr<Codec> header_codec_;  // loop
+  const bool is_text_;                   // a format of ours that escapes what is no UTF-8
   bool is_pattern_ = false;
   // loop
   std::map<std::string, std::string> topic_by_path_;
   bool is_set_up_ = false;
   // loop until it is set up, then lane
+  Rotation rotation_;
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
+  std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
+  EscapedTexts escaped_;
+  bool is_closed_ = false;
+  bool has_told_total_ = false;
 };
 
+std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
+  return config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+}
+
 std::unique_ptr<FileWriter> make_writer(const FileConfig& config, const CodecRegistry& formats) {
-  const std::string format = config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+  const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
   return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
 }
@@ -187,6 +237,31 @@ SinkConfig with_name(const FileConfig& config) {
 }
 
 }  // namespace
+
+std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
+                                  const CodecRegistry& formats) {
+  std::vector<Error> refused;
+  auto codec = formats.make(codec_name(config, formats));
+  if (!codec) return refused;
+  const bool is_pattern = config.path.find(topic_mark) != std::string::npos;
+  std::map<std::string, std::string> topic_by_path;
+  for (const TopicToRecord& topic : topics) {
+    const std::string header = topic.description != nullptr ? (*codec)->header(*topic.description) : "";
+    if (!is_pattern && header.empty()) continue;
+    const std::string path = path_of(config.path, topic.name);
+    Result<void> taken = take_path(topic_by_path, config.path, path, topic.name);
+    if (taken && !header.empty()) taken = OutputFile::check_header(path, header);
+    if (!taken) refused.push_back(std::move(taken).error());
+  }
+  return refused;
+}
+
+void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::string wrong = Rotation::mistake(config);
+  if (wrong.empty()) return;
+  const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");
+  problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
+}
 
 FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {
   auto made = make_writer(config, formats);

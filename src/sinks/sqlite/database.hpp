@@ -21,8 +21,8 @@ class Statement {
 
   Statement& bind(int index, std::int64_t value) noexcept;
   Statement& bind(int index, double value) noexcept;
-  /// Not copied: it must live until the statement has run.
-  Statement& bind(int index, std::string_view value) noexcept;
+  /// What is no UTF-8 in it is escaped. Not copied: it must live until the statement has run.
+  Statement& bind(int index, std::string_view value);
   Statement& bind_null(int index) noexcept;
 
   /// Runs up to the next row: true when there is one. Errors are those of the database.
@@ -72,7 +72,11 @@ class Database {
 
 /// The error that a call on this database has just returned.
 Error error_of(sqlite3* database, std::string_view doing);
-/// "name" with quotes doubled, for use in SQL.
-std::string quoted(std::string_view name);
+/// quoted(name): "name" with quotes doubled, for use in SQL. An object, since arguments of namespace std do not bring in
+/// std::quoted beside an object as they do beside a function.
+struct Quoted {
+  std::string operator()(std::string_view name) const;
+};
+inline constexpr Quoted quoted{};
 
 }  // namespace rtdata::sqlite

@@ -1,5 +1,6 @@
 #include "sinks/sqlite/live_file.hpp"
 
+#include <dirent.h>
 #include <fcntl.h>
 #include <sys/file.h>
 #include <sys/mman.h>
@@ -7,111 +8,246 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <climits>
 #include <cstdio>
 #include <cstring>
+#include <memory>
 #include <utility>
+#include <vector>
 
-#include "sinks/lock_holder.hpp"
+#include "sinks/sqlite/private_folder.hpp"
 
 namespace rtdata::sqlite {
 
-struct LiveFile::Content {
+struct LiveFile::Header {
   char magic[8];
-  std::int64_t pid;
+  std::uint64_t layout;  // files of another version of the program are not read
   char uuid[48];
-  LiveCounts slots[most_slots];
+  std::uint64_t device;  // of the recording's file
+  std::uint64_t inode;
+  std::atomic<std::uint64_t> is_incomplete;
+  Kept<RunSums> sums;
+  char recording[PATH_MAX];
 };
 
 namespace {
 
-constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', '1', '\0'};
+constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
+constexpr std::uint64_t layout = (std::uint64_t{3} << 32) | sizeof(LiveSlot);
+constexpr std::size_t header_bytes = 8192;
+constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
+constexpr const char* suffix = ".live";
 
-std::string place_of(const std::string& recording, const struct stat& status) {
-  char name[64];
-  std::snprintf(name, sizeof name, "rtdata-%llx-%llx", static_cast<unsigned long long>(status.st_dev),
-                static_cast<unsigned long long>(status.st_ino));
-  if (::access("/dev/shm", W_OK | X_OK) == 0) return std::string("/dev/shm/") + name;
-  const std::size_t slash = recording.rfind('/');
-  return (slash == std::string::npos ? std::string() : recording.substr(0, slash + 1)) + "." + name;
+std::size_t rounded(std::size_t bytes) noexcept { return (bytes + unit - 1) / unit * unit; }
+
+std::string folder_of(const std::string& path) {
+  const std::size_t slash = path.rfind('/');
+  return slash == std::string::npos ? "." : slash == 0 ? "/" : path.substr(0, slash);
+}
+
+Error failed(int reason, const std::string& path) {
+  return system_error(reason, "cannot keep counts in", path, "make room there");
+}
+
+/// Sets pages aside, so that none is missing when it is written.
+int reserve_bytes(int fd, std::size_t from, std::size_t bytes) noexcept {
+  for (;;) {
+    const int reason = ::posix_fallocate(fd, static_cast<off_t>(from), static_cast<off_t>(bytes));
+    if (reason != EINTR) return reason;
+  }
+}
+
+/// Whether the file that this header names is gone: not when what it was on has been taken away, which may come back.
+bool is_gone(const char* recording, std::uint64_t device, std::uint64_t inode) {
+  struct stat about {};
+  if (::stat(recording, &about) == 0) return about.st_ino != inode;
+  struct stat folder {};
+  return errno == ENOENT && ::stat(folder_of(recording).c_str(), &folder) == 0 && folder.st_dev == device;
 }
 
 }  // namespace
 
-Result<LiveFile> LiveFile::open(const std::string& path) {
-  struct stat status {};
-  if (::stat(path.c_str(), &status) != 0) return system_error(errno, "cannot lock the recording", path);
-  LiveFile made;
-  made.path_ = place_of(path, status);
-  for (;;) {
-    made.fd_ = ::open(made.path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0644);
-    if (made.fd_ < 0) {
-      return system_error(errno, "cannot lock the recording", path, "another user may hold " + made.path_);
+std::size_t LiveFile::bytes_of(std::uint32_t block) noexcept {
+  const std::size_t slots = std::size_t{first_block} << block;
+  return rounded((block == 0 ? header_bytes : 0) + slots * (sizeof(LiveCounts) + sizeof(LiveSlot)));
+}
+
+Result<void> LiveFile::map_block(std::uint32_t block) {
+  std::size_t from = 0;
+  for (std::uint32_t i = 0; i < block; ++i) from += bytes_of(i);
+  void* mapped = ::mmap(nullptr, bytes_of(block), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd_,
+                        static_cast<off_t>(from));
+  if (mapped == MAP_FAILED) return failed(errno, path_);
+  auto* at = static_cast<std::byte*>(mapped);
+  if (block == 0) {
+    static_assert(sizeof(Header) <= header_bytes);
+    header_ = reinterpret_cast<Header*>(at);
+    at += header_bytes;
+  }
+  const std::size_t slots = std::size_t{first_block} << block;
+  blocks_[block].counts = reinterpret_cast<LiveCounts*>(at);
+  blocks_[block].slots = reinterpret_cast<LiveSlot*>(at + slots * sizeof(LiveCounts));
+  return {};
+}
+
+Result<LiveFile> LiveFile::make(const std::string& recording, const std::string& uuid) {
+  struct stat about {};
+  if (::stat(recording.c_str(), &about) != 0) return failed(errno, recording);
+  std::optional<Error> first;
+  for (const std::string& place : private_folders()) {
+    auto folder = PrivateFolder::open(place);
+    if (!folder) {
+      if (!first) first = std::move(folder).error();
+      continue;
     }
-    if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
-      struct stat held {};
-      ::fstat(made.fd_, &held);
-      return Error{Errc::busy, "cannot record into", path, detail::lock_holder(held) + " records into it",
+    LiveFile made;
+    made.path_ = place + "/" + uuid + suffix;
+    int reason = 0;
+    for (;;) {
+      made.fd_ = ::openat(folder->fd(), (uuid + suffix).c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW,
+                          0600);
+      if (made.fd_ < 0 || ::flock(made.fd_, LOCK_EX) != 0) {
+        reason = errno;
+        break;
+      }
+      struct stat opened {};
+      if (::fstat(made.fd_, &opened) == 0 && opened.st_nlink > 0) break;
+      ::close(std::exchange(made.fd_, -1));  // another process took it for one that was left
+    }
+    if (reason == 0) reason = reserve_bytes(made.fd_, 0, bytes_of(0));
+    if (reason == 0) {
+      if (auto mapped = made.map_block(0); !mapped) {
+        made.remove();
+        if (!first) first = std::move(mapped).error();
+        continue;
+      }
+      Header& header = *made.header_;
+      header.layout = layout;
+      header.device = about.st_dev;
+      header.inode = about.st_ino;
+      std::snprintf(header.uuid, sizeof header.uuid, "%s", uuid.c_str());
+      std::snprintf(header.recording, sizeof header.recording, "%s", recording.c_str());
+      std::memcpy(header.magic, magic, sizeof magic);
+      return made;
+    }
+    if (made.fd_ >= 0) made.remove();
+    if (!first) first = failed(reason, place);
+  }
+  return std::move(*first);
+}
+
+std::optional<LiveFile> LiveFile::open(const std::string& path, bool& is_held) {
+  LiveFile found;
+  found.path_ = path;
+  found.fd_ = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY);
+  struct stat about {};
+  if (found.fd_ < 0 || ::fstat(found.fd_, &about) != 0 || !S_ISREG(about.st_mode) || about.st_uid != ::geteuid() ||
+      (about.st_mode & 077) != 0)
+    return std::nullopt;
+  is_held = ::flock(found.fd_, LOCK_EX | LOCK_NB) != 0;
+  std::size_t bytes = 0;
+  for (std::uint32_t block = 0; block < most_blocks; ++block) {
+    bytes += bytes_of(block);
+    if (static_cast<std::size_t>(about.st_size) < bytes || !found.map_block(block)) break;
+  }
+  return found;
+}
+
+Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, const std::string& uuid,
+                                               const std::string& noted) {
+  struct stat about {};
+  if (::stat(recording.c_str(), &about) != 0) return failed(errno, recording);
+  std::vector<std::string> places = private_folders();
+  if (noted.ends_with("/" + uuid + suffix)) places.insert(places.begin(), folder_of(noted));
+  for (const std::string& place : places) {
+    bool is_held = false;
+    auto found = open(place + "/" + uuid + suffix, is_held);
+    if (!found || found->header_ == nullptr || std::memcmp(found->header_->magic, magic, sizeof magic) != 0 ||
+        found->header_->layout != layout || uuid != found->header_->uuid || found->header_->inode != about.st_ino)
+      continue;
+    if (is_held) {
+      return Error{Errc::busy, "cannot record into", recording, "a process records into it whose lock was removed",
                    "stop that one, or record into another file"};
     }
-    struct stat locked {};
-    struct stat there {};
-    if (::fstat(made.fd_, &locked) == 0 && ::stat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino)
-      break;
-    ::close(made.fd_);  // its holder has just removed it
+    return std::move(found);
   }
-  struct stat size {};
-  ::fstat(made.fd_, &size);
-  if (size.st_size != sizeof(Content) && ::ftruncate(made.fd_, sizeof(Content)) != 0) {
-    return system_error(errno, "cannot lock the recording", made.path_);
+  return std::optional<LiveFile>();
+}
+
+void LiveFile::remove_left(const std::string& recording) {
+  struct stat ours {};
+  if (::stat(recording.c_str(), &ours) != 0) return;
+  for (const std::string& place : private_folders()) {
+    const std::unique_ptr<DIR, int (*)(DIR*)> folder(::opendir(place.c_str()), &::closedir);
+    if (folder == nullptr) continue;
+    while (const dirent* entry = ::readdir(folder.get())) {
+      const std::string name = entry->d_name;
+      if (!name.ends_with(suffix)) continue;
+      bool is_held = false;
+      auto found = open(place + "/" + name, is_held);
+      if (!found || is_held) continue;
+      const Header* header = found->header_;
+      const bool is_ours = header != nullptr && header->inode == ours.st_ino && header->device == ours.st_dev;
+      if (header == nullptr || std::memcmp(header->magic, magic, sizeof magic) != 0 || header->layout != layout ||
+          is_ours || is_gone(header->recording, header->device, header->inode))
+        found->remove();
+    }
   }
-  void* mapped = ::mmap(nullptr, sizeof(Content), PROT_READ | PROT_WRITE, MAP_SHARED, made.fd_, 0);
-  if (mapped == MAP_FAILED) return system_error(errno, "cannot lock the recording", made.path_);
-  made.content_ = static_cast<Content*>(mapped);
-  return made;
 }
 
 LiveFile::LiveFile(LiveFile&& other) noexcept
     : path_(std::move(other.path_)),
       fd_(std::exchange(other.fd_, -1)),
-      content_(std::exchange(other.content_, nullptr)) {}
+      header_(std::exchange(other.header_, nullptr)),
+      blocks_(std::exchange(other.blocks_, {})) {}
 
 LiveFile& LiveFile::operator=(LiveFile&& other) noexcept {
-  if (this != &other) {
-    unlock();
-    path_ = std::move(other.path_);
-    fd_ = std::exchange(other.fd_, -1);
-    content_ = std::exchange(other.content_, nullptr);
-  }
+  std::swap(path_, other.path_);
+  std::swap(fd_, other.fd_);
+  std::swap(header_, other.header_);
+  std::swap(blocks_, other.blocks_);
   return *this;
 }
 
-LiveFile::~LiveFile() { unlock(); }
-
-void LiveFile::unlock() noexcept {
-  if (content_ != nullptr) ::munmap(std::exchange(content_, nullptr), sizeof(Content));
-  if (fd_ >= 0) ::close(std::exchange(fd_, -1));
-}
-
-bool LiveFile::belongs_to(const std::string& uuid) const noexcept {
-  return std::memcmp(content_->magic, magic, sizeof magic) == 0 && uuid == content_->uuid;
-}
-
-void LiveFile::begin(const std::string& uuid) {
-  // Cut and grown again, so that every count is zero and no page is kept.
-  if (::ftruncate(fd_, 0) != 0 || ::ftruncate(fd_, sizeof(Content)) != 0) {
-    throw SetupError(system_error(errno, "cannot count what is published", path_, "make room in /dev/shm"));
+LiveFile::~LiveFile() {
+  for (std::uint32_t block = 0; block < most_blocks; ++block) {
+    if (blocks_[block].counts == nullptr) continue;
+    void* begin = block == 0 ? static_cast<void*>(header_) : static_cast<void*>(blocks_[block].counts);
+    ::munmap(begin, bytes_of(block));
   }
-  std::memcpy(content_->magic, magic, sizeof magic);
-  content_->pid = ::getpid();
-  std::snprintf(content_->uuid, sizeof content_->uuid, "%s", uuid.c_str());
+  if (fd_ >= 0) ::close(fd_);
 }
+
+Result<void> LiveFile::reserve(std::uint32_t slot) {
+  const std::uint32_t block = block_of(slot);
+  if (has(slot)) return {};
+  Result<void> done;
+  if (fd_ < 0 || !is_complete() || block >= most_blocks) {
+    done = no_room();
+  } else {
+    std::size_t from = 0;
+    for (std::uint32_t i = 0; i < block; ++i) from += bytes_of(i);
+    const int reason = reserve_bytes(fd_, from, bytes_of(block));
+    done = reason == 0 ? map_block(block) : failed(reason, path_);
+  }
+  if (!done && header_ != nullptr) header_->is_incomplete.store(1, std::memory_order_release);
+  return done;
+}
+
+Error LiveFile::no_room() const {
+  return {Errc::storage_full, "cannot keep counts in", path_, "there is no room for all sensors", "make room there"};
+}
+
+bool LiveFile::is_complete() const noexcept {
+  return header_ != nullptr && header_->is_incomplete.load(std::memory_order_acquire) == 0;
+}
+
+Kept<RunSums>& LiveFile::sums() noexcept { return header_->sums; }
 
 void LiveFile::remove() noexcept {
   if (fd_ < 0) return;
   ::unlink(path_.c_str());
   ::close(std::exchange(fd_, -1));
 }
-
-LiveCounts& LiveFile::counts(std::uint32_t slot) noexcept { return content_->slots[slot]; }
 
 }  // namespace rtdata::sqlite

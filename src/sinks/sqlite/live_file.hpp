@@ -1,43 +1,150 @@
-// The small mapped file that counts what was published while a recording is open, and that locks it. It lies in /dev/shm,
-// named by the recording's device and inode: there a store never waits for a disk, as it may in a mapped file beside the
-// recording, and it survives a kill. A power cut takes it, and then what was lost is not known. Where there is no /dev/shm,
-// it lies beside the recording.
+// What is known of a run and not yet in its recording: a small mapped file in memory, written while the run goes on, which
+// survives a kill of the program. A power cut takes it, and then what was lost is not known. It lies in a folder that only
+// its user can write (private_folder.hpp), is named by the run's uuid, and its pages are set aside before they are
+// written, so that a full file system is an error and never a signal.
 #pragma once
 
+#include <array>
+#include <atomic>
+#include <bit>
+#include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
+#include <type_traits>
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/sqlite/checksum.hpp"
 
 namespace rtdata::sqlite {
 
-class LiveFile {
+/// A value that a kill in the middle of writing leaves as it was before. One writer. All zero is a value that was never
+/// written.
+///
+/// A value that stands for rows is staged before their transaction commits and settled after it has: a kill in between
+/// leaves both, and the rows tell which one holds.
+template <class T>
+class Kept {
+  static_assert(std::is_trivially_copyable_v<T>);
+
  public:
-  static constexpr std::uint32_t most_slots = 1u << 20;
-
-  LiveFile() = default;
-  /// Locks the recording at `path`, which exists. Errors: busy, naming the pid of the process that records into it; to
-  /// learn it may take 1 s.
-  static Result<LiveFile> open(const std::string& path);
-  LiveFile(LiveFile&& other) noexcept;
-  LiveFile& operator=(LiveFile&& other) noexcept;
-  ~LiveFile();
-
-  /// What the last run left: true when it was `uuid`'s.
-  bool belongs_to(const std::string& uuid) const noexcept;
-  /// Begins a new run with all counts at zero.
-  void begin(const std::string& uuid);
-  /// The run is closed: what it counted is in the recording. Unlocks; the counts stay readable until destruction.
-  void remove() noexcept;
-  LiveCounts& counts(std::uint32_t slot) noexcept;
+  void stage(const T& value) noexcept {
+    const std::uint64_t state = state_.load(std::memory_order_relaxed);
+    const std::uint64_t settled = state & settled_mask;
+    state_.store(settled, std::memory_order_release);  // what is staged is no value while it is written
+    std::atomic_signal_fence(std::memory_order_seq_cst);
+    copies_[settled == 1 ? 1 : 0] = value;
+    std::atomic_signal_fence(std::memory_order_seq_cst);
+    state_.store(settled | staged_bit, std::memory_order_release);
+  }
+  /// What is staged is the value from here on; nothing when nothing is.
+  void settle() noexcept {
+    const std::uint64_t state = state_.load(std::memory_order_relaxed);
+    if ((state & staged_bit) != 0) state_.store((state & settled_mask) == 1 ? 2 : 1, std::memory_order_release);
+  }
+  void set(const T& value) noexcept {
+    stage(value);
+    settle();
+  }
+  std::optional<T> settled() const noexcept {
+    switch (state_.load(std::memory_order_acquire) & settled_mask) {
+      case 1:
+        return copies_[0];
+      case 2:
+        return copies_[1];
+      default:
+        return std::nullopt;
+    }
+  }
+  std::optional<T> staged() const noexcept {
+    const std::uint64_t state = state_.load(std::memory_order_acquire);
+    if ((state & staged_bit) == 0) return std::nullopt;
+    return copies_[(state & settled_mask) == 1 ? 1 : 0];
+  }
 
  private:
-  struct Content;
-  void unlock() noexcept;
+  static constexpr std::uint64_t settled_mask = 3;  // 0: none; 1: the first copy; 2: the second
+  static constexpr std::uint64_t staged_bit = 4;    // the other copy is staged
+  std::atomic<std::uint64_t> state_;
+  std::array<T, 2> copies_;
+};
+
+/// The range of an origin's rows whose checksum is not in the recording yet.
+struct LiveRange {
+  std::uint64_t first_sequence;
+  std::uint64_t last_sequence;
+  std::uint64_t rows;
+  std::uint64_t sum;
+};
+
+/// What lies apart from the counts of each event, because it is touched less often.
+struct alignas(64) LiveSlot {
+  Kept<LiveRange> range;  ///< the lane's
+};
+
+class LiveFile {
+ public:
+  static constexpr std::uint32_t first_block = 64;
+  static constexpr std::uint32_t most_blocks = 14;  // each twice as large as the one before
+  static constexpr std::uint32_t most_slots = first_block * ((1u << most_blocks) - 1);
+
+  LiveFile() = default;
+  /// Makes the one of a run that begins, with room for `first_block` slots. `recording` is the real path of its file.
+  /// Errors: why there is none in any folder; the run's counts are kept in its own memory then.
+  static Result<LiveFile> make(const std::string& recording, const std::string& uuid);
+  /// What a run has left; nothing when it did not survive or belongs to another file (a copy). `noted`: where it was,
+  /// as its lock says. Errors: busy when the run goes on.
+  static Result<std::optional<LiveFile>> find(const std::string& recording, const std::string& uuid,
+                                              const std::string& noted);
+  /// Removes what is left of runs of recordings that are gone, and of this one, whose lock the caller holds and whose
+  /// runs are sealed.
+  static void remove_left(const std::string& recording);
+  LiveFile(LiveFile&& other) noexcept;
+  LiveFile& operator=(LiveFile&& other) noexcept;
+  /// The file stays unless `remove` was called.
+  ~LiveFile();
+  explicit operator bool() const noexcept { return fd_ >= 0; }
+  const std::string& path() const noexcept { return path_; }
+
+  /// Sets pages aside for this slot; slots are reserved in order. What fails once fails from then on: `is_complete` is false, in the file too.
+  Result<void> reserve(std::uint32_t slot);
+  bool has(std::uint32_t slot) const noexcept { return block_of(slot) < most_blocks && blocks_[block_of(slot)].counts; }
+  /// Why there is no place for a slot.
+  Error no_room() const;
+  /// Whether each slot of the run has its place here.
+  bool is_complete() const noexcept;
+
+  /// The checksums of the run's account, which are not in the recording before it ends. The lane's.
+  Kept<RunSums>& sums() noexcept;
+
+  // Of slots that it has.
+  LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }
+  LiveSlot& slot(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].slots[offset_of(slot)]; }
+
+  /// What it counted is in the recording: the file is gone. The counts stay readable until destruction.
+  void remove() noexcept;
+
+ private:
+  struct Header;
+  struct Block {
+    LiveCounts* counts = nullptr;
+    LiveSlot* slots = nullptr;
+  };
+  static std::uint32_t block_of(std::uint32_t slot) noexcept {
+    return static_cast<std::uint32_t>(std::bit_width(slot / first_block + 1)) - 1;
+  }
+  static std::uint32_t offset_of(std::uint32_t slot) noexcept {
+    return slot - first_block * ((1u << block_of(slot)) - 1);
+  }
+  static std::size_t bytes_of(std::uint32_t block) noexcept;
+  Result<void> map_block(std::uint32_t block);
+  static std::optional<LiveFile> open(const std::string& path, bool& is_held);
+
   std::string path_;
   int fd_ = -1;
-  Content* content_ = nullptr;
+  Header* header_ = nullptr;
+  std::array<Block, most_blocks> blocks_{};
 };
 
 }  // namespace rtdata::sqlite

@@ -41,6 +41,13 @@ Result<Statement> RecordingFile::prepare(const std::string& sql) const {
   return made;
 }
 
+Result<std::int64_t> RecordingFile::first_run_with_escapes() const {
+  auto written = version();
+  if (!written || *written < sqlite::first_version_of_own_account) return written ? INT64_MAX : written;
+  return database.integer("SELECT coalesce(min(run), 9223372036854775807) FROM rtdata_run WHERE format >= " +
+                          std::to_string(sqlite::first_version_of_escapes));
+}
+
 Result<Snapshot> Snapshot::take(std::shared_ptr<RecordingFile> file) {
   if (file->snapshots == 0) {
     if (auto begun = file->database.execute("BEGIN"); !begun) return std::move(begun).error();
@@ -205,6 +212,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
   const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
+  const std::string unreadable = *version < sqlite::first_version_of_own_data_account ? "0" : "unreadable";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
@@ -212,7 +220,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
       " last_sequence, pruned, rows_up_to, " +
-          carried + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+          carried + ", " + unreadable + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -229,7 +237,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         for (std::uint64_t* count : counts) *count = count_of(row, column++);
         sensor.lost_is_known = !row.is_null(13);
         entry.rows_up_to = row.integer(column++);
-        entry.carried = count_of(row, column);
+        entry.carried = count_of(row, column++);
+        sensor.unreadable = count_of(row, column);
         return entry;
       });
 }

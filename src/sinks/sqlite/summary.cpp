@@ -159,6 +159,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     TopicSummary& sum = topic.summary;
     sum.missed += entry.sensor.missed;
     sum.failed += entry.sensor.failed;
+    sum.unreadable += entry.sensor.unreadable;
     sum.late += entry.sensor.late;
     sum.dropped += entry.dropped();
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;

@@ -9,28 +9,6 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_sentences = 100;
-
-/// Collects what does not agree.
-struct Findings {
-  RunReport& report;
-  bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
-  std::vector<std::string>& open;
-
-  void problem(std::string text) const {
-    if (report.problems.size() < most_sentences) {
-      report.problems.push_back(std::move(text));
-    } else {
-      ++report.more_problems;
-    }
-  }
-  void note(std::string text) const {
-    if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
-  }
-  /// Of what is exact only once the run is closed.
-  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
-};
-
 std::string number(std::uint64_t value) { return std::to_string(value); }
 
 /// Which sequences are not there, at most a few of them: "sequence 417 is missing".
@@ -148,6 +126,22 @@ bool counts_from_its_beginning(const Findings& found) {
   return found.report.info.format >= sqlite::first_version_of_own_account;
 }
 
+/// Reads and data are counted apart, so that one read may bring many samples.
+bool has_own_data_account(const Findings& found) {
+  return found.report.info.format >= sqlite::first_version_of_own_data_account;
+}
+
+void check_data(const Findings& found, const std::string& place, const SensorCounts& s) {
+  const Term published{"published", s.published}, repeated{"repeated", s.repeated}, filtered{"filtered", s.filtered};
+  if (has_own_data_account(found)) {
+    check_sum(found, place, {"received", s.received}, {published, repeated, filtered, {"unreadable", s.unreadable}});
+  } else if (s.has_schedule) {
+    check_sum(found, place, {"taken", s.taken}, {published, repeated, filtered});
+  } else {
+    check_sum(found, place, {"received", s.received}, {published, repeated, filtered, {"failed", s.failed}});
+  }
+}
+
 void check_account(const Findings& found, const LedgerEntry& entry) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const SensorCounts& s = entry.sensor;
@@ -156,14 +150,12 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
                                               : Term{"scheduled + carried", s.scheduled + entry.carried};
     check_sum(found, place, scheduled,
               {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
-    check_sum(found, place, {"taken", s.taken},
-              {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}});
     if (s.in_flight > 1) found.inexact(place + number(s.in_flight) + " reads are in flight, there is at most one.");
     if (s.late > s.taken) found.inexact(place + number(s.late) + " were late of only " + number(s.taken) + " taken.");
-  } else {
-    check_sum(found, place, {"received", s.received},
-              {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"failed", s.failed}});
+  } else if (has_own_data_account(found) && (s.scheduled | s.taken | s.missed | s.failed | s.in_flight | s.late) != 0) {
+    found.problem(place + "it has no schedule, but reads are counted.");
   }
+  check_data(found, place, s);
   if (entry.carried > 1) {
     found.problem(place + number(entry.carried) + " reads were under way when it began, there is at most one.");
   }
@@ -236,18 +228,33 @@ bool is_of_carried(const LedgerEntry& entry, const RecordedGap& gap, const std::
   return is_one_schedule && gap.count <= after.computed() + 1;
 }
 
+void check_gap_without_schedule(const Findings& found, const std::string& which, const RecordedGap& gap) {
+  if (gap.kind != "disconnected" && gap.kind != "silent" && gap.kind != "joined") {
+    found.problem(which + " is neither disconnected nor silent nor joined.");
+  } else if ((gap.count > 1) != (gap.kind == "joined") || gap.count == 1) {
+    found.problem(which + " has a count of " + number(gap.count) + ".");
+  }
+  if (gap.last < gap.first) found.problem(which + " ends at " + to_iso8601(gap.last) + ".");
+}
+
 void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
                 const std::vector<const RecordedGap*>& gaps) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
-  std::uint64_t missed = 0, failed = 0;
+  std::uint64_t missed = 0, failed = 0, joined = 0;
   for (const RecordedGap* gap : gaps) {
     const std::string which = "the gap of " + to_iso8601(gap->first) + " (" + gap->kind + ", " + gap->reason + ")";
+    if (!entry.sensor.has_schedule && has_own_data_account(found)) {
+      check_gap_without_schedule(found, place + which, *gap);
+      continue;
+    }
     if (gap->kind == "missed") {
       missed += gap->count;
     } else if (gap->kind == "failed") {
       failed += gap->count;
+    } else if (gap->kind == "joined") {
+      joined += gap->count;
     } else {
-      found.problem(place + which + " is neither missed nor failed.");
+      found.problem(place + which + " is neither missed nor failed nor joined.");
     }
     if (gap->count == 0 || gap->last < gap->first) {
       found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + to_iso8601(gap->last) +
@@ -271,7 +278,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     } else if (gap->count > ticks) {
       found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) +
                     " there are " + number(ticks) + ".");
-    } else if (gap->count < ticks) {
+    } else if (gap->count < ticks && gap->kind != "joined") {
       found.note(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " +
                  to_iso8601(gap->last) + ": several gaps were joined.");
     }
@@ -290,7 +297,11 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
                  " are in no gap: one was under way at the last account.");
     }
   };
-  if (s.has_schedule) {
+  if (s.has_schedule && joined != 0) {
+    if (missed > s.missed) compare(missed, s.missed, "missed");
+    if (failed > s.failed) compare(failed, s.failed, "failed");
+    compare(missed + failed + joined, s.missed + s.failed, "missed or failed");
+  } else if (s.has_schedule) {
     compare(missed, s.missed, "missed");
     compare(failed, s.failed, "failed");
   } else if (missed != 0 || failed > s.failed) {
@@ -310,6 +321,8 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   report.missed += entry.sensor.missed;
   report.failed += entry.sensor.failed;
   report.late += entry.sensor.late;
+  if (report.info.format >= sqlite::first_version_of_own_data_account) report.received += entry.sensor.received;
+  report.unreadable += entry.sensor.unreadable;
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
 }
 
@@ -339,7 +352,8 @@ void note_end(const Findings& found) {
 
 }  // namespace
 
-Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report) {
+Result<void> verify_run(const Recording& recording, const OriginMap& rows, const Checksums& checksums,
+                        RunReport& report) {
   const RunInfo& info = report.info;
   std::vector<std::string> left_open;
   const Findings found{report, info.state == RunState::closed, left_open};
@@ -397,6 +411,7 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   };
   strays(segments_of, "stretch of schedule");
   strays(gaps_of, "gap");
+  check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
   if (!left_open.empty()) {

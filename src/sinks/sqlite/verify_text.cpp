@@ -42,6 +42,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["ended"] = run.info.ended ? nlohmann::ordered_json(to_nanoseconds(*run.info.ended)) : nlohmann::ordered_json();
   json["origins"] = run.origins;
   json["rows"] = run.rows;
+  json["values_checked"] = run.values_checked;
   json["offered"] = run.offered;
   json["stored"] = run.stored;
   json["dropped"] = run.dropped;
@@ -51,6 +52,8 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["missed"] = run.missed;
   json["failed"] = run.failed;
   json["late"] = run.late;
+  json["received"] = run.received;
+  json["unreadable"] = run.unreadable;
   json["gaps"] = run.gaps;
   json["lost_by_source"] = run.lost_by_source ? nlohmann::ordered_json(*run.lost_by_source) : nlohmann::ordered_json();
   json["problems"] = run.problems;
@@ -77,6 +80,8 @@ std::string VerifyReport::text() const {
            n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " +
                n(run.late) + " late; " + n(run.gaps) + (run.gaps == 1 ? " gap" : " gaps"));
     }
+    if (run.unreadable != 0)
+      wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);

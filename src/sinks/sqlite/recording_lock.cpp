@@ -1,0 +1,127 @@
+#include "sinks/sqlite/recording_lock.hpp"
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <utility>
+
+#include "sinks/lock_holder.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr std::size_t longest_note = 4096;
+
+/// Of the lock of a recording: those who may write the one may open the other, to read and write.
+mode_t lock_mode(mode_t recording) noexcept {
+  mode_t mode = 0600;
+  if ((recording & S_IWGRP) != 0) mode |= 0060;
+  if ((recording & S_IWOTH) != 0) mode |= 0006;
+  return mode;
+}
+
+Error failed(int reason, const std::string& path) {
+  Error error = system_error(reason, "cannot lock the recording", path, "");
+  switch (reason) {
+    case EACCES:
+    case EPERM:
+      error.advice = "it is another user's: record as that one, or remove it when nobody records into the recording";
+      break;
+    case EROFS:
+    case ENOENT:
+    case ENOTDIR:
+      error.advice = "record into a folder where this user may make files";
+      break;
+    case ELOOP:
+      error.why = "it is a symbolic link";
+      error.advice = "remove it";
+      break;
+    default:
+      error.advice = "record into another file system";
+      break;
+  }
+  return error;
+}
+
+std::string first_line_of(int fd) {
+  std::array<char, longest_note> text{};
+  const ssize_t got = ::pread(fd, text.data(), text.size(), 0);
+  const std::string_view all(text.data(), got > 0 ? static_cast<std::size_t>(got) : 0);
+  const std::size_t end = all.find('\n');
+  return end == std::string_view::npos ? std::string() : std::string(all.substr(0, end));
+}
+
+}  // namespace
+
+Result<RecordingLock> RecordingLock::take(const std::string& recording) {
+  struct stat about {};
+  if (::stat(recording.c_str(), &about) != 0) return failed(errno, recording);
+  const mode_t mode = lock_mode(about.st_mode);
+  RecordingLock made;
+  made.path_ = recording + "-lock";
+  for (;;) {
+    made.fd_ = ::open(made.path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY, mode);
+    if (made.fd_ < 0) return failed(errno, made.path_);
+    struct stat locked {};
+    if (::fstat(made.fd_, &locked) != 0) return failed(errno, made.path_);
+    if (!S_ISREG(locked.st_mode)) {
+      return Error{Errc::not_permitted, "cannot lock the recording", made.path_, "it is no regular file", "remove it"};
+    }
+    if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
+      if (errno != EWOULDBLOCK) return failed(errno, made.path_);
+      return Error{Errc::busy, "cannot record into", recording, detail::lock_holder(locked) + " records into it",
+                   "stop that one, or record into another file"};
+    }
+    struct stat there {};
+    if (::lstat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino && locked.st_dev == there.st_dev) {
+      // Less the umask when it was made; and the recording's permissions may have changed since.
+      if (locked.st_uid == ::geteuid()) {
+        if (locked.st_gid != about.st_gid) (void)!::fchown(made.fd_, static_cast<uid_t>(-1), about.st_gid);
+        if ((locked.st_mode & 07777) != mode) (void)::fchmod(made.fd_, mode);
+      }
+      break;
+    }
+    made.unlock();  // its holder has just removed it
+  }
+  made.noted_ = first_line_of(made.fd_);
+  return made;
+}
+
+RecordingLock::RecordingLock(RecordingLock&& other) noexcept
+    : path_(std::move(other.path_)), noted_(std::move(other.noted_)), fd_(std::exchange(other.fd_, -1)) {}
+
+RecordingLock& RecordingLock::operator=(RecordingLock&& other) noexcept {
+  if (this != &other) {
+    unlock();
+    path_ = std::move(other.path_);
+    noted_ = std::move(other.noted_);
+    fd_ = std::exchange(other.fd_, -1);
+  }
+  return *this;
+}
+
+RecordingLock::~RecordingLock() { unlock(); }
+
+void RecordingLock::unlock() noexcept {
+  if (fd_ >= 0) ::close(std::exchange(fd_, -1));
+}
+
+void RecordingLock::note(std::string_view line) noexcept {
+  if (fd_ < 0 || line.size() >= longest_note || ::ftruncate(fd_, 0) != 0) return;
+  std::array<char, longest_note> text{};
+  const std::size_t size = line.copy(text.data(), line.size());
+  text[size] = '\n';  // without it, half a line is not taken for one
+  (void)!::pwrite(fd_, text.data(), size + 1, 0);
+}
+
+void RecordingLock::remove() noexcept {
+  if (fd_ < 0) return;
+  ::unlink(path_.c_str());  // before it is unlocked: who gets the lock of this file then sees that it is gone
+  unlock();
+}
+
+}  // namespace rtdata::sqlite

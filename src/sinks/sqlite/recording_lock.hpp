@@ -1,0 +1,39 @@
+// Who records into a file: one process at a time, whoever its user is. The lock is a file beside the recording, "run.db-lock",
+// which whoever may write the recording may open and nobody else. The kernel drops it with its process; after a clean end
+// the file is gone, after a kill it stays and says where the counts of the run that was killed are.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::sqlite {
+
+class RecordingLock {
+ public:
+  RecordingLock() = default;
+  /// Locks the recording, which exists. `recording` is its real path, without symbolic links, so that all of its names
+  /// have one lock. Errors: busy, naming the pid of the process that records into it; not-permitted.
+  static Result<RecordingLock> take(const std::string& recording);
+  RecordingLock(RecordingLock&& other) noexcept;
+  RecordingLock& operator=(RecordingLock&& other) noexcept;
+  /// Unlocks. The file stays unless `remove` was called.
+  ~RecordingLock();
+
+  /// What `note` wrote last, perhaps in a process that has ended; empty: nothing. Anybody who may write the recording may
+  /// have written it: check what it names.
+  const std::string& noted() const noexcept { return noted_; }
+  /// Keeps a line for who holds the lock next. Without it, that one looks for itself.
+  void note(std::string_view line) noexcept;
+  /// Unlocks, and the file is gone.
+  void remove() noexcept;
+
+ private:
+  void unlock() noexcept;
+  std::string path_;
+  std::string noted_;
+  int fd_ = -1;
+};
+
+}  // namespace rtdata::sqlite

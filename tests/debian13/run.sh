@@ -1,0 +1,101 @@
+#!/bin/sh
+# Debian 13 as a fresh machine: what script/bootstrap installs there, the README's commands, and the quick tests.
+#
+#   tests/debian13/run.sh             all of it
+#   tests/debian13/run.sh COMMAND...  a command there, in the source tree
+#
+# The system is made by debootstrap, once (some minutes, 1 GB), and kept in ~/.cache/rt-data/debian13. The source tree is
+# seen there as /rt-data, and its build/ is build/debian13 here. Mounts are in a namespace of this script's processes: they
+# are gone with them, however these end. It needs to be root. Exit 77: this machine cannot have it.
+set -eu
+cd "$(dirname "$0")/../.."
+tree=$PWD
+cache=${RTDATA_DEBIAN13_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/rt-data/debian13}
+root=$cache/root
+suite=trixie
+
+cannot() {
+    echo "skipped: $*"
+    exit 77
+}
+
+# ------------------------------------------------------------------ outside --
+if [ "${RTDATA_DEBIAN13_INSIDE:-}" != "$tree" ]; then
+    [ "$(id -u)" -eq 0 ] || cannot "a Debian 13 to test in is made by root only"
+    for tool in debootstrap unshare chroot; do
+        command -v "$tool" >/dev/null || cannot "there is no $tool (script/bootstrap --all installs it on Debian)"
+    done
+    unshare --mount true 2>/dev/null || cannot "nothing can be mounted here"
+    mkdir -p "$cache"
+    exec 9>"$cache/lock"
+    flock 9 # one at a time; released when the last process of this script ends
+    if [ ! -e "$root/.made" ]; then
+        # From where this machine has its own packages.
+        # shellcheck disable=SC2016 # apt's variables
+        from=$(apt-get indextargets --format '$(ORIGIN) $(LABEL) $(REPO_URI)' 'Created-By: Packages' 2>/dev/null |
+            sed -n 's/^Debian Debian //p' | head -n 1)
+        [ -n "$from" ] || cannot "apt here has no archive of Debian's to make a Debian 13 from"
+        rm -rf "$root"
+        unshare --mount --propagation private debootstrap --variant=minbase "$suite" "$root" "$from" >"$cache/debootstrap.log" 2>&1 ||
+            cannot "debootstrap cannot make a Debian 13: $(tail -n 1 "$cache/debootstrap.log")"
+        # The archive is reached as here.
+        apt-config dump | grep -E '^Acquire::(http|https|Check|Retries)' >"$root/etc/apt/apt.conf.d/90here" || true
+        : >"$root/.made"
+    fi
+    mkdir -p build/debian13
+    export RTDATA_DEBIAN13_INSIDE="$tree"
+    exec unshare --mount --propagation private "$0" "$@"
+fi
+
+# --------------------------------------- within a mount namespace of its own --
+mkdir -p "$root/rt-data" "$root/ccache"
+rm -rf "$root"/tmp/*
+mount -t tmpfs tmpfs "$root/usr/local" # nothing is installed yet
+mount --bind "$tree" "$root/rt-data"
+mount -o remount,bind,ro "$root/rt-data"
+mount --bind "$tree/build/debian13" "$root/rt-data/build"
+mount -t proc proc "$root/proc"
+mount --rbind /dev "$root/dev" # terminals and shared memory
+ccache_size=5G
+if command -v ccache >/dev/null; then
+    ccache_size=$(ccache --get-config max_size)
+    ccache=$(ccache --get-config cache_dir)
+    mkdir -p "$ccache"
+    mount --bind "$ccache" "$root/ccache"
+fi
+# Names are resolved as here.
+[ ! -e /etc/resolv.conf ] || cat /etc/resolv.conf >"$root/etc/resolv.conf"
+[ ! -e /etc/hosts ] || cat /etc/hosts >"$root/etc/hosts"
+
+# inside COMMAND...: a command there, in the source tree, with the environment of a fresh log-in.
+inside() {
+    chroot "$root" env -i HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
+        CCACHE_DIR=/ccache CCACHE_MAXSIZE="$ccache_size" CMAKE_BUILD_TYPE=None \
+        sh -c 'cd /rt-data && exec "$@"' sh "$@"
+}
+
+if [ $# -gt 0 ]; then
+    inside "$@"
+    exit
+fi
+
+if [ "$(cat "$root/.bootstrapped" 2>/dev/null)" != "$(cksum <script/bootstrap)" ]; then
+    inside script/bootstrap >build/debian13/bootstrap.log 2>&1 || {
+        cat build/debian13/bootstrap.log
+        cannot "script/bootstrap could not install what is needed there"
+    }
+    cat build/debian13/bootstrap.log
+    [ "$(wc -l <build/debian13/bootstrap.log)" -le 10 ] # what apt says is nobody's to read
+    # Not for users: ccache, since this is done again and again.
+    inside apt-get install -y -qq --no-install-recommends ccache >/dev/null 2>&1 || true
+    cksum <script/bootstrap >"$root/.bootstrapped"
+fi
+
+# The README's blocks marked "fresh machine", one after the other, in one shell. Optimized builds are for others to test:
+# CMAKE_BUILD_TYPE=None (above) takes the place of what is the default.
+sed -n '/^<!-- test: fresh machine -->$/,/^```$/p' README.md | sed '/^<!--/d; /^```/d' >build/debian13/readme.sh
+[ -s build/debian13/readme.sh ]
+echo "== the README's commands"
+inside sh -euxc '. build/readme.sh'
+echo "== the tests"
+inside sh -euc 'cd build/release && exec ctest --output-on-failure --timeout 600 -LE slow'

@@ -1,0 +1,172 @@
+// Topics that a sink wants and cannot take.
+#include <doctest/doctest.h>
+#include <sqlite3.h>
+
+#include <fstream>
+
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/sinks/file.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/verify.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+
+namespace {
+
+std::uint64_t refused(const Sink& sink) { return sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)]; }
+
+void publish(Loop& loop, const char* topic, int count) {
+  for (int i = 0; i < count; ++i) loop.topic<Number>(topic).publish({static_cast<double>(i)});
+}
+
+std::string problems_of(const std::string& text) {
+  return plan_system(standard_registry(), parse_config(text, "f.json")).problems.text();
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("a topic that comes later and that the writer refuses is counted, told, and faults the sink") {
+    const Directory directory;
+    Loop loop{Loop::Manual{}};
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    std::vector<std::string> health;
+    const Subscription changes = loop.subscribe<HealthChange>("$rtdata/health", [&](const Event<HealthChange>& event) {
+      health.push_back(std::string(event->name.view()) + " " + std::string(name_of(event->state)));
+    });
+    FileSink sink(loop, {.path = directory / "one.csv", .format = "csv"});
+    publish(loop, "a", 3);
+    publish(loop, "b", 4);
+    loop.advance(2s);
+    publish(loop, "b", 1);
+    publish(loop, "a", 2);
+    loop.advance(2s);
+    CHECK(sink.counts().offered == 10);
+    CHECK(sink.counts().stored == 5);
+    CHECK(refused(sink) == 5);
+    CHECK(sink.counts().queued == 0);
+    CHECK(sink.counts().balances());
+    CHECK(sink.health() == Health::faulted);
+    CHECK(has(sink.status().reason, "cannot record topic b: "));
+    REQUIRE(sink.status().dropped.size() == 1);
+    CHECK(sink.status().dropped[0].topic == "b");
+    CHECK(sink.status().dropped[0].count == 5);
+    REQUIRE(errors.size() == 1);
+    CHECK(has(errors[0], "write {topic} into the path: a file each"));
+    CHECK(health == std::vector<std::string>{"one.csv faulted"});
+    CHECK(loop.close(1s) == 0);
+    CHECK(loop.runtime().has_loss());
+    CHECK(loop.runtime().balances());
+    CHECK(loop.runtime().sinks().front().health == Health::faulted);
+  }
+
+  TEST_CASE("a file with another header, found while running, costs its own topic only") {
+    const Directory directory;
+    std::ofstream(directory / "b.csv") << "time,origin,sequence,speed\n";
+    Loop loop{Loop::Manual{}};
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    FileSink sink(loop, {.path = directory / "{topic}.csv", .format = "csv"});
+    publish(loop, "a", 3);
+    publish(loop, "b", 4);
+    loop.advance(2s);
+    publish(loop, "a", 1);
+    publish(loop, "b", 1);
+    loop.advance(2s);
+    CHECK(sink.counts().stored == 4);
+    CHECK(refused(sink) == 5);
+    CHECK(sink.counts().balances());
+    CHECK(sink.health() == Health::faulted);
+    CHECK(has(sink.status().reason, "its header is \"time,origin,sequence,speed\""));
+    CHECK_FALSE(errors.empty());
+    CHECK(content(directory / "b.csv") == "time,origin,sequence,speed\n");
+  }
+
+  TEST_CASE("a table that cannot be made costs its own topic only, and the recording says so") {
+    const Directory directory;
+    const std::string path = directory / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink made(loop, {.path = path});
+    }
+    sqlite3* database = nullptr;
+    REQUIRE(sqlite3_open(path.c_str(), &database) == SQLITE_OK);
+    REQUIRE(sqlite3_exec(database, "CREATE VIEW \"b\" AS SELECT 1 AS x", nullptr, nullptr, nullptr) == SQLITE_OK);
+    sqlite3_close(database);
+    {
+      Loop loop{Loop::Manual{}};
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+      SqliteSink sink(loop, {.path = path});
+      publish(loop, "a", 3);
+      publish(loop, "b", 4);
+      publish(loop, "c", 2);
+      loop.advance(2s);
+      publish(loop, "b", 1);
+      publish(loop, "a", 1);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 6);
+      CHECK(refused(sink) == 5);
+      CHECK(sink.counts().queued == 0);
+      CHECK(sink.health() == Health::faulted);
+      REQUIRE_FALSE(errors.empty());
+      CHECK(has(errors[0], "cannot make a table for topic b"));
+      CHECK(loop.close(1s) == 0);
+      CHECK(loop.runtime().has_loss());
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const VerifyReport report = verify(recording).or_throw();
+    CHECK_MESSAGE(report.exit_code() == 0, report.text());
+    CHECK(report.runs.back().rows == 6);
+    CHECK(report.runs.back().dropped == 5);
+  }
+
+  TEST_CASE("what a sink cannot take is a mistake in the configuration") {
+    const Directory directory;
+    const auto configured = [&](const std::string& sensors, const std::string& sinks) {
+      return problems_of(R"({"sensors": [)" + sensors + R"(], "sinks": [)" + sinks + "]}");
+    };
+    const std::string two = R"({"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"},
+                               {"name": "b", "type": "host", "quantity": "load", "rate": "1 Hz"})";
+    const auto csv = [&](const std::string& path, const std::string& more = "") {
+      return R"({"type": "file", "format": "csv", "path": ")" + (directory / path) + "\"" + more + "}";
+    };
+    SUBCASE("two topics in one CSV file") {
+      const std::string problems = configured(two, csv("x.csv"));
+      CHECK(has(problems, "write {topic} into the path"));
+      CHECK(configured(two, csv("x.csv", R"(, "topics": ["a"])")).empty());
+      CHECK(configured(two, csv("{topic}.csv")).empty());
+    }
+    SUBCASE("two topics whose files have one name") {
+      const std::string problems = configured(
+          R"({"name": "a", "topic": "x/y", "type": "host", "quantity": "load", "rate": "1 Hz"},
+             {"name": "b", "topic": "x-y", "type": "host", "quantity": "load", "rate": "1 Hz"})",
+          csv("{topic}.csv"));
+      CHECK(has(problems, "the file holds topic x-y"));
+    }
+    SUBCASE("a CSV file that is there with another header") {
+      std::ofstream(directory / "x.csv") << "time,origin,sequence,speed\n";
+      const std::string problems = configured(two, csv("x.csv", R"(, "topics": ["a"])"));
+      CHECK(has(problems, "its header is \"time,origin,sequence,speed\""));
+      std::ofstream(directory / "x.csv") << "time,origin";  // half a header is repaired
+      CHECK(configured(two, csv("x.csv", R"(, "topics": ["a"])")).empty());
+    }
+    SUBCASE("more values than a table has columns") {
+      std::string fields;
+      for (int i = 0; i < 1991; ++i)
+        fields += (i == 0 ? "" : ",") + (R"({"name": "f)" + std::to_string(i) + R"(", "type": "int8"})");
+      const std::string line = R"({"name": "wide", "type": "serial", "device": "/dev/ttyUSB0", "fields": [)" + fields +
+                               "]}";
+      const std::string sqlite = R"({"type": "sqlite", "path": ")" + (directory / "x.db") + "\"}";
+      CHECK(has(configured(line, sqlite), "it has 1991 values an event"));
+      CHECK(configured(line, R"({"type": "file", "path": ")" + (directory / "x.jsonl") + "\"}").empty());
+    }
+  }
+}
