@@ -646,5 +646,5 @@ TEST_SUITE("contract") {
   TEST_CASE("callbacks do anything at random: a manual loop") { run_seeds(Loops::manual, 100); }
   TEST_CASE("callbacks do anything at random: a loop in real time") { run_seeds(Loops::owned, 10); }
   TEST_CASE("callbacks do anything at random: an attached loop") { run_seeds(Loops::attached, 10); }
-  TEST_CASE("callbacks do anything at random: tiers") { run_seeds(Loops::tiers, 10); }
+  TEST_CASE("callbacks do anything at random: tiers") { run_seeds(Loops::tiers, 4); }
 }
