@@ -94,7 +94,7 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
                          size = type.size](auto copy) {
     std::byte* to = slot(head_);
     const std::uint64_t to_ring_end = all - (head_ & mask_);
-    for (std::uint64_t i = 0; i < taken; ++i, to += slot_bytes) {
+    for (std::size_t i = 0; i < taken; ++i, to += slot_bytes) {
       if (i == to_ring_end) [[unlikely]]
         to = slots_;
       const Arrival* from = arrival(i);
@@ -151,8 +151,9 @@ bool TopicCore::move_payload(const OriginCore& origin, std::byte* to, void* payl
   }
   moving_ = nullptr;
   if (is_moving_cancelled_) {
-    for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[i & mask_] = 0;
-    is_cancelled_[head_ & mask_] = 1;
+    const auto index = [&](std::uint64_t i) { return static_cast<std::size_t>(i & mask_); };
+    for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[index(i)] = 0;
+    is_cancelled_[index(head_)] = 1;
     cancelled_until_ = head_ + 1;
   }
   return true;
@@ -213,10 +214,11 @@ void TopicCore::unlink(SubscriptionNode& node) noexcept {
 
 void TopicCore::cancel(const OriginCore& origin) noexcept {
   if (moving_ == &origin) is_moving_cancelled_ = true;
-  for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[i & mask_] = 0;
+  const auto index = [&](std::uint64_t i) { return static_cast<std::size_t>(i & mask_); };
+  for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[index(i)] = 0;
   for (std::uint64_t i = tail_; i != head_; ++i) {
     const auto& header = *reinterpret_cast<const EventHeader*>(slot(i));
-    if (header.origin.data() == origin.name.data()) is_cancelled_[i & mask_] = 1;
+    if (header.origin.data() == origin.name.data()) is_cancelled_[index(i)] = 1;
   }
   cancelled_until_ = head_;
 }

@@ -82,7 +82,7 @@ class Rhythm {
  public:
   void wait() {
     due_ += std::chrono::nanoseconds{batch_period}.count();
-    const timespec until{due_ / 1'000'000'000, due_ % 1'000'000'000};
+    const timespec until{due_ / 1'000'000'000, static_cast<long>(due_ % 1'000'000'000)};
     ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr);
   }
 

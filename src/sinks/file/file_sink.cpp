@@ -142,6 +142,15 @@ class FileWriter final : public Writer {
     return warning;
   }
 
+  Result<void> close() override {
+    Result<void> done;
+    if (config_.sync != FileSync::never) done = sync();
+    if (!done) return done;
+    for (OutputFile& file : files_) file.close();
+    is_closed_ = true;
+    return {};
+  }
+
   /// What was found at the ends of the files since the last call: an error that tells, when there was something.
   Result<void> take_repairs() {
     if (repairs_.empty()) return {};

@@ -167,6 +167,7 @@ Result<void> SqliteWriter::make_schema() {
   if (*version == 1) sql += std::string(";") + from_version_1;
   if (*version >= 1 && *version < first_version_of_own_account) sql += std::string(";") + from_version_3;
   if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4;
+  sql += account_views();
   sql += ";PRAGMA application_id=" + std::to_string(application_id) +
          ";PRAGMA user_version=" + std::to_string(schema_version);
   if (auto made = database_.execute(sql); !made || *version == 0) return made;
