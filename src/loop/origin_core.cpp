@@ -18,7 +18,8 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
 }
 
 MonotonicTime OriginCore::last_due() const noexcept {
-  return first_due_ + (static_cast<std::int64_t>(counts.scheduled - scheduled_before_) - 1) * period_;
+  const auto ticks = static_cast<std::int64_t>(counts.scheduled - scheduled_before_);
+  return ticks == 0 ? later(first_due_, -period_) : later(first_due_, multiple(ticks - 1, period_));
 }
 
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
@@ -34,6 +35,7 @@ void OriginCore::adopt(const State& state) noexcept {
   counts = state.counts;
   sequence = state.sequence;
   last_time = state.last_time;
+  supply = state.supply;
   first_due_ = state.free_from;
   period_ = Duration{0};
   is_mirror = false;
@@ -60,7 +62,7 @@ void OriginCore::end_segment(MonotonicTime end) {
   if (!has_segment()) return;
   close_gap();
   const Segment ended = segment(end);
-  first_due_ = std::max(end, last_due() + Duration{1});
+  first_due_ = std::max(end, later(last_due(), Duration{1}));
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
 }

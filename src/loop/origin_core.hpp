@@ -18,6 +18,9 @@ class TopicCore;
 
 class OriginCore {
  public:
+  /// How it comes to what it publishes; its account has other equations. Once it has one, it keeps it.
+  enum class Supply : std::uint8_t { none, schedule, feed };
+
   OriginCore(std::string_view name, TopicCore& topic, std::uint32_t index);
   OriginCore(const OriginCore&) = delete;
   OriginCore& operator=(const OriginCore&) = delete;
@@ -70,8 +73,9 @@ class OriginCore {
     std::uint64_t sequence = 0;
     Time last_time = Time::min();
     MonotonicTime free_from{};
+    Supply supply = Supply::none;
   };
-  State state() const noexcept { return {counts, sequence, last_time, free_from()}; }
+  State state() const noexcept { return {counts, sequence, last_time, free_from(), supply}; }
   /// It publishes on this loop from here on.
   void adopt(const State& state) noexcept;
   /// It publishes on another loop from here on.
@@ -87,10 +91,11 @@ class OriginCore {
   std::uint64_t sequence = 0;    ///< of the last event published
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
-  Passage* only_way = nullptr;  ///< to another loop, when that is all its events go to
-  const std::uint32_t index;    ///< within its topic
-  bool is_claimed = false;      ///< a sensor or feed of this name exists now on this loop
-  bool is_mirror = false;       ///< it publishes on another loop; what is known of it comes over a bridge
+  Passage* only_way = nullptr;   ///< to another loop, when that is all its events go to
+  const std::uint32_t index;     ///< within its topic
+  bool is_claimed = false;       ///< a sensor or feed of this name exists now on this loop
+  bool is_mirror = false;        ///< it publishes on another loop; what is known of it comes over a bridge
+  Supply supply = Supply::none;  ///< of who claimed it first on this loop
 
  private:
   bool gap_is_open_ = false;

@@ -64,6 +64,17 @@ void RuntimeCore::report_all_kept() {
   }
 }
 
+void RuntimeCore::forget(LoopCore& loop) noexcept {
+  for (Kept& kept : kept_) {
+    if (kept.loop == &loop) kept.loop = nullptr;
+  }
+  own_loop = nullptr;
+  try {
+    report_kept();
+  } catch (...) {  // out of memory: nothing is left to tell it to
+  }
+}
+
 void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& error) {
   constexpr std::size_t most_remembered = 256;
   const MonotonicTime now = clock_->monotonic();
@@ -72,7 +83,7 @@ void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& e
     if (now - repeat.last_written < std::chrono::seconds{1}) {
       repeat.error = error;  // the latest is written
       if (repeat.held_back++ == 0 && loop != nullptr)
-        loop->flush_repeats_at(repeat.last_written + std::chrono::seconds{1});
+        loop->flush_repeats_at(later(repeat.last_written, std::chrono::seconds{1}));
       return;
     }
     const std::uint64_t count = repeat.held_back + 1;

@@ -116,12 +116,14 @@ class TopicCore {
   };
   void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
-  void move_payload(std::byte* to, void* payload);
+  /// False: dropped, since one is being moved.
+  bool move_payload(const OriginCore& origin, std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
-  void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
+  /// Destroys what is queued up to this position.
+  void drop_slots(std::uint64_t last) noexcept;
 
   RuntimeCore& runtime_;
   const bool is_short_;  // bytes to copy, and few
@@ -144,6 +146,8 @@ class TopicCore {
   std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
+  bool is_moving_cancelled_ = false;
+  const OriginCore* moving_ = nullptr;  // whose payload is being moved into the ring
   SubscriptionCounts retired_;
 };
 

@@ -1,5 +1,8 @@
 #include "sinks/sink_account.hpp"
 
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
 namespace rtdata::detail {
 namespace {
 
@@ -10,7 +13,10 @@ constexpr std::size_t origins_at_once = 500;
 
 Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
   const auto number = static_cast<std::uint32_t>(taps_.size());
-  if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+  {
+    const LoopCore::OffLimits off_limits(*topic.runtime().own_loop);
+    if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+  }
   add_tap(topic, owner, SinkTap::Takes::all);
   return {};
 }

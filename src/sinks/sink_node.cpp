@@ -146,36 +146,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     return true;
   }
 
-  void stored(StoreJob& job) {
-    if (!is_attached_) return;  // too late: counted as lost
-    if (!job.topic_fault.empty()) fault_for_good(job.topic_fault);
-    if (job.refused != 0 && !job.has_ended) {
-      Error error = job.refusal;
-      if (job.refused > 1) error.where += " (the first of " + std::to_string(job.refused) + ")";
-      report(error, job.refused);
-      if (!is_open()) return;
-    }
-    if (job.warning) {
-      report(*job.warning, 1);
-      if (!is_open()) return;
-    }
-    if (!job.result) {
-      failed(job.result.error());
-      if (!is_open() || !job.has_ended) return;
-    } else if (job.has_ended) {
+  /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
+  void go_on_after(const StoreResult& stored) {
+    if (!stored.topic_fault.empty()) fault_for_good(stored.topic_fault);
+    if (!stored.result) {
+      health_ = Health::faulted;
+      reason_ = loop()->runtime.hide(stored.result.error().text());
+      if (!stored.has_ended) return retry_.start(next_delay());
+    } else if (stored.has_ended) {
       // stays faulted
     } else if (!fault_.empty()) {
       health_ = Health::faulted;
       reason_ = fault_;
-    } else if (health_ != Health::ok) {
+    } else {
       health_ = Health::ok;
       reason_.clear();
-      loop()->runtime.log(LogLevel::info, object_name(), "ok again");
     }
     retry_delay_ = Duration{0};
-    if (job.closing && (job.result || job.has_ended)) {
+    if (stored.has_closed()) {
       closed_ = true;
-      finish_drain();
     } else if (closing_) {
       start_storing();
     } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
@@ -186,11 +175,32 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  /// Who is told may do anything to this sink, its closing included.
+  void tell_of(const StoreResult& stored, Health before) {
+    if (const auto error = queue_->take_set_up_error()) report(*error, 1);
+    if (!is_open()) return;
+    if (stored.refused != 0 && !stored.has_ended) {
+      Error error = stored.refusal;
+      if (stored.refused > 1) error.where += " (the first of " + std::to_string(stored.refused) + ")";
+      report(error, stored.refused);
+    }
+    if (is_open() && stored.warning) report(*stored.warning, 1);
+    if (is_open() && !stored.result) report(stored.result.error(), 1);
+    if (is_open() && stored.result && before != Health::ok && health_ == Health::ok)
+      loop()->runtime.log(LogLevel::info, object_name(), "ok again");
+  }
+
   void job_done(LaneJob::Outcome outcome) {
     Call call(*this);
     is_storing_ = false;
-    if (outcome == LaneJob::Outcome::finished) stored(*job_);
-    tell_health();  // when nothing here is under way, since this sink may take the event itself
+    if (outcome == LaneJob::Outcome::finished && is_attached_) {  // else too late: counted as lost
+      const StoreResult stored = std::exchange(job_->came_of_it, {});
+      const Health before = health_;
+      go_on_after(stored);
+      tell_of(stored, before);
+      if (is_open() && stored.has_closed()) finish_drain();
+    }
+    tell_health();  // at the end, since this sink may take the event itself
   }
 
   void flush() { hand_over(Hand::rows_and_account); }
@@ -213,6 +223,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Handler<ErrorReport> on_error_;
+  const std::string& name() const noexcept { return config_.name; }
   SinkCounts counts() const noexcept { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
 
@@ -270,7 +281,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Duration next_delay() noexcept {
-    retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : std::min(2 * retry_delay_, config_.retry_longest);
+    retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : doubled(retry_delay_, config_.retry_longest);
     return with_jitter(retry_delay_, config_.name, ++failures_);
   }
 
@@ -284,20 +295,13 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
-  void failed(const Error& error) {
-    health_ = Health::faulted;
-    reason_ = loop()->runtime.hide(error.text());
-    if (!job_->has_ended && is_attached_) retry_.start(next_delay());
-    report(error, 1);
-  }
-
   /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
   bool is_account_worth_it() const noexcept {
     constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
     const StorePace& pace = queue_->pace();
     const std::uint64_t slots = queue_->slot_count();
     return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
-           loop()->now() - account_at_ >= pace.account_time ||
+           span_between(account_at_, loop()->now()) >= pace.account_time ||
            queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
   }
 
@@ -337,7 +341,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.
     std::string unknown = runtime.unknown_end;
-    if (unknown.empty()) unknown = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
+    if (unknown.empty())
+      unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
     closing_ = true;
     account_.end();
@@ -404,6 +409,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       lost = leave();
     }
     account_.end();
+    loop()->runtime.detach(*this);
     if (is_scheduled()) loop()->schedule().remove(*this);
     job_->owner = nullptr;
     if (is_storing_) lane_->leave_behind();
@@ -469,6 +475,11 @@ Node* make_sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name, "a batch has at least one row and 1 ms",
                       "leave the defaults"});
   }
+  if (config.retry_first <= Duration{0} || config.retry_longest <= Duration{0}) {
+    throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
+                      "it would try again and again without any delay",
+                      "give retry_first and retry_longest 1 ms or more"});
+  }
   if (loop.core().runtime.hub != nullptr) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
                       "loop " + loop.config().name + " is a tier's",
@@ -503,10 +514,16 @@ SinkStatus Sink::status() const {
   return s != nullptr ? s->status() : SinkStatus{};
 }
 void Sink::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = detail::sink(node())) s->on_error_.set(std::move(handler));
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot set on_error of", s->name());
+  s->on_error_.set(std::move(handler));
 }
 void Sink::flush() {
-  if (auto* s = detail::sink(node())) s->flush();
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot flush", s->name());
+  s->flush();
 }
 
 }  // namespace rtdata

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -77,6 +78,7 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
 
 void SinkTap::make_place(OriginCore& origin) {
   assert(takes_ == Takes::none || topic_.type.description->size() == payload_bytes_);
+  const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
   const std::uint32_t slot = queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   if (places_.size() <= origin.index) {
     const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
@@ -105,7 +107,7 @@ Segment SinkTap::since_attached(const OriginCore& origin, Segment segment) const
   if (origin.index >= before_.size()) return segment;
   const Segment& before = before_[origin.index].segment;
   if (before.scheduled == 0 || segment.first_due != before.first_due) return segment;
-  segment.first_due += static_cast<std::int64_t>(before.scheduled) * before.period;
+  segment.first_due = later(segment.first_due, multiple(static_cast<std::int64_t>(before.scheduled), before.period));
   segment.scheduled -= before.scheduled;
   return segment;
 }

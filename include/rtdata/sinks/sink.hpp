@@ -59,8 +59,8 @@ struct SinkConfig {
   std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
   WhenFull when_full = WhenFull::drop_newest;
   Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
-  Duration retry_longest = std::chrono::seconds{10};
-  Duration close_deadline = std::chrono::seconds{10};  ///< how long closing waits for what is queued
+  Duration retry_longest = std::chrono::seconds{10};      ///< both above 0; Duration::max(): not before it closes
+  Duration close_deadline = std::chrono::seconds{10};     ///< how long closing waits for what is queued
 
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
@@ -220,7 +220,8 @@ struct TopicToRecord {
   const Description* description;  ///< null: not known yet
 };
 
-/// Stores records. Called on the sink's lane, one call at a time.
+/// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop it
+/// may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp).
 class Writer {
  public:
   virtual ~Writer() = default;
