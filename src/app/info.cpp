@@ -240,7 +240,10 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
       std::string line;
       detail::wrap(line, "  ",
                    short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
-                       (change.reason.empty() ? "" : ": " + change.reason));
+                       (change.reason.empty() ? "" : ": " + change.reason) +
+                       (change.count == 1
+                            ? ""
+                            : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")"));
       out << line;
     }
     if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
@@ -263,7 +266,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"object", error.object},
                                   {"id", error.id},
                                   {"text", error.text},
-                                  {"count", error.count}});
+                                  {"count", error.count},
+                                  {"last", to_nanoseconds(error.last)}});
   }
   json["health"] = Json::array();
   for (const RecordedHealth& change : content.health) {
@@ -271,7 +275,9 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"kind", change.kind},
                                   {"name", change.name},
                                   {"state", change.state},
-                                  {"reason", change.reason}});
+                                  {"reason", change.reason},
+                                  {"count", change.count},
+                                  {"last", to_nanoseconds(change.last)}});
   }
   json["escaped"] = Json::array();
   for (const RecordedEscapes& of : content.escaped)

@@ -20,11 +20,14 @@ constexpr Duration calm_after = std::chrono::seconds{10};
 
 void LoopCore::Flusher::fire(MonotonicTime) {
   core.remove(*this);
-  core.runtime.flush_repeats(RuntimeCore::Repeats::old);
+  core.runtime.flush_repeats(RuntimeCore::Repeated::due);
 }
 
 void LoopCore::flush_repeats_at(MonotonicTime due) {
-  if (flusher_.is_listed()) return;
+  if (flusher_.is_listed()) {
+    if (flusher_.due <= due) return;
+    remove(flusher_);
+  }
   flusher_.due = due;
   insert(flusher_);
 }

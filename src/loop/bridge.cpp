@@ -182,17 +182,17 @@ bool Bridge::send(const Note& note) noexcept {
   return true;
 }
 
-void Bridge::on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) {
+void Bridge::on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, time, object = std::string(object), error, count] {
-    for (Listener* listener : to.runtime.recorders) listener->on_error(time, object, error, count);
+  from_.runtime.tell_hub([&to = to_, first, last, object = std::string(object), error, count] {
+    for (Listener* listener : to.runtime.recorders) listener->on_error(first, last, object, error, count);
   });
 }
 
-void Bridge::on_health(Time time, const HealthChange& change) {
+void Bridge::on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, time, change] {
-    for (Listener* listener : to.runtime.recorders) listener->on_health(time, change);
+  from_.runtime.tell_hub([&to = to_, first, last, change, count] {
+    for (Listener* listener : to.runtime.recorders) listener->on_health(first, last, change, count);
   });
 }
 

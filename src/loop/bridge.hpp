@@ -144,8 +144,8 @@ class Bridge final : public Listener {
   void on_origin(OriginCore& origin) override;
   void on_gap(OriginCore& origin, const Gap& gap) override;
   void on_segment(OriginCore& origin, const Segment& segment) override;
-  void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override;
-  void on_health(Time time, const HealthChange& change) override;
+  void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override;
+  void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   /// What was sent can be taken by the other side, which is woken for it.
   void wake() noexcept;
   // Neither side runs user code in any of these: what there is to report is kept.

@@ -94,7 +94,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     }
     loop_.core().deliver_all();  // what stopping would cancel
     for_each_sensor([](detail::SensorEntry& sensor) { sensor.stop(); });
-    runtime_.flush_repeats(detail::RuntimeCore::Repeats::all);
+    runtime_.flush_repeats(detail::RuntimeCore::Repeated::all);
     runtime_.look_at_clock("end");
     pending_ = runtime_.recorders.size() + 1;
     for (detail::Recorder* recorder : copy(runtime_.recorders)) {

@@ -1,6 +1,7 @@
 #include "loop/origin_core.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "loop/bridge.hpp"
 #include "loop/runtime_core.hpp"
@@ -94,7 +95,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
   Gaps& now = *gaps_;
   // A read that was under way when the gaps around it were told of as one.
-  if (from <= now.joined_up_to) return tell({kind, reason, from, to, count});
+  if (from <= now.joined_up_to && count != 0) return tell({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
                        from == now.gap.last + period_;
   if (gap_is_open_ && !goes_on && !now.is_joining) close_gap();
@@ -115,16 +116,40 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   now.is_interrupted = false;
 }
 
+void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) {
+  if (gaps_ != nullptr && gaps_->is_absence) return;
+  if (gap_is_open_) gaps_->is_interrupted = true;  // several that are joined
+  extend_gap(kind, reason, from, from, 0);
+  gaps_->is_absence = gap_is_open_;
+}
+
+void OriginCore::end_absence(MonotonicTime to) noexcept {
+  if (gaps_ == nullptr || !std::exchange(gaps_->is_absence, false)) return;
+  gaps_->gap.last = std::max(gaps_->gap.last, topic.runtime().event_time(to));
+  interrupt_gap();
+}
+
 void OriginCore::interrupt_gap() noexcept {
   if (!gaps_->is_joining) return close_gap();
   gaps_->is_interrupted = true;
-  if (gaps_->allowance.has_some(topic.runtime().event_time(last_due()).time_since_epoch())) close_gap();
+  const Time now = has_segment() ? topic.runtime().event_time(last_due()) : gaps_->gap.last;
+  if (gaps_->allowance.has_some(now.time_since_epoch())) close_gap();
 }
 
 void OriginCore::close_gap() noexcept {
   if (!gap_is_open_) return;
-  const Gap closed = gaps_->gap;
-  gap_is_open_ = false;
+  if (gaps_->is_absence) {
+    RuntimeCore& runtime = topic.runtime();
+    gaps_->gap.last = std::max(gaps_->gap.last, runtime.event_time(runtime.clock().monotonic()));
+  }
+  Gap closed = gaps_->gap;
+  if (closed.kind == Gap::Kind::joined && closed.count == 0) closed.count = gaps_->parts;  // without a schedule
+  gap_is_open_ = gaps_->is_absence;
+  if (gap_is_open_) {
+    gaps_->gap = {gaps_->last_kind, gaps_->last_reason, closed.last, closed.last, 0};
+    gaps_->parts = 1;
+    gaps_->is_joining = false;
+  }
   gaps_->allowance.spend(closed.last.time_since_epoch());
   if (closed.kind == Gap::Kind::joined) gaps_->joined_up_to = closed.last;
   tell(closed);

@@ -62,7 +62,11 @@ class OriginCore {
   /// `count` ticks, the first of them due at `first`, were skipped.
   void miss(std::uint64_t count, std::string_view reason, MonotonicTime first);
 
-  /// Tells of the gap under way, if there is one.
+  // Without a schedule: a stretch in which nothing could come, or nothing came. Nothing when one is under way, or none.
+  void begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from);
+  void end_absence(MonotonicTime to) noexcept;
+
+  /// Tells of the gap under way, if there is one. An absence goes on in another.
   void close_gap() noexcept;
   /// The same; and what is told of later joins nothing from before.
   void divide_gaps() noexcept;
@@ -125,6 +129,7 @@ class OriginCore {
     std::uint64_t parts = 0;
     bool is_joining = false;      // a reading does not end it
     bool is_interrupted = false;  // by a reading, since the last part
+    bool is_absence = false;      // it has not ended
     Allowance allowance;
     Time joined_up_to = Time::min();  // the last one that was told of
   };

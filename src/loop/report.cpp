@@ -37,6 +37,16 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
     return tell_hub([hub = hub, level, object = std::string(object), text = std::string(text),
                      id = std::string(error_id)] { hub->log(level, object, text, id); });
   }
+  const std::string key = std::string(object) + '\n' + std::string(text);
+  LogLine line{level, std::string(object), std::string(text), std::string(error_id)};
+  if (auto joined = lines_.take(key, std::move(line), clock_->monotonic())) return log_line(*joined);
+  flush_repeats_later(nullptr, lines_.held_until());
+} catch (...) {  // out of memory: nothing is left to tell it to
+}
+
+void RuntimeCore::log_line(const Joined<LogLine>& joined) noexcept try {
+  const auto& [level, object, said, error_id] = joined.what;
+  const std::string text = joined.count == 1 ? said : said + " (" + std::to_string(joined.count) + " times)";
   const char* note = "";
   if (on_log) {
     try {
@@ -47,8 +57,8 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
   } else if (level < LogLevel::warning) {
     return;
   }
-  std::fprintf(stderr, "rtdata: %s: %.*s: %.*s%s\n", level == LogLevel::error ? "error" : "warning",
-               static_cast<int>(object.size()), object.data(), static_cast<int>(text.size()), text.data(), note);
+  std::fprintf(stderr, "rtdata: %s: %s: %s%s\n", level == LogLevel::error ? "error" : "warning", object.c_str(),
+               text.c_str(), note);
 } catch (...) {  // out of memory: nothing is left to tell it to
 }
 
@@ -76,28 +86,14 @@ void RuntimeCore::forget(LoopCore& loop) noexcept {
 }
 
 void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& error) {
-  constexpr std::size_t most_remembered = 256;
-  const MonotonicTime now = clock_->monotonic();
-  for (Repeat& repeat : repeats_) {
-    if (repeat.object != object || repeat.error.code != error.code) continue;
-    if (now - repeat.last_written < std::chrono::seconds{1}) {
-      repeat.error = error;  // the latest is written
-      if (repeat.held_back++ == 0 && loop != nullptr)
-        loop->flush_repeats_at(later(repeat.last_written, std::chrono::seconds{1}));
-      return;
-    }
-    const std::uint64_t count = repeat.held_back + 1;
-    repeat.held_back = 0;
-    repeat.last_written = now;
-    write(loop, object, error, count);
-    return;
-  }
-  if (repeats_.size() >= most_remembered) {
-    flush_repeats(Repeats::all);
-    repeats_.clear();
-  }
-  repeats_.push_back({std::string(object), error, now, 0});
-  write(loop, object, error, 1);
+  const std::string key = std::string(object) + '\n' + std::string(error.id());
+  if (auto joined = errors_.take(key, {std::string(object), error}, clock_->monotonic())) return write(loop, *joined);
+  flush_repeats_later(loop, errors_.held_until());
+}
+
+void RuntimeCore::flush_repeats_later(LoopCore* loop, MonotonicTime due) {
+  if (loop == nullptr) loop = own_loop;
+  if (loop != nullptr) loop->flush_repeats_at(due);
 }
 
 namespace {
@@ -115,43 +111,59 @@ text<N> fitting(std::string_view content) {
 void RuntimeCore::health_changed(std::string_view kind, std::string_view name, Health health,
                                  std::string_view reason) noexcept try {
   const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(hide(std::string(reason)))};
-  const Time time = event_time(clock_->monotonic());
-  for (Listener* listener : listeners) listener->on_health(time, change);
+  const std::string key = std::string(kind) + '\n' + std::string(name);
+  if (auto joined = changes_.take(key, change, clock_->monotonic())) {
+    write(*joined);
+  } else {
+    flush_repeats_later(nullptr, changes_.held_until());
+  }
   publish_from_program(topic(health_topic, payload_type<HealthChange>()), &change);
 } catch (...) {  // out of memory, or the program has taken the name for another topic: health() of the object tells it
 }
 
-void RuntimeCore::flush_repeats(Repeats which) {
+void RuntimeCore::flush_repeats(Repeated which) {
   const MonotonicTime now = clock_->monotonic();
-  for (std::size_t i = 0; i < repeats_.size(); ++i) {
-    if (repeats_[i].held_back == 0 ||
-        (which == Repeats::old && now - repeats_[i].last_written < std::chrono::seconds{1})) {
-      continue;
-    }
-    const Repeat repeat = repeats_[i];
-    repeats_[i].held_back = 0;
-    repeats_[i].last_written = now;
-    write(nullptr, repeat.object, repeat.error, repeat.held_back);
+  const bool is_all = which == Repeated::all;
+  const auto errors = is_all ? errors_.take_all() : errors_.take_due(now);
+  const auto lines = is_all ? lines_.take_all() : lines_.take_due(now);
+  for (const auto& change : is_all ? changes_.take_all() : changes_.take_due(now)) write(change);
+  // Before user code runs, which may close the loop. Not at once, since there may be thousands.
+  for (const auto next : {errors_.next_due(), lines_.next_due(), changes_.next_due()}) {
+    if (next) flush_repeats_later(nullptr, std::max(*next, now + std::chrono::milliseconds{250}));
   }
+  for (const auto& error : errors) write(nullptr, error);
+  for (const auto& line : lines) log_line(line);
 }
 
-void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& met, std::uint64_t count) noexcept try {
-  const auto shown = [&] { return Error{met.code, hide(met.what), hide(met.where), hide(met.why), hide(met.advice)}; };
+void RuntimeCore::write(const Joined<HealthChange>& joined) noexcept {
+  for (Listener* listener : listeners)
+    listener->on_health(event_time(joined.first), event_time(joined.last), joined.what, joined.count);
+}
+
+void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept try {
+  const auto& [object, met] = joined.what;
+  const auto shown = [&, &met = met] {
+    return Error{met.code, hide(met.what), hide(met.where), hide(met.why), hide(met.advice)};
+  };
   const Error error = secrets.empty() ? met : shown();
-  const Time time = event_time(clock_->monotonic());
-  for (Listener* listener : listeners) listener->on_error(time, object, error, count);
+  for (Listener* listener : listeners)
+    listener->on_error(event_time(joined.first), event_time(joined.last), object, error, joined.count);
   if (loop == nullptr) loop = own_loop;
   if (loop != nullptr && loop->on_error) {
     try {  // an error met in it goes to the log, rather than round in a circle
-      loop->on_error({object, error, count});
+      loop->on_error({object, error, joined.count});
     } catch (...) {
       log(LogLevel::error, object, error.text() + " (and the handler of errors threw)", error.id());
     }
     return;
   }
-  std::string text = error.text();
-  if (count > 1) text += " (" + std::to_string(count) + " times)";
-  log(LogLevel::error, object, text, error.id());
+  if (hub != nullptr && !on_log) {
+    return tell_hub([hub = hub, object = object, error, count = joined.count] {
+      hub->log_line(
+          {{LogLevel::error, hub->hide(object), hub->hide(error.text()), std::string(error.id())}, {}, {}, count});
+    });
+  }
+  log_line({{LogLevel::error, hide(object), error.text(), std::string(error.id())}, {}, {}, joined.count});
 } catch (...) {  // out of memory: nothing is left to tell it to
 }
 

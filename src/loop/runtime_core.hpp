@@ -15,6 +15,7 @@
 #include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
 #include "loop/priority_mutex.hpp"
+#include "loop/repeats.hpp"
 #include "loop/topic_core.hpp"
 #include "rtdata/loop/health.hpp"
 #include "rtdata/loop/load.hpp"
@@ -37,8 +38,10 @@ class Listener {
   virtual void on_origin(OriginCore&) {}
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
   virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
-  virtual void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) = 0;
-  virtual void on_health(Time, const HealthChange&) {}
+  /// `count` of them, alike, from `first` to `last`.
+  virtual void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) = 0;
+  /// `count` changes of one object from `first` to `last`, of which the last one is given.
+  virtual void on_health(Time, Time, const HealthChange&, std::uint64_t) {}
 
  protected:
   ~Listener() = default;
@@ -224,12 +227,12 @@ class RuntimeCore {
   }
   OriginCore& find_or_make_origin(std::string_view name, TopicCore& topic);
 
-  /// Throws nothing, also when the program's handler does.
+  /// Throws nothing, also when the program's handler does. Equal lines of one object are joined when there are many.
   void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
   /// On a tier: `what` is called on the main loop. Too much at once is dropped, and told of.
   void tell_hub(Callback<void()> what);
   /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
-  /// the same object within a second are joined.
+  /// the same object within a second are joined, or within a minute when it had 16 of them.
   void report(LoopCore* loop, std::string_view object, const Error& error);
   /// A report may run user code, which may close or destroy anything: while something is iterated over, it is kept, and
   /// made afterwards.
@@ -240,9 +243,9 @@ class RuntimeCore {
     if (!kept_.empty()) [[unlikely]]
       report_all_kept();
   }
-  enum class Repeats { old, all };
-  /// Writes out the repeats that were held back for a second, or all.
-  void flush_repeats(Repeats which);
+  enum class Repeated { due, all };
+  /// Tells of the errors, lines of the log and changes of health that were held back, as far as it is time, or of all.
+  void flush_repeats(Repeated which);
   Handler<LogRecord> on_log;
 
   std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports
@@ -275,13 +278,18 @@ class RuntimeCore {
     std::unique_ptr<Left> left;  // by its last holder
   };
   void release(std::string_view name, Name& claim) noexcept;
-  struct Repeat {
+  struct ObjectError {
     std::string object;
     Error error;
-    MonotonicTime last_written{};
-    std::uint64_t held_back = 0;
   };
-  void write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept;
+  struct LogLine {
+    LogLevel level{};
+    std::string object, text, error_id;
+  };
+  void write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept;
+  void write(const Joined<HealthChange>& joined) noexcept;
+  void log_line(const Joined<LogLine>& joined) noexcept;
+  void flush_repeats_later(LoopCore* loop, MonotonicTime due);
   /// A source of the time of day.
   struct ClockSource {
     ClockPair recorded, latest;
@@ -303,7 +311,9 @@ class RuntimeCore {
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
   std::unordered_map<std::string, std::string> name_by_lower_case_;
   std::unordered_set<OriginCore, ByName, ByName> origins_;
-  std::vector<Repeat> repeats_;
+  Repeats<ObjectError> errors_{std::chrono::seconds{1}};
+  Repeats<LogLine> lines_{Duration{0}};
+  Repeats<HealthChange> changes_{Duration{0}};
   // The hub's, counted by all loops: lines of the log that tiers have sent and it has not taken.
   std::atomic<std::uint32_t> reports_under_way_{0};  // from tiers, see tell_hub
   std::atomic<std::uint64_t> reports_dropped_{0};

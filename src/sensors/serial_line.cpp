@@ -20,6 +20,8 @@ namespace {
 
 // Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
 constexpr std::size_t most_read = 1024;
+// So many bytes without the end of a line are none of a device that sends lines at this speed.
+constexpr std::size_t least_unended = 4096;
 
 }  // namespace
 
@@ -29,7 +31,8 @@ class SerialLineNode final : public SourceNode {
       : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description()), OriginCore::Supply::feed),
         config_(std::move(config)),
         decoder_(std::move(decoder)),
-        retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }) {
+        retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }),
+        silence_(loop.face, [this] { look_for_silence(); }) {
     line_.reserve(config_.max_line + most_read);
     origin_.counts.lost_is_known = decoder_->has_sequence();
   }
@@ -49,11 +52,15 @@ class SerialLineNode final : public SourceNode {
     is_running_ = false;
     retry_.stop();
     drop_device();
+    origin_.end_absence(loop()->now());
+    origin_.close_gap();
     origin_.topic.cancel(origin_);
   }
-  void stop_schedule(MonotonicTime) override {
+  void stop_schedule(MonotonicTime end) override {
     retry_.stop();
     drop_device();
+    origin_.end_absence(end);
+    origin_.close_gap();
   }
   bool is_reading() const noexcept override { return false; }
   std::optional<SensorLoad> load() const override {
@@ -80,6 +87,12 @@ class SerialLineNode final : public SourceNode {
     ++openings_;
     line_.clear();
     is_overlong_ = false;
+    unended_ = 0;
+    is_unended_told_ = false;
+    heard_at_ = loop()->now();
+    is_silent_ = false;
+    origin_.end_absence(heard_at_);
+    if (config_.silence > Duration{0}) silence_.start(config_.silence);
     is_first_ = config_.first_line == FirstLine::discard;
     is_beginning_ = true;
     lines_to_skip_ = config_.skip_lines;
@@ -87,6 +100,7 @@ class SerialLineNode final : public SourceNode {
                      [this](const FdEvent& event) { on_ready(event); });
   }
   void drop_device() noexcept {
+    silence_.stop();
     watch_.close();  // before the descriptor
     if (fd_ >= 0) close_tty(fd_);
     fd_ = -1;
@@ -94,6 +108,8 @@ class SerialLineNode final : public SourceNode {
   /// Faulted, and tried again later.
   void lose_device(const Error& error) {
     drop_device();
+    if (std::exchange(is_silent_, false)) origin_.end_absence(loop()->now());
+    origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
     retry_delay_ = retry_delay_ == Duration{0}
                        ? config_.retry_first
                        : doubled(retry_delay_, std::max(config_.retry_longest, config_.retry_first));
@@ -111,7 +127,12 @@ class SerialLineNode final : public SourceNode {
     const int error_number = got < 0 ? errno : 0;
     line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
     if (got > 0) {
-      time_ = loop()->runtime.event_time(loop()->now());
+      heard_at_ = loop()->now();
+      time_ = loop()->runtime.event_time(heard_at_);
+      if (std::exchange(is_silent_, false)) {
+        origin_.end_absence(heard_at_);
+        silence_.start(config_.silence);
+      }
       take_lines(before);
     } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
       constexpr const char* what = "lost the serial line";
@@ -125,6 +146,13 @@ class SerialLineNode final : public SourceNode {
   /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
   void take_lines(std::size_t from) {
     std::size_t begin = 0;
+    const std::size_t last_end = line_.rfind('\n');  // those before `from` were taken
+    if (last_end == std::string::npos) {
+      unended_ += line_.size() - from;
+    } else {
+      unended_ = line_.size() - last_end - 1;
+      is_unended_told_ = false;
+    }
     // A callback may stop the sensor, and start it again.
     const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
     while (is_same()) {
@@ -142,9 +170,31 @@ class SerialLineNode final : public SourceNode {
     }
     if (!is_same()) return;
     line_.erase(0, begin);
-    if (line_.size() <= config_.max_line) return;
-    line_.clear();
-    if (!is_first_ && !std::exchange(is_overlong_, true)) fail_overlong();
+    if (line_.size() > config_.max_line) {
+      line_.clear();
+      if (!is_first_ && !std::exchange(is_overlong_, true)) {
+        is_unended_told_ = lines_to_skip_ == 0;
+        fail_overlong();
+        if (!is_same()) return;
+      }
+    }
+    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_told_, true)) {
+      fail({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
+            "check `baud_rate`, and that the device ends its lines"});
+    }
+  }
+
+  void look_for_silence() {
+    const MonotonicTime due = heard_at_ + config_.silence;
+    if (loop()->now() < due) return silence_.start(due - loop()->now());
+    is_silent_ = true;
+    const Error error{Errc::timed_out, "nothing comes", config_.device,
+                      "it has been silent for " + to_string(config_.silence),
+                      "look at the device; `silence` sets how long it may be silent"};
+    origin_.begin_absence(Gap::Kind::silent, "silent", heard_at_);
+    Call call(*this);
+    report(error);
+    if (is_open() && is_running_) set_health(Health::degraded, &error);
   }
 
   void take_line(std::string_view line) {
@@ -192,18 +242,24 @@ class SerialLineNode final : public SourceNode {
   void on_close() noexcept override {
     stop();
     retry_.close();
+    silence_.close();
     leave();
   }
 
   const SerialConfig config_;
   std::unique_ptr<LineDecoder> decoder_;
   Timer retry_;
+  Timer silence_;
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
   Duration retry_delay_{0};
   unsigned openings_ = 0;
+  std::size_t unended_ = 0;       // bytes since the last end of a line
+  bool is_unended_told_ = false;  // that there are too many
+  MonotonicTime heard_at_{};      // when something came last, or it was opened
+  bool is_silent_ = false;        // for too long
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet

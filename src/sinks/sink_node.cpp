@@ -109,11 +109,13 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void on_clock(const ClockPair& pair) override { account_.notes.add(pair); }
 
-  void on_error(Time time, std::string_view object, const Error& error, std::uint64_t count) override {
-    account_.notes.add(time, object, error, count);
+  void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override {
+    account_.notes.add(first, last, object, error, count);
   }
 
-  void on_health(Time time, const HealthChange& change) override { account_.notes.add(time, change); }
+  void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override {
+    account_.notes.add(first, last, change, count);
+  }
 
   SinkStatus status() const override {
     if (last_) return *last_;
@@ -136,7 +138,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     Call call(*this);
     RuntimeCore& runtime = loop()->runtime;
     runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
-    runtime.flush_repeats(RuntimeCore::Repeats::old);
+    runtime.flush_repeats(RuntimeCore::Repeated::due);
     if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   }
   std::string blame_name() const override { return object_name(); }
@@ -336,7 +338,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   void begin_closing(MonotonicTime deadline) {
     RuntimeCore& runtime = loop()->runtime;
     if (!is_attached_ || closing_) return;
-    runtime.flush_repeats(RuntimeCore::Repeats::all);
+    runtime.flush_repeats(RuntimeCore::Repeated::all);
     if (!is_attached_ || closing_) return;  // a user's handler has closed this sink
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.

@@ -44,11 +44,12 @@ class SinkNotes {
     }
   }
 
-  void add(Time time, std::string_view object, const Error& error, std::uint64_t count) {
+  void add(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {
     for (auto& entry : errors_) {
       if (errors_.size() < most_errors / 2) break;
       if (entry.object == object && entry.id == error.id()) {
         entry.count += count;
+        entry.last = std::max(entry.last, last);
         return;
       }
     }
@@ -56,7 +57,7 @@ class SinkNotes {
       lost_errors_ += count;
       return;
     }
-    errors_.push_back({time, std::string(object), std::string(error.id()), error.text(), count});
+    errors_.push_back({first, std::string(object), std::string(error.id()), error.text(), count, last});
   }
 
   void add(const ClockPair& pair) {
@@ -66,11 +67,11 @@ class SinkNotes {
     }
     clock_.push_back(pair);
   }
-  void add(Time time, const HealthChange& change) {
+  void add(Time first, Time last, const HealthChange& change, std::uint64_t count) {
     if (health_.size() == most_health_changes) {
-      ++lost_health_changes_;
+      lost_health_changes_ += count;
     } else {
-      health_.push_back({time, change});
+      health_.push_back({first, change, count, last});
     }
   }
   bool is_empty() const noexcept {
@@ -96,7 +97,8 @@ class SinkNotes {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
                       "look at the storage"};
-    account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0)});
+    account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0),
+                              account.at});
   }
   /// Where in `gaps_` the last one is; anywhere when there is none.
   std::uint32_t& last_gap(std::uint32_t slot) {

@@ -25,7 +25,7 @@ struct Pairs final : detail::Recorder {
   void on_gap(detail::OriginCore&, const Gap&) override {}
   void on_segment(detail::OriginCore&, const Segment&) override {}
   void on_clock(const ClockPair& pair) override { pairs.push_back(pair); }
-  void on_error(Time, std::string_view, const Error&, std::uint64_t) override {}
+  void on_error(Time, Time, std::string_view, const Error&, std::uint64_t) override {}
   SinkStatus status() const override { return {}; }
   void drain(MonotonicTime, Callback<void(std::uint64_t)> done) override { done(0); }
 };

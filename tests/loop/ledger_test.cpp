@@ -35,7 +35,7 @@ struct Account final : detail::Recorder {
   }
   void on_segment(detail::OriginCore&, const Segment& segment) override { segments.push_back(segment); }
   void on_clock(const ClockPair&) override {}
-  void on_error(Time, std::string_view, const Error&, std::uint64_t) override {}
+  void on_error(Time, Time, std::string_view, const Error&, std::uint64_t) override {}
   SinkStatus status() const override { return {}; }
   void drain(MonotonicTime, Callback<void(std::uint64_t)> done) override { done(0); }
   detail::RuntimeCore& core;

@@ -694,7 +694,8 @@ TEST_SUITE("loop") {
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
     tier.start();
     tier.call([](Loop& on) {
-      for (int i = 0; i < 5000; ++i) on.core().runtime.health_changed("sensor", "s", Health::faulted, "gone");
+      for (int i = 0; i < 5000; ++i)  // those of one are joined
+        on.core().runtime.health_changed("sensor", "s" + std::to_string(i), Health::faulted, "gone");
     });
     CHECK(run_until(loop, [&] { return !lines.empty(); }));
     CHECK(lines[0] == "4000 lines, errors and changes of health of tiers were dropped: too many at once");
@@ -746,7 +747,7 @@ TEST_SUITE("loop") {
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
     tier.start();  // the main loop does not run yet
     tier.call([](Loop& on) {
-      for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", "line");
+      for (int i = 0; i < 5000; ++i) on.core().runtime.log(LogLevel::info, "talk", std::to_string(i));
     });
     CHECK(run_until(loop, [&] { return lines.size() >= 1001; }));
     CHECK(lines.size() == 1001);

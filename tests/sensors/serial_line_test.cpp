@@ -13,6 +13,9 @@
 #include "rtdata/config/read.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/verify.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/line_decoder.hpp"
 #include "sensors/pty.hpp"
@@ -393,6 +396,50 @@ TEST_CASE("US-5 a numbered line that cannot be used is unreadable, and not lost 
   CHECK(counts.lost == 3 + 1);
   CHECK(counts.received == 9);
   CHECK(counts.balances());
+}
+
+TEST_CASE("US-5 a device that ends no line, as at the wrong speed, is degraded, and recovers") {
+  for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
+    Bench bench({.first_line = first, .max_line = 64});
+    bench.run(std::string(4096 + 2000, '\x7f'), [&] { return bench.sensor.health() == Health::degraded; });
+    CHECK(bench.errors.size() == 1);
+    CHECK(bench.sensor.counts().unreadable == 1);
+    CHECK(bench.sensor.counts().balances());
+    bench.run("\n7\n", [&] { return bench.events == Texts{"7"}; });
+    CHECK(bench.sensor.health() == Health::ok);
+    CHECK(bench.errors.size() == 1);
+  }
+}
+
+TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the recording") {
+  ScratchDirectory folder;
+  Bench bench({.first_line = FirstLine::keep, .silence = 20ms});
+  const std::string path = folder.file("run.db");
+  {
+    SqliteSink sink(bench.loop, {.path = path});
+    bench.run("1\n", 1);
+    bench.run("", [&] { return bench.errors == Texts{"timed-out"}; });
+    CHECK(bench.sensor.health() == Health::degraded);
+    bench.run("2\n", 2);
+    CHECK(bench.sensor.health() == Health::ok);
+    bench.pty.unplug();
+    bench.run("", [&] { return bench.sensor.health() == Health::faulted; });
+    bench.pty.plug_in();
+    bench.run("3\n", 3);
+    bench.sensor.close();
+    sink.close();
+  }
+  const auto recording = Recording::open(path).or_throw();
+  const auto gaps = recording.gaps(1).or_throw();
+  REQUIRE(gaps.size() >= 2);
+  CHECK(gaps[0].kind == "silent");
+  CHECK(gaps[0].last - gaps[0].first >= 20ms);
+  CHECK(std::any_of(gaps.begin(), gaps.end(), [](const RecordedGap& gap) {
+    return gap.kind == "disconnected" && gap.reason == "disconnected" && gap.last > gap.first;
+  }));
+  for (const RecordedGap& gap : gaps) CHECK(gap.count == 0);
+  CHECK(verify(recording).or_throw().problems.empty());
+  CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
 }
 
 TEST_CASE("NFR-1 an unplugged line is faulted, and goes on when it is plugged in again") {

@@ -176,10 +176,11 @@ TEST_CASE("US-26 a device that fails at every second tick for an hour leaves som
   const Folder folder;
   const std::string path = folder / "run.db";
   SensorCounts counts;
+  int lines = 0;
   {
     Loop loop{Loop::Manual{}};
     loop.on_error([](const ErrorReport&) {});
-    loop.runtime().on_log([](const LogRecord&) {});
+    loop.runtime().on_log([&](const LogRecord&) { ++lines; });
     SqliteSink sink(loop, {.path = path});
     Sensor<Climate> bad(loop, {.name = "bad", .rate = 10_Hz}, [n = 0]() mutable -> Result<Climate> {
       if (++n % 2 == 0) return no_answer;
@@ -204,6 +205,13 @@ TEST_CASE("US-26 a device that fails at every second tick for an hour leaves som
                "(SELECT count(*) FROM bad WHERE time BETWEEN g.first AND g.last)") == 0);
   CHECK(number(path,
                "SELECT count(*) FROM rtdata_gap a JOIN rtdata_gap b ON a.rowid < b.rowid AND a.last >= b.first") == 0);
+  // Errors and changes of health are joined too, and none is forgotten.
+  CHECK(number(path, "SELECT sum(count) FROM rtdata_error WHERE object = 'sensor bad'") == 18'000);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_error WHERE object = 'sensor bad'") <= 16 + 61);
+  CHECK(number(path, "SELECT sum(count) FROM rtdata_health WHERE name = 'bad'") == 36'000);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_health WHERE name = 'bad'") <= 16 + 61);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_health WHERE last < time") == 0);
+  CHECK(lines <= 16 + 61);
   sql(path, "DELETE FROM rtdata_gap WHERE rowid = (SELECT max(rowid) FROM rtdata_gap)");
   CHECK(verified(path).verdict() == Verdict::not_balanced);
 }

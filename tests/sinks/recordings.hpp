@@ -73,7 +73,9 @@ inline void make_older(const std::string& path, int format) {
       "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; DROP TABLE rtdata_checksum; UPDATE rtdata_run SET format = " +
           std::to_string(format));
   if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
-  if (format < 3) sql(path, "DROP TABLE rtdata_health");
+  sql(path, "ALTER TABLE rtdata_error DROP COLUMN last");
+  sql(path, format < 3 ? "DROP TABLE rtdata_health"
+                       : "ALTER TABLE rtdata_health DROP COLUMN count; ALTER TABLE rtdata_health DROP COLUMN last");
   sql(path, "PRAGMA user_version = " + std::to_string(format));
 }
 

@@ -155,7 +155,7 @@ TEST_SUITE("sinks") {
     for (std::size_t i = 0; i < detail::SinkNotes::most_clock_pairs + more; ++i)
       notes.add(ClockPair{MonotonicTime{std::chrono::seconds{i}}, at(i)});
     for (std::size_t i = 0; i < detail::SinkNotes::most_errors + more; ++i)
-      notes.add(at(i), "object " + std::to_string(i), Error{Errc::io_failed, "it fails", "", "", ""}, 3);
+      notes.add(at(i), at(i), "object " + std::to_string(i), Error{Errc::io_failed, "it fails", "", "", ""}, 3);
     Account account;
     account.at = at(7);
     notes.move_into(account);

@@ -25,7 +25,10 @@
 ///   field's type.
 /// - A device that goes away makes the sensor faulted; it is opened again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it wherever it is plugged in again. Absent at the start:
-///   the same, unless it is `required`.
+///   the same, unless it is `required`. The time without it is a gap (disconnected).
+/// - A line that is silent for longer than `silence` is degraded until a good line comes, and has a gap (silent).
+/// - Without the end of a line for max(4 KiB, `max_line`), as at the wrong speed, it is degraded, which counts as one
+///   unreadable; also while it waits for the end of what may be half a line.
 /// - The line is taken for this program alone.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
@@ -88,6 +91,7 @@ struct SerialConfig {
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
+  Duration silence{0};                                    ///< silent for longer, it has a gap; 0: it may be silent
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< a device that cannot be opened at the start throws
@@ -109,6 +113,8 @@ struct SerialConfig {
                   range(16, 65536)),
         parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines",
                   TextIs::field),
+        parameter("silence", &SerialConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+                  range(Duration{0}, Duration{24h})),
         parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &SerialConfig::retry_longest, "the wait doubles up to this",

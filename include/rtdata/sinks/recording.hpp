@@ -129,6 +129,7 @@ struct RecordedError {
   Time time{};
   std::string object, id, text;
   std::uint64_t count = 0;
+  Time last{};  ///< of those that are joined; `time` is that of the first
 };
 
 struct RecordedEscapes {
@@ -140,6 +141,8 @@ struct RecordedEscapes {
 struct RecordedHealth {
   Time time{};
   std::string kind, name, state, reason;
+  std::uint64_t count = 1;  ///< changes of this object that are joined; the state is that after the last
+  Time last{};              ///< when that was; `time` is when the first was
 };
 
 /// Which rows. Everything is taken that is not left out.

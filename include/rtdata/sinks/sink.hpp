@@ -130,10 +130,13 @@ struct Account {
     std::string id;
     std::string text;
     std::uint64_t count;
+    Time last;  ///< of those that are joined; `time` is that of the first
   };
   struct HealthEntry {
     Time time;
-    HealthChange change;
+    HealthChange change;      ///< the last one
+    std::uint64_t count = 1;  ///< changes of this object, joined when there are too many
+    Time last{};              ///< of those; `time` is that of the first
   };
   Time at{};
   bool is_last = false;                ///< the sink closes: nothing follows

@@ -284,11 +284,13 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
   if (*version < 3) return std::vector<RecordedHealth>{};
+  const std::string joined = *version < 5 ? "1, time" : "count, max(last, time)";
   return all<RecordedHealth>(
-      *file_, "SELECT time, kind, name, state, reason FROM rtdata_health WHERE run = ? ORDER BY time, rowid", run,
-      [](const Statement& row) {
-        return RecordedHealth{time_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3),
-                              string_of(row, 4)};
+      *file_,
+      "SELECT time, kind, name, state, reason, " + joined + " FROM rtdata_health WHERE run = ? ORDER BY time, rowid",
+      run, [](const Statement& row) {
+        return RecordedHealth{time_of(row, 0),   string_of(row, 1), string_of(row, 2), string_of(row, 3),
+                              string_of(row, 4), count_of(row, 5),  time_of(row, 6)};
       });
 }
 
@@ -304,12 +306,15 @@ Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const 
 }
 
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
-  return all<RecordedError>(*file_,
-                            "SELECT time, object, id, text, count FROM rtdata_error WHERE run = ? ORDER BY time, rowid",
-                            run, [](const Statement& row) {
-                              return RecordedError{time_of(row, 0), string_of(row, 1), string_of(row, 2),
-                                                   string_of(row, 3), count_of(row, 4)};
-                            });
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  const std::string last = *version < 5 ? "time" : "max(last, time)";
+  return all<RecordedError>(
+      *file_, "SELECT time, object, id, text, count, " + last + " FROM rtdata_error WHERE run = ? ORDER BY time, rowid",
+      run, [](const Statement& row) {
+        return RecordedError{time_of(row, 0),   string_of(row, 1), string_of(row, 2),
+                             string_of(row, 3), count_of(row, 4),  time_of(row, 5)};
+      });
 }
 
 }  // namespace rtdata

@@ -91,13 +91,16 @@ CREATE TABLE IF NOT EXISTS rtdata_utc(  -- computed from rtdata_clock: UTC = mon
   PRIMARY KEY(boot_id, since)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_error(
   run INTEGER NOT NULL, time INTEGER NOT NULL, object TEXT NOT NULL, id TEXT NOT NULL, text TEXT NOT NULL,
-  count INTEGER NOT NULL);
-CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change
+  count INTEGER NOT NULL,
+  last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
+CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change, or several of one object joined
   run INTEGER NOT NULL, time INTEGER NOT NULL,
   kind TEXT NOT NULL,               -- sensor, sink, lane, loop, tier
   name TEXT NOT NULL,
-  state TEXT NOT NULL,              -- ok, degraded, faulted
-  reason TEXT NOT NULL);            -- empty when ok
+  state TEXT NOT NULL,              -- ok, degraded, faulted; of several the last
+  reason TEXT NOT NULL,             -- empty when ok
+  count INTEGER NOT NULL DEFAULT 1, -- changes
+  last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
 CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- since version 5: what hashing the rows of a table must give again
   run INTEGER NOT NULL,             -- 0: of all runs
   table_name TEXT NOT NULL,         -- a topic's table, or one of the account
@@ -130,6 +133,7 @@ ALTER TABLE rtdata_ledger ADD COLUMN carried INTEGER NOT NULL DEFAULT 0;
 
 /// What `schema` does not do to those of a file of a version before 5.
 inline constexpr const char* from_version_4 = R"sql(
+ALTER TABLE rtdata_error ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE rtdata_ledger ADD COLUMN unreadable INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE rtdata_gap RENAME TO rtdata_gap_of_version_4;
 CREATE TABLE rtdata_gap(
@@ -139,6 +143,12 @@ CREATE TABLE rtdata_gap(
   count INTEGER);
 INSERT INTO rtdata_gap SELECT run, topic, origin, kind, reason, first, last, count FROM rtdata_gap_of_version_4;
 DROP TABLE rtdata_gap_of_version_4;
+)sql";
+
+/// What `schema` does not do to those of a file of version 3 or 4; before, there was no such table.
+inline constexpr const char* health_from_version_4 = R"sql(
+ALTER TABLE rtdata_health ADD COLUMN count INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE rtdata_health ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
 )sql";
 
 }  // namespace rtdata::sqlite

@@ -172,6 +172,7 @@ Result<void> SqliteWriter::make_schema() {
   if (*version == 1) sql += std::string(";") + from_version_1;
   if (*version >= 1 && *version < first_version_of_own_account) sql += std::string(";") + from_version_3;
   if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4;
+  if (*version >= 3 && *version < 5) sql += std::string(";") + health_from_version_4;
   sql += account_views();
   sql += ";PRAGMA application_id=" + std::to_string(application_id) +
          ";PRAGMA user_version=" + std::to_string(schema_version);
@@ -264,8 +265,8 @@ Result<void> SqliteWriter::prepare_account() {
        "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
-      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count) VALUES(?,?,?,?,?,?)"},
-      {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason) VALUES(?,?,?,?,?,?)"},
+      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
+      {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
       {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ?"},
   };
   for (const Prepared& one : all) {
@@ -465,7 +466,8 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
         .bind(3, entry.object)
         .bind(4, entry.id)
         .bind(5, entry.text)
-        .bind(6, as_integer(entry.count));
+        .bind(6, as_integer(entry.count))
+        .bind(7, to_nanoseconds(entry.last));
     if (auto done = error_.run(); !done) return done;
   }
   for (const Account::HealthEntry& entry : account.health) {
@@ -474,6 +476,7 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
         .bind(3, entry.change.kind.view())
         .bind(4, entry.change.name.view());
     health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
+    health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
     if (auto done = health_.run(); !done) return done;
   }
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
