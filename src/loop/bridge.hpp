@@ -190,6 +190,8 @@ class Bridge final : public Listener {
     SensorCounts counts;
     std::uint64_t sequence;
     Segment under_way;
+    Gap gap;  // under way, if `has_gap`
+    bool has_gap;
     Duration period;
     bool is_active;
     bool has_sensor;

@@ -59,6 +59,8 @@ class OriginCore {
   void miss(std::uint64_t count, std::string_view reason, MonotonicTime first);
 
   void close_gap() noexcept;
+  /// Null: none.
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? gap_.get() : nullptr; }
 
   /// What goes on when another loop takes the name over.
   struct State {
@@ -73,7 +75,8 @@ class OriginCore {
   /// It publishes on another loop from here on.
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
-  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
+  /// `gap`: under way; null: none.
+  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap);
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
 
