@@ -209,6 +209,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
     told.is_active = sensor->is_active();
     told.health = sensor->health();
   }
+  told.has_gap = origin.gap_under_way() != nullptr;
   if (told == passage.told) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
@@ -405,6 +406,7 @@ void Bridge::take(const Record& record, Passage& passage) {
     case Sort::event:
       break;  // see above
     case Sort::gap:
+      if (!passage.is_past) mirror.forget_gap();  // it was under way in an account
       for (Listener* listener : to_.runtime.recorders)
         listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
       break;

@@ -79,6 +79,8 @@ class OriginCore {
   void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap);
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
+  /// The gap under way of a mirror has closed.
+  void forget_gap() noexcept { gap_is_open_ = false; }
 
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;

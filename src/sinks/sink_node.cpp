@@ -37,7 +37,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
         retry_(loop.face, [this] { start_storing(); }),
         next_part_(loop.face, [this] { account_more(); }),
-        early_(loop.face, [this] { flush(); }) {}
+        early_(loop.face, [this] { tell_early(); }) {}
 
   void attach() {
     RuntimeCore& runtime = loop()->runtime;
@@ -238,6 +238,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (closing_ || !is_attached_ || early_.is_running() || loop()->now() < next_early_) return;
     next_early_ = later(loop()->now(), config_.batch_time);
     early_.start(early_after);
+  }
+
+  void tell_early() {
+    if (closing_ || retry_.is_running()) {
+      is_account_due_ = true;
+    } else if (begin_account()) {
+      start_storing();
+    }
   }
 
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }

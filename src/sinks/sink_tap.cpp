@@ -53,13 +53,13 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
 
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   Place& place = place_of(origin);
-  if (const std::uint64_t course = course_of(origin.counts); course != place.course && !origin.is_mirror) [[unlikely]] {
+  const std::uint64_t course = course_of(origin.counts);
+  if (place.first_sequence == 0 || (course != place.course && !origin.is_mirror)) [[unlikely]] {
+    if (place.first_sequence == 0) place.first_sequence = sequence;
     place.course = course;
-    keep(origin, Now::at_an_event);
+    keep(origin, origin.is_mirror ? Now::between_events : Now::at_an_event);
   }
   ++place.live->offered;
-  if (place.first_sequence == 0) [[unlikely]]
-    place.first_sequence = sequence;
   place.last_sequence = sequence;
   if (takes_ == Takes::none) [[unlikely]] {  // the lane never has an event of this slot: the count is the loop's
     place.stored->refused.store(place.stored->refused.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
@@ -130,9 +130,16 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
 OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {
   const Place& place = place_of(origin);
   const Slot& slot = queue_->slot(place.slot);
-  OriginAccount now{place.slot,           origin.counts,       0,
-                    slot.live->offered,   slot.dropped_newest, slot.dropped_oldest,
-                    place.first_sequence, place.last_sequence, {}, {}};
+  OriginAccount now{place.slot,
+                    origin.counts,
+                    0,
+                    slot.live->offered,
+                    slot.dropped_newest,
+                    slot.dropped_oldest,
+                    place.first_sequence,
+                    place.last_sequence,
+                    {},
+                    {}};
   if (origin.index < before_.size()) {
     const SensorCounts& before = before_[origin.index].counts;
     now.sensor = since(before, now.sensor);
