@@ -48,6 +48,13 @@ if(Python3_FOUND)
     ${CMAKE_CXX_COMPILER} ${CMAKE_CURRENT_SOURCE_DIR}/include)
 endif()
 
+# The JSON Schema and `rtdata check` hold each other.
+if(Python3_FOUND AND TARGET rtdata_main)
+  add_test(NAME schema COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/config/schema_test.py
+    $<TARGET_FILE:rtdata_main> ${CMAKE_CURRENT_SOURCE_DIR})
+  set_tests_properties(schema PROPERTIES TIMEOUT 300 SKIP_RETURN_CODE 77)
+endif()
+
 include(cmake/examples.cmake)
 
 # The documentation agrees with the product.

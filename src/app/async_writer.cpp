@@ -19,10 +19,12 @@ namespace {
 
 class FdSink final : public spdlog::sinks::base_sink<spdlog::details::null_mutex> {
  public:
-  explicit FdSink(std::shared_ptr<WriterCounts> counts) : counts_(std::move(counts)) {}
+  FdSink(std::shared_ptr<WriterCounts> counts, std::function<void(std::size_t)> before)
+      : counts_(std::move(counts)), before_(std::move(before)) {}
 
  private:
   void sink_it_(const spdlog::details::log_msg& message) override {
+    if (before_) before_(message.payload.size());
     const int failed = write_fully(counts_->fd.load(), message.payload.data(), message.payload.size());
     if (failed != 0) counts_->last_errno.store(failed);
     counts_->written.fetch_add(1);
@@ -30,6 +32,7 @@ class FdSink final : public spdlog::sinks::base_sink<spdlog::details::null_mutex
   void flush_() override {}
 
   std::shared_ptr<WriterCounts> counts_;
+  std::function<void(std::size_t)> before_;
 };
 
 }  // namespace
@@ -57,14 +60,14 @@ AsyncWriter::~AsyncWriter() {
   if (!is_written) new std::shared_ptr(pool_);  // joining its thread could take for ever; the process ends soon
 }
 
-void AsyncWriter::open(int fd) {
+void AsyncWriter::open(int fd, std::function<void(std::size_t)> before) {
   counts_->fd.store(fd);
   if (pool_ != nullptr) return;
   // A fatal signal that its thread took would wait for that very thread to write what it has.
   const detail::SignalsBlocked for_the_writer;
   pool_ = std::make_shared<spdlog::details::thread_pool>(queue_, 1);
-  logger_ = std::make_shared<spdlog::async_logger>("rtdata", std::make_shared<FdSink>(counts_), pool_,
-                                                   spdlog::async_overflow_policy::overrun_oldest);
+  logger_ = std::make_shared<spdlog::async_logger>("rtdata", std::make_shared<FdSink>(counts_, std::move(before)),
+                                                   pool_, spdlog::async_overflow_policy::overrun_oldest);
   logger_->set_level(spdlog::level::trace);
 }
 

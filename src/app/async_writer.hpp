@@ -2,7 +2,9 @@
 #pragma once
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string_view>
 
@@ -36,8 +38,9 @@ class AsyncWriter {
   /// Waits for what is queued, at most 2 s: a thread that is stuck in a write is left behind.
   ~AsyncWriter();
 
-  /// `fd` stays the caller's and must live as long as this.
-  void open(int fd);
+  /// `fd` stays the caller's and must live as long as this. `before`: called on the thread with the size of what is written
+  /// next; it may put another file behind `fd`.
+  void open(int fd, std::function<void(std::size_t)> before = {});
   bool is_open() const noexcept { return logger_ != nullptr; }
   void write(std::string_view text) noexcept;
   /// True when everything taken so far has been written, or thrown away.

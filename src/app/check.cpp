@@ -1,12 +1,14 @@
 #include <iostream>
 
+#include "app/log_file.hpp"
 #include "app/subcommands.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata::app {
 
 int check(const Registry& registry, const std::string& file) {
-  const SystemPlan plan = plan_system(registry, load_config(file));
+  SystemPlan plan = plan_system(registry, load_config(file));
+  check_log_file(log_file_of(plan, ""), plan);
   if (!plan.good()) {
     std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems")
               << std::endl;

@@ -197,17 +197,16 @@ void ControlSocket::accept() {
     later_ = Timer(loop_, std::chrono::seconds{1}, [this] { look_for_clients(); });
     return;
   }
-  if (clients_.size() >= most_clients || !is_trusted(fd)) {
-    constexpr std::string_view refusal = "{\"error\":\"too many clients\"}\n";
-    if (is_trusted(fd)) [[maybe_unused]]
-      const ssize_t told = ::send(fd, refusal.data(), refusal.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (!is_trusted(fd)) {
     ::close(fd);
     return;
   }
+  if (clients_.size() >= most_clients) make_room();
   auto client = std::make_unique<Client>();
   const std::uint64_t number = ++last_number_;
   client->number = number;
   client->fd = fd;
+  client->last_asked = loop_.now();
   try {
     client->timer = Timer(loop_, [this, number] { timed_out(number); });
     client->watch = FdWatch(loop_, fd, FdWatch::readable, "control client",
@@ -218,6 +217,17 @@ void ControlSocket::accept() {
     throw;
   }
   clients_.push_back(std::move(client));
+}
+
+/// Whoever has asked nothing for the longest gives way.
+void ControlSocket::make_room() {
+  const auto quietest = std::min_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
+    return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;
+  });
+  constexpr std::string_view why = "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n";
+  if ((*quietest)->out.empty()) [[maybe_unused]]
+    const ssize_t told = ::send((*quietest)->fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  drop((*quietest)->number);
 }
 
 ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
@@ -276,6 +286,7 @@ bool ControlSocket::answer_next(Client& client) {
   client.in.erase(0, end + 1);
   client.searched = 0;
   client.is_answered = true;
+  client.last_asked = loop_.now();
   client.watch.set_events(FdWatch::Events{});
   return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
 }
@@ -397,7 +408,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance", "it has ended, or has 8 clients already", "look again"};
+        return Error{Errc::closed, "no answer", "instance",
+                     "it has ended, or others have asked it more lately: it has 8 clients at a time", "look again"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
     }

@@ -24,7 +24,8 @@ namespace rtdata::app {
 
 /// Takes connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8 clients,
 /// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; who does not read an answer
-/// for 5 s, sends a longer line or is one too many is disconnected.
+/// for 5 s or sends a longer line is disconnected; when there is one too many, so is whoever has asked nothing for the
+/// longest: those that are connected and say nothing keep nobody out.
 ///
 /// Thread: the loop's, for everything.
 class ControlSocket {
@@ -50,12 +51,13 @@ class ControlSocket {
   struct Client {
     std::uint64_t number = 0;
     int fd = -1;
-    std::string in;            // at most a line and what was read with it
-    std::size_t searched = 0;  // of `in`: no end of line in it
-    std::string out;           // an answer that is being sent
-    std::size_t sent = 0;      // of `out`
-    bool is_answered = false;  // an answer is being made
-    bool has_ended = false;    // it sends no more
+    std::string in;              // at most a line and what was read with it
+    std::size_t searched = 0;    // of `in`: no end of line in it
+    std::string out;             // an answer that is being sent
+    std::size_t sent = 0;        // of `out`
+    MonotonicTime last_asked{};  // or connected
+    bool is_answered = false;    // an answer is being made
+    bool has_ended = false;      // it sends no more
     int answered_after_end = 0;
     Timer timer;    // of the pause after an answer, and of the patience while one is not read
     FdWatch watch;  // before the descriptor
@@ -63,6 +65,7 @@ class ControlSocket {
   void listen();
   void look_for_clients();
   void accept();
+  void make_room();
   Client* find(std::uint64_t number) noexcept;
   void drop(std::uint64_t number);
   void ready(std::uint64_t number, const FdEvent& event);

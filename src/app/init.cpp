@@ -2,6 +2,8 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <filesystem>
+#include <fstream>
 #include <iostream>
 
 #include "app/async_writer.hpp"
@@ -9,6 +11,19 @@
 #include "app/subcommands.hpp"
 
 namespace rtdata::app {
+
+namespace {
+
+/// Beside the starter file, which names it; one that is there is replaced, since it belongs to this program. Empty: it
+/// cannot be written, which costs an editor's help only.
+std::string write_schema(const Registry& registry, const std::string& file) {
+  const std::filesystem::path path = std::filesystem::path(file).parent_path() / schema_file;
+  std::ofstream out(path);
+  out << registry.schema() << "\n";
+  return out.flush() ? path.string() : "";
+}
+
+}  // namespace
 
 int init(const Registry& registry, const std::string& file) {
   const std::string text = starter_file(registry, file);
@@ -26,7 +41,10 @@ int init(const Registry& registry, const std::string& file) {
     ::unlink(file.c_str());
     return exit_other;
   }
-  std::cout << "wrote " << file << "\nnext: rtdata run " << file << " --for 10s" << std::endl;
+  std::cout << "wrote " << file;
+  if (const std::string schema = write_schema(registry, file); !schema.empty())
+    std::cout << " and, for editors, " << schema;
+  std::cout << "\nnext: rtdata run " << file << " --for 10s" << std::endl;
   return exit_good;
 }
 

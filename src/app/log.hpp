@@ -6,12 +6,13 @@
 #include <string>
 
 #include "app/async_writer.hpp"
+#include "rtdata/config/system.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::app {
 
-/// Appends to the file. Thread: `write` any, all else the main one.
+/// Appends to the file, which rotates by size (LogSettings). Thread: `write` any, all else the main one.
 class Log {
  public:
   Log() : writer_(128) {}  // lines that wait; each takes 0.4 KiB, made resident at the start
@@ -20,7 +21,7 @@ class Log {
   ~Log();
 
   /// Errors: the operating system's; then `write` does nothing.
-  Result<void> open(const std::string& file, LogLevel least);
+  Result<void> open(const std::string& file, const LogSettings& settings);
   const std::string& file() const noexcept { return file_; }
   void write(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
   bool wait_until_written(Duration limit) noexcept { return writer_.wait_until_written(limit); }

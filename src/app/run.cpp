@@ -3,7 +3,6 @@
 
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <iostream>
 
 #include "app/account.hpp"
@@ -11,6 +10,7 @@
 #include "app/control_socket.hpp"
 #include "app/live_view.hpp"
 #include "app/log.hpp"
+#include "app/log_file.hpp"
 #include "app/service.hpp"
 #include "app/status.hpp"
 #include "app/stop_signals.hpp"
@@ -18,6 +18,7 @@
 #include "app/table.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 
@@ -27,11 +28,6 @@ namespace {
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
 constexpr unsigned redraws_per_line = 20;  // in a pipe, and for the service manager: a line every 10 s
 
-std::string default_log_file(const std::string& configuration) {
-  const std::string stem = std::filesystem::path(configuration).stem().string();
-  return (stem.empty() ? "rtdata" : stem) + ".log";
-}
-
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
  public:
@@ -40,6 +36,7 @@ class Run {
   int execute() {
     messages_.open(STDERR_FILENO);
     SystemPlan plan = plan_system(registry_, load_config(options_.file));
+    secrets_ = plan.secrets;
     open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
@@ -58,11 +55,13 @@ class Run {
   }
 
  private:
-  void open_log(const SystemPlan& plan) {
+  void open_log(SystemPlan& plan) {
     const LogSettings& settings = plan.settings.log;
-    std::string file = !options_.log_file.empty() ? options_.log_file : settings.file;
-    if (file.empty()) file = default_log_file(options_.file);
-    if (auto opened = log_.open(file, settings.level); !opened) {
+    const std::string file = log_file_of(plan, options_.log_file);
+    const std::size_t before = plan.problems.size();
+    check_log_file(file, plan);
+    if (plan.problems.size() != before) return;  // it is another's file
+    if (auto opened = log_.open(file, settings); !opened) {
       say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
     }
   }
@@ -90,7 +89,7 @@ class Run {
     bool uses_stdout = false;
     Duration deadline{0};
     for (const SinkPlan& sink : plan.sinks) {
-      paths[sink.name] = sink.path;
+      paths[sink.name] = hide_secrets(sink.path, secrets_);
       uses_stdout = uses_stdout || sink.path == "-";
       deadline = std::max(deadline, sink.close_deadline);
     }
@@ -230,7 +229,8 @@ class Run {
   }
 
   /// To the log file, and to people. Never waits.
-  void say(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) {
+  void say(LogLevel level, std::string_view object, std::string_view told, std::string_view error_id = {}) {
+    const std::string text = hide_secrets(std::string(told), secrets_);
     log_.write(level, object, text, error_id);
     if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
     std::string line = "rtdata: ";
@@ -295,7 +295,8 @@ class Run {
 
   const Registry& registry_;
   const RunOptions& options_;
-  StopSignals signals_;  // first: the threads of the others are not to take the signals
+  StopSignals signals_;               // first: the threads of the others are not to take the signals
+  std::vector<std::string> secrets_;  // of the configuration
   AsyncWriter terminal_;
   AsyncWriter messages_{64};
   Log log_;

@@ -1,5 +1,7 @@
 #include "rtdata/app/standard.hpp"
 
+#include <algorithm>
+
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/serial_line.hpp"
@@ -14,19 +16,55 @@ namespace rtdata {
 #ifdef RTDATA_WITH_SQLITE
 static constexpr auto parameters(type_tag<SqliteConfig>) {
   return parameter_list(
-      parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required),
-      parameter("profile", &SqliteConfig::profile,
-                "what a power cut may cost: normal: the last commits, safe: nothing committed, fast: the file",
-                choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
-                        value("fast", SqliteProfile::fast))),
-      parameter("max_bytes", &SqliteConfig::max_bytes, "the oldest rows are deleted above this size; 0: no limit",
+      parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required, TextIs::output_file),
+      parameter(
+          "profile", &SqliteConfig::profile,
+          "what a power cut may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
+          "10 s at risk",
+          choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
+                  value("fast", SqliteProfile::fast), value("card", SqliteProfile::card))),
+      parameter("max_bytes", &SqliteConfig::max_bytes,
+                "the oldest rows are deleted when the recording takes more; 0: no limit, else 4 MiB at least",
                 unit("By")),
-      parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit"),
+      parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit",
+                range(std::chrono::seconds{0}, std::chrono::hours{24 * 36500})),
       include_member(&SqliteConfig::sink));
+}
+
+static void check_config(const SqliteConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const auto is_recordable = check_recordable(config.path); !is_recordable) {
+    const ConfigItem* path = item.find("path");
+    const Error& error = is_recordable.error();
+    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+  }
+  if (config.max_bytes == 0 || config.max_bytes >= SqliteConfig::least_max_bytes) return;
+  const ConfigItem* value = item.find("max_bytes");
+  problems.add((value != nullptr ? *value : item)
+                   .problem("out-of-range", "max_bytes is " + std::to_string(config.max_bytes) +
+                                                ": give at least 4194304 (4 MiB), or 0 for no limit"));
 }
 #endif
 
 namespace {
+
+/// The shipped formats, and no others.
+struct ShippedFileConfig : FileConfig {
+  friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
+  friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
+    std::vector<std::string> formats = CodecRegistry::standard().names();
+    formats.emplace_back("jsonl");
+    if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;
+    const ConfigItem* format = item.find("format");
+    std::string message = "there is no format \"" + config.format + "\"";
+    std::string nearest = nearest_name(config.format, formats);
+    if (nearest.empty()) {
+      message += "; there are";
+      for (const std::string& known : formats) message += " " + known;
+    }
+    problems.add(
+        (format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+  }
+};
 
 std::shared_ptr<const Description> host_description(HostQuantity what) {
   switch (what) {
@@ -80,9 +118,9 @@ Registry standard_registry() {
       [](const SqliteConfig& config) { return config.path; },
       [](Loop& loop, const SqliteConfig& config) { return SqliteSink(loop, config); });
 #endif
-  registry.add_sink<FileConfig>(
-      "file", "a file of JSON lines, CSV or raw bytes", [](const FileConfig& config) { return config.path; },
-      [](Loop& loop, const FileConfig& config) { return FileSink(loop, config); });
+  registry.add_sink<ShippedFileConfig>(
+      "file", "a file of JSON lines, CSV or raw bytes", [](const ShippedFileConfig& config) { return config.path; },
+      [](Loop& loop, const ShippedFileConfig& config) { return FileSink(loop, config); });
   registry.add_sink<ConsoleConfig>(
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },

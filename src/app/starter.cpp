@@ -69,8 +69,9 @@ std::vector<Entry> analog_entries() {
 std::string starter_file(const Registry& registry, const std::string& file) {
   const std::string stem = std::filesystem::path(file).stem().string();
   std::string text = "// A starter file for this machine. Run it:    rtdata run " + file +
-                     " --for 10s\n// What else can be configured:               rtdata types\n{\n  \"name\": " +
-                     ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
+                     " --for 10s\n// What else can be configured:               rtdata types\n{\n  \"$schema\": \"" +
+                     std::string(schema_file) +
+                     "\",\n  \"name\": " + ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
   std::vector<Entry> sensors = host_entries();
   for (Entry& entry : analog_entries()) sensors.push_back(std::move(entry));
   add_list(text, registry, "sensors", sensors);

@@ -7,6 +7,8 @@
 
 namespace rtdata::app {
 
+/// The JSON Schema that editors read, beside the starter file.
+inline constexpr const char* schema_file = "rtdata.schema.json";
 /// A configuration that runs on this machine as it is: sensors that exist here, sinks of the types there are. `file`
 /// names its outputs.
 std::string starter_file(const Registry& registry, const std::string& file);

@@ -69,12 +69,64 @@ Json json_of(const ConfigItem& item) { return Json::parse(item.to_json(ConfigIte
 
 Json object_schema(const std::vector<ParameterInfo>& parameters);
 
+/// What JSON Schema can say of a text, as a regular expression of ECMA 262; empty: nothing.
+std::string pattern_of(TextIs is) {
+  constexpr const char* level = "[A-Za-z0-9_.-]+";
+  const std::string name = std::string(level) + "(/" + level + ")*";
+  switch (is) {
+    case TextIs::name:
+      return "^[^\\u0000-\\u001f\\u007f]*$";
+    case TextIs::field:
+      return "^([A-Za-z_][A-Za-z0-9_]*)?$";
+    case TextIs::topic:
+      return "^(" + name + ")?$";
+    case TextIs::topic_pattern:
+      return "^(#|\\$?(\\+|" + std::string(level) + ")(/(\\+|" + level + "))*(/#)?)$";
+    case TextIs::device:
+    case TextIs::output_file:
+      return "^[^\\u0000]*$";
+    case TextIs::anything:
+    case TextIs::recorded:
+    case TextIs::unit:
+      break;
+  }
+  return "";
+}
+
+constexpr const char* duration_pattern = "[+]?[0-9]+(\\.[0-9]+)?[ \\t]*(ns|us|\u00b5s|\u03bcs|ms|s|min|h|d)";
+constexpr const char* frequency_pattern = "[+]?[0-9]+(\\.[0-9]+)?[ \\t]*(mHz|Hz|kHz|MHz|GHz|/s|/min|/h)";
+
+Json reference_schema(const char* key, const char* doc) {
+  Json json = Json::object();
+  json["type"] = "object";
+  json["properties"][key] = Json{{"type", "string"}, {"minLength", 1}};
+  json["required"] = Json::array({key});
+  json["additionalProperties"] = false;
+  json["description"] = doc;
+  return json;
+}
+
+/// A text, or where to take it from.
+Json text_schema(const ParameterType& type) {
+  Json json = Json::object();
+  json["type"] = "string";
+  if (type.not_empty) json["minLength"] = 1;
+  if (const std::string pattern = pattern_of(type.text); !pattern.empty()) json["pattern"] = pattern;
+  if (type.text != TextIs::anything && type.text != TextIs::device && type.text != TextIs::output_file) return json;
+  Json either = Json::object();
+  either["anyOf"] = Json::array({std::move(json),
+                                 reference_schema("env", "taken from this variable of the environment"),
+                                 reference_schema("file", "taken from this file")});
+  return either;
+}
+
 Json type_schema(const ParameterType& type) {
   Json json = Json::object();
   const auto numbers = [&](const char* name) {
     json["type"] = name;
     if (type.least) json["minimum"] = number_json(*type.least);
     if (type.most) json["maximum"] = number_json(*type.most);
+    if (type.not_zero) json["not"] = Json{{"const", 0}};
   };
   switch (type.kind) {
     case TypeKind::any:
@@ -92,16 +144,21 @@ Json type_schema(const ParameterType& type) {
       json["type"] = "string";
       json["minLength"] = 1;
       json["maxLength"] = 1;
+      json["pattern"] = "^[\\u0000-\\u007f]$";
       break;
     case TypeKind::string:
-      json["type"] = "string";
+      json = text_schema(type);
       break;
     case TypeKind::duration:
       json["type"] = "string";
+      json["pattern"] = "^[ \\t]*" + std::string(type.may_be_negative ? "-?[ \\t]*" : "") + duration_pattern +
+                        "[ \\t]*$";
       json["examples"] = {"10 ms", "1.5 s"};
       break;
     case TypeKind::rate:
       json["type"] = "string";
+      json["pattern"] = "^[ \\t]*(" + std::string(frequency_pattern) + "|(every )?[ \\t]*" + duration_pattern +
+                        ")[ \\t]*$";
       json["examples"] = {"100 Hz", "1 kHz"};
       break;
     case TypeKind::choice:

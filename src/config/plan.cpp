@@ -5,7 +5,9 @@
 #include <map>
 #include <utility>
 
+#include "config/warnings.hpp"
 #include "loop/name.hpp"
+#include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata {
@@ -61,21 +63,14 @@ std::string topic_advice(std::string_view topic) {
          "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
 }
 
-bool check_names(const SensorPlan& plan, Problems& problems) {
-  const std::size_t before = problems.size();
-  if (!detail::is_name(plan.name)) {
-    problems.add(child_or_self(plan.item, "name").problem("bad-name", detail::name_rule));
-  } else if (!is_topic_name(plan.topic)) {
-    const ConfigItem& topic = child_or_self(plan.item, "topic");
-    std::string message = topic_advice(plan.topic);
-    if (topic.path() == plan.item.path()) message += "; give the sensor a `topic`, or another name";
-    problems.add(
-        (topic.path() == plan.item.path() ? child_or_self(plan.item, "name") : topic).problem("bad-name", message));
-  } else if (plan.topic.starts_with("$")) {
-    problems.add(
-        child_or_self(plan.item, "topic").problem("bad-name", "topics that begin with $ are the library's own"));
-  }
-  return problems.size() == before;
+bool check_topic(const SensorPlan& plan, Problems& problems) {
+  // A topic that is written was checked when it was read.
+  std::string mistake;
+  if (!is_topic_name(plan.topic)) mistake = topic_advice(plan.topic) + "; give the sensor a `topic`, or another name";
+  if (plan.topic.starts_with("$"))
+    mistake = "topics that begin with $ are the library's own; give the sensor a `topic`";
+  if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
+  return mistake.empty();
 }
 
 void check_tier_names(const ConfigItem& tiers, const std::string& main, Problems& problems) {
@@ -89,17 +84,11 @@ void check_tier_names(const ConfigItem& tiers, const std::string& main, Problems
   }
 }
 
-/// A sink that must have a path has one.
-void check_has_path(const TypeRegistry<SinkPlan>& types, const ConfigItem& item, Problems& problems) {
-  const ConfigItem& path = child_or_self(item, "path");
-  if (path.as_string() == nullptr || !path.as_string()->empty()) return;
+/// What items of this one's type can be configured with; nothing when there is no such type.
+std::vector<ParameterInfo> parameters_in(const TypeRegistryBase& types, const ConfigItem& item) {
   const std::string* name = child_or_self(item, "type").as_string();
   const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
-  if (!type) return;
-  for (const ParameterInfo& parameter : type->parameters) {
-    if (parameter.key == "path" && parameter.required)
-      problems.add(path.problem("bad-value", "the path is empty; name a file"));
-  }
+  return type ? type->parameters : std::vector<ParameterInfo>();
 }
 
 std::string text_or_empty(const ConfigItem& item, std::string_view key) {
@@ -150,6 +139,21 @@ class AcrossItems {
     }
     for (const SinkPlan& sink : sinks) {
       if (!sink.name.empty()) check_name("sink", sink.name, sink.item, sink_names_);
+    }
+  }
+
+  /// The log is a file of its own.
+  void check_log(const ConfigItem& log) {
+    const ConfigItem& file = child_or_self(log, "file");
+    const std::string& path = plan_.settings.log.file;
+    if (path.empty()) return;
+    const std::string whole = canonical(path);
+    const auto known = paths_.find(whole);
+    if (known != paths_.end()) {
+      plan_.problems.add(file.problem("duplicate-path", "the sink at " + place_of(known->second->item) +
+                                                            " writes this file; give the log one of its own"));
+    } else if (!plan_.document.file.empty() && whole == canonical(plan_.document.file)) {
+      plan_.problems.add(file.problem("duplicate-path", "this is the configuration; choose another file"));
     }
   }
 
@@ -246,11 +250,22 @@ class AcrossItems {
     plan_.problems.add(topic_item(sensor).problem("description-differs", std::move(message)));
   }
 
-  void check_path(const SinkPlan& sink) {
+  /// One path for each file, however it is written.
+  static std::string canonical(const std::string& path) {
     std::error_code ignored;
-    const std::string path = std::filesystem::weakly_canonical(std::filesystem::absolute(sink.path, ignored), ignored)
-                                 .string();
-    const auto [known, is_new] = paths_.try_emplace(path.empty() ? sink.path : path, &sink);
+    const std::string found = std::filesystem::weakly_canonical(std::filesystem::absolute(path, ignored), ignored)
+                                  .string();
+    return found.empty() ? path : found;
+  }
+
+  void check_path(const SinkPlan& sink) {
+    const std::string path = canonical(sink.path);
+    if (!plan_.document.file.empty() && path == canonical(plan_.document.file)) {
+      plan_.problems.add(
+          child_or_self(sink.item, "path").problem("duplicate-path", "this is the configuration; choose another file"));
+      return;
+    }
+    const auto [known, is_new] = paths_.try_emplace(path, &sink);
     if (is_new) return;
     refused_paths_.try_emplace(sink.item.path(), &sink.item);
     plan_.problems.add(child_or_self(sink.item, "path")
@@ -299,12 +314,18 @@ void warn_of_load(const std::string& tier, const std::string& name, const std::v
   const std::string where = tier.empty() ? "the main loop" : "tier \"" + tier + "\"";
   if (load.is_overloaded()) {
     const auto held = [](const SensorLoad& sensor) { return sensor.time.on_loop.value_or(Duration{0}); };
-    warnings.add(
-        child_or_self(largest(tier, sensors, held).item, "rate")
-            .problem("overloaded-loop",
-                     "the readings of " + where + " may take too long (" + load.text() +
-                         "), this one most; lower the rates, move sensors to another tier or lane, or give those of "
-                         "one longer period different phases"));
+    const ConfigItem& longest = child_or_self(largest(tier, sensors, held).item, "rate");
+    if (load.is_too_busy()) {
+      warnings.add(longest.problem("overloaded-loop",
+                                   "the readings of " + where + " take too much of its time (" + load.text() +
+                                       "), this one most; lower the rates, or move sensors to another tier or lane"));
+    } else {
+      warnings.add(longest.problem(
+          "late-readings", "readings that come due together on " + where +
+                               " may take longer than its shortest period (" + load.text() +
+                               "), so that its fastest sensors begin late or miss ticks now and then; give sensors of "
+                               "one longer period different phases, or the fastest a tier of its own"));
+    }
   }
   for (const LaneLoad& lane : load.lanes) {
     if (!lane.is_overloaded()) continue;
@@ -337,26 +358,39 @@ bool plan_sensor(const Registry& registry, const ConfigItem& item, SensorPlan& p
     refuse_later_key(known, key, problems);
   }
   if (!plan_item(registry.sensors(), known, plan, problems)) return false;
-  return check_names(plan, problems) && problems.size() == before;
+  return check_topic(plan, problems) && problems.size() == before;
 }
 
 bool plan_sink(const Registry& registry, const ConfigItem& item, SinkPlan& plan, Problems& problems) {
   const std::size_t before = problems.size();
-  check_has_path(registry.sinks(), item, problems);
-  if (!plan_item(registry.sinks(), item, plan, problems)) return false;
-  const ConfigItem& list = child_or_self(item, "topics");
-  for (std::size_t i = 0; i < plan.topics.size(); ++i) {
-    if (is_topic_pattern(plan.topics[i])) continue;
-    const ConfigItem* element = list.find(i);
-    problems.add((element != nullptr ? *element : list)
-                     .problem("bad-name", "\"" + plan.topics[i] +
-                                              "\" is no topic or pattern: levels joined by /, + for "
-                                              "one level, # at the end for all below"));
-  }
+  // A sink is called as its path by default, unless that is a secret: names are shown.
+  ConfigItem named = item;
+  const ConfigItem& path = child_or_self(item, "path");
+  const std::string* type = child_or_self(item, "type").as_string();
+  if (is_secret_reference(path) && type != nullptr && &child_or_self(item, "name") == &item) named.set("name", *type);
+  if (!plan_item(registry.sinks(), named, plan, problems)) return false;
+  check_output_files(parameters_in(registry.sinks(), item), item, problems);
   return problems.size() == before;
 }
 
 }  // namespace config_detail
+
+namespace {
+
+/// What the declarations of all parameters say of the file.
+void look_at_items(const Registry& registry, const ConfigItem& root, SystemPlan& plan) {
+  const auto look_at = [&](const std::vector<ParameterInfo>& parameters, const ConfigItem& item) {
+    config_detail::warn_of(parameters, item, plan.warnings);
+    config_detail::collect_secrets(parameters, item, plan.secrets);
+  };
+  const std::vector<ParameterInfo> settings = parameters_of<SystemSettings>();
+  look_at(settings, root);
+  for (const ConfigItem& item : plan.settings.sensors) look_at(parameters_in(registry.sensors(), item), item);
+  for (const ConfigItem& item : plan.settings.sinks) look_at(parameters_in(registry.sinks(), item), item);
+  config_detail::warn_of_plain_secrets(root, plan.warnings);
+}
+
+}  // namespace
 
 SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   SystemPlan plan;
@@ -390,10 +424,16 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   }
   AcrossItems across(plan);
   across.check(sensors, sinks);
+  across.check_log(child_or_self(root, "log"));
   across.check_taken(sinks);
   if (all_sensors_known && !sensors.empty()) {
     across.warn_of_patterns(sinks);
     across.warn_of_tiers(sensors, root);
+  }
+  look_at_items(registry, root, plan);
+  if (plan.settings.sinks.empty() && !sensors.empty() && plan.problems.empty()) {
+    plan.warnings.add(
+        child_or_self(root, "sinks").problem("no-sinks", "there are no sinks: what the sensors read is kept nowhere"));
   }
   if (plan.settings.sensors.empty() && (has_lists || plan.problems.empty())) {
     plan.warnings.add(
@@ -408,7 +448,15 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   for (const auto& entry : plan.settings.tiers) warn_of_load(entry.first, entry.first, plan.sensors, plan.warnings);
   plan.problems.sort();
   plan.warnings.sort();
+  plan.hide_secrets();
   return plan;
+}
+
+void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems) {
+  if (settings.max_bytes == 0 || settings.max_bytes >= 4096) return;
+  problems.add(
+      child_or_self(item, "max_bytes")
+          .problem("out-of-range", std::to_string(settings.max_bytes) + " is out of range: give 4096 at least, or 0"));
 }
 
 void check_config(const TierSettings& settings, const ConfigItem& item, Problems& problems) {
@@ -440,6 +488,17 @@ Tier::Config TierSettings::tier_config(const std::string& name) const {
   return config;
 }
 
+void SystemPlan::hide_secrets() {
+  for (Problems* list : {&problems, &warnings}) {
+    Problems shown;
+    for (Problem problem : *list) {
+      problem.message = rtdata::hide_secrets(std::move(problem.message), secrets);
+      shown.add(std::move(problem));
+    }
+    *list = std::move(shown);
+  }
+}
+
 std::string SystemPlan::report() const {
   std::string text;
   for (const Problem& problem : problems) text += problem.text() + "\n" + document.excerpt(problem);
@@ -461,6 +520,7 @@ Runtime::Config SystemPlan::runtime_config() const {
   config.name = settings.name;
   config.notes = settings.notes;
   config.configuration = document.text;
+  config.secrets = secrets;
   return config;
 }
 

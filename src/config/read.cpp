@@ -4,6 +4,9 @@
 #include <cmath>
 
 #include "config/limits_text.hpp"
+#include "loop/name.hpp"
+#include "rtdata/config/secret.hpp"
+#include "rtdata/loop/topic.hpp"
 
 namespace rtdata::config_detail {
 namespace {
@@ -30,7 +33,97 @@ std::string listed(const std::vector<std::string>& names) {
 
 }  // namespace
 
+namespace {
+
+std::string topic_advice(std::string_view topic) {
+  return "\"" + std::string(topic) +
+         "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
+}
+
+/// Why the text is not what it stands for; empty: it is.
+std::string mistake_in(std::string_view text, TextIs is) {
+  switch (is) {
+    case TextIs::anything:
+    case TextIs::recorded:
+    case TextIs::unit:  // one that is no UCUM is a warning
+      return "";
+    case TextIs::name:
+      return detail::is_name(text) ? "" : detail::name_rule;
+    case TextIs::field: {
+      const auto is_good = [](char c) {
+        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_';
+      };
+      const bool starts_well = !(text.front() >= '0' && text.front() <= '9');
+      return starts_well && std::all_of(text.begin(), text.end(), is_good)
+                 ? ""
+                 : "a field name has letters, digits and underscores and starts with no digit";
+    }
+    case TextIs::topic:
+      if (!is_topic_name(text)) return topic_advice(text);
+      return text.starts_with("$") ? "topics that begin with $ are the library's own" : "";
+    case TextIs::topic_pattern:
+      return is_topic_pattern(text) ? ""
+                                    : "\"" + std::string(text) +
+                                          "\" is no topic or pattern: levels joined by /, + for one level, # at the "
+                                          "end for all below";
+    case TextIs::device:
+    case TextIs::output_file:
+      if (text.find('\0') != std::string_view::npos) return "a path has no NUL byte";
+      return text.size() < 4096 ? "" : "a path has less than 4096 bytes";
+  }
+  return "";
+}
+
+bool is_recorded(TextIs is) {
+  switch (is) {
+    case TextIs::recorded:
+    case TextIs::name:
+    case TextIs::field:
+    case TextIs::topic:
+    case TextIs::topic_pattern:
+    case TextIs::unit:
+      return true;
+    default:
+      return false;
+  }
+}
+
+bool is_name_of_something(TextIs is) {
+  return is == TextIs::name || is == TextIs::field || is == TextIs::topic || is == TextIs::topic_pattern;
+}
+
+}  // namespace
+
+bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems) {
+  if (is_secret_reference(item)) {
+    if (is_recorded(rules.text)) {
+      problems.add(item.problem("not-a-secret", "recordings hold this text: write it as it is"));
+      return false;
+    }
+    if (!resolve_secret(item, out, problems)) return false;
+  } else if (!ConfigValue<std::string>::read(item, out, problems)) {
+    return false;
+  }
+  std::string mistake;
+  if (!out.empty()) {
+    mistake = mistake_in(out, rules.text);
+  } else if (rules.text == TextIs::topic_pattern) {
+    mistake = mistake_in(out, rules.text);
+  } else if (rules.required) {
+    mistake = rules.text == TextIs::output_file ? "the path is empty; name a file"
+              : rules.text == TextIs::name      ? detail::name_rule
+                                                : "it is empty, and must not be";
+  }
+  if (mistake.empty()) return true;
+  problems.add(item.problem(is_name_of_something(rules.text) ? "bad-name" : "bad-value", std::move(mistake)));
+  return false;
+}
+
 bool check_number(const ConfigItem& item, double value, const ParameterRules& rules, Problems& problems) {
+  if (rules.not_zero && value == 0) {
+    problems.add(item.problem("out-of-range", "it must not be 0"));
+    return false;
+  }
   if (within(value, rules)) return true;
   std::string text = item.number_text();
   if (!rules.unit.empty()) text.append(" ").append(rules.unit);

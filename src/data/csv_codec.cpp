@@ -1,8 +1,10 @@
-#include <charconv>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
+#include "data/character.hpp"
 #include "data/number_text.hpp"
+#include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
 
 namespace rtdata {
@@ -53,8 +55,7 @@ void append_floating(std::string& row, const std::byte* from) {
 
 template <class T>
 bool to_number(std::string_view text, T& number) {
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  return error == std::errc{} && end == text.data() + text.size() && !text.empty();
+  return detail::read_number(text, number) == std::errc{};
 }
 
 struct Cell {
@@ -111,13 +112,14 @@ Result<Value> value_of(const Leaf& leaf, Cell& cell) {
   if (!cell.quoted && cell.text.empty() && leaf.optional != nullptr) return Value{};
   switch (leaf.kind) {
     case Kind::boolean:
-      if (cell.text == "true") return Value(true);
-      if (cell.text == "false") return Value(false);
+      if (bool flag = false; detail::read_boolean(cell.text, flag)) return Value(flag);
       return wrong("true or false");
     case Kind::character:
+      if (const auto c = detail::character_of(detail::unescaped(cell.text))) return Value(*c);
+      return wrong("character");
     case Kind::text:
     case Kind::record:
-      return Value(std::move(cell.text));
+      return Value(detail::unescaped(cell.text));
     case Kind::f32: {
       // Not by way of a double: rounding twice may give the neighbour.
       float number = 0;
@@ -159,7 +161,7 @@ class CsvCodec final : public Codec {
       append_number(row_, to_nanoseconds(event.time()));
     }
     row_ += ',';
-    append_cell(row_, event.origin());
+    append_text(event.origin(), WhenEmpty::plain);
     row_ += ',';
     append_number(row_, event.sequence());
     for (const Leaf& leaf : event.description().leaves()) {
@@ -170,6 +172,10 @@ class CsvCodec final : public Codec {
         append_floating<double>(row_, from);
       } else if (leaf.kind == Kind::f32) {
         append_floating<float>(row_, from);
+      } else if (leaf.kind == Kind::character) {
+        append_text(detail::text_of(static_cast<char>(*from)), WhenEmpty::quoted);
+      } else if (leaf.kind == Kind::text) {
+        append_text(detail::text_at(leaf, from), WhenEmpty::quoted);
       } else {
         append_cell(row_, to_string(read(leaf, event.payload().data())), WhenEmpty::quoted);
       }
@@ -180,7 +186,9 @@ class CsvCodec final : public Codec {
   }
 
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
-    auto cells = split({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    std::string_view row{reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+    if (row.starts_with(detail::byte_order_mark)) row.remove_prefix(detail::byte_order_mark.size());
+    auto cells = split(row);
     if (!cells) return std::move(cells).error();
     const auto& leaves = description.leaves();
     if (cells->size() != 3 + leaves.size()) {
@@ -195,7 +203,7 @@ class CsvCodec final : public Codec {
       if (!read) return std::move(read).error();
       event.time = *read;
     }
-    event.origin = std::move((*cells)[1].text);
+    event.origin = detail::unescaped((*cells)[1].text);
     if (const std::string& text = (*cells)[2].text; !text.empty()) {
       std::uint64_t sequence = 0;
       if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is no number");
@@ -222,8 +230,16 @@ class CsvCodec final : public Codec {
   }
 
  private:
+  void append_text(std::string_view text, WhenEmpty when_empty) {
+    if (!detail::needs_escape(text)) return append_cell(row_, text, when_empty);
+    escaped_.clear();
+    detail::append_escaped(escaped_, text);
+    append_cell(row_, escaped_, when_empty);
+  }
+
   CsvConfig config_;
   std::string row_;
+  std::string escaped_;
 };
 
 }  // namespace

@@ -1,10 +1,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "data/character.hpp"
 #include "data/copy.hpp"
 #include "data/json_decode.hpp"
 #include "data/number_text.hpp"
 #include "data/per_description.hpp"
+#include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/text.hpp"
 
@@ -15,35 +17,13 @@ using detail::put_number;
 
 char* put(char* to, std::string_view text) { return detail::copy_short(to, text.data(), text.size()); }
 
-/// Bytes of the UTF-8 character at the start of `text`, 0 when it is none.
-std::size_t utf8_size(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-  const auto follows = [&](std::size_t count) {
-    if (text.size() <= count) return false;
-    for (std::size_t i = 1; i <= count; ++i) {
-      if ((byte(i) & 0xc0) != 0x80) return false;
-    }
-    return true;
-  };
-  const unsigned char first = byte(0);
-  if (first < 0x80) return 1;
-  if (first >= 0xc2 && first <= 0xdf) return follows(1) ? 2 : 0;
-  if (first >= 0xe0 && first <= 0xef) {  // no longer than needed, no surrogates
-    return follows(2) && !(first == 0xe0 && byte(1) < 0xa0) && !(first == 0xed && byte(1) > 0x9f) ? 3 : 0;
-  }
-  if (first >= 0xf0 && first <= 0xf4) {  // up to U+10FFFF
-    return follows(3) && !(first == 0xf0 && byte(1) < 0x90) && !(first == 0xf4 && byte(1) > 0x8f) ? 4 : 0;
-  }
-  return 0;
-}
-
 /// Stands for itself in a string.
 bool is_plain(char c) {
   const auto code = static_cast<unsigned char>(c);
   return code >= 0x20 && code < 0x7f && c != '"' && c != '\\';
 }
 
-/// Writes at most 6 bytes for each of the text's, and two quotes.
+/// Escapes what is no UTF-8 (utf8.hpp). Writes at most 6 bytes for each of the text's, and two quotes.
 char* put_string(char* to, std::string_view text) {
   *to++ = '"';
   for (;;) {
@@ -52,10 +32,20 @@ char* put_string(char* to, std::string_view text) {
     text.remove_prefix(plain);
     if (text.empty()) break;
     const char c = text.front();
-    if (static_cast<unsigned char>(c) >= 0x80) {
-      const std::size_t size = utf8_size(text);
-      to = put(to, size == 0 ? std::string_view("\xef\xbf\xbd") : text.substr(0, size));
-      text.remove_prefix(size == 0 ? 1 : size);
+    constexpr char digits[] = "0123456789abcdef";
+    const std::size_t size = detail::utf8_size(text);
+    const bool is_escaped = c == '\0' || size == 0 || (c == '\\' && detail::escaped_byte(text) >= 0);
+    if (is_escaped) {
+      const auto byte = static_cast<unsigned char>(c);
+      to = put(to, "\\\\x");
+      *to++ = digits[byte >> 4];
+      *to++ = digits[byte & 0xf];
+      text.remove_prefix(1);
+      continue;
+    }
+    if (size > 1) {
+      to = put(to, text.substr(0, size));
+      text.remove_prefix(size);
       continue;
     }
     text.remove_prefix(1);
@@ -69,7 +59,6 @@ char* put_string(char* to, std::string_view text) {
     } else if (c == '\t') {
       to = put(to, "\\t");
     } else {
-      constexpr char digits[] = "0123456789abcdef";
       to = put(to, "\\u00");
       *to++ = digits[c >> 4];
       *to++ = digits[c & 0xf];
@@ -200,10 +189,7 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
     case Kind::boolean:
       return put(to, *from != std::byte{0} ? "true" : "false");
     case Kind::character: {
-      const auto c = load<unsigned char>(from);
-      const char latin[2] = {static_cast<char>(0xc0 | c >> 6), static_cast<char>(0x80 | (c & 0x3f))};
-      const char ascii = static_cast<char>(c);
-      return put_string(to, c < 0x80 ? std::string_view(&ascii, 1) : std::string_view(latin, 2));
+      return put_string(to, detail::text_of(static_cast<char>(from[0])));
     }
     case Kind::text: {
       const auto length = static_cast<std::size_t>(from[0]) | static_cast<std::size_t>(from[1]) << 8;

@@ -8,6 +8,7 @@
 
 #include "data/character.hpp"
 #include "data/nearest.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata {
 namespace {
@@ -176,6 +177,7 @@ class Reader {
       case Node::Type::boolean:
         return node.flag;
       case Node::Type::integer:
+        if (floating && node.integer == 0) return -0.0;  // the parser takes a 0 without a sign for a natural number
         if (floating) return nearest(leaf.kind, node.integer);
         return node.integer;
       case Node::Type::natural:
@@ -199,9 +201,9 @@ class Reader {
           if (node.text == "-Infinity") return -infinity;
         }
         if (leaf.kind == Kind::character) {
-          if (const auto c = detail::character_of(node.text)) return *c;
+          if (const auto c = detail::character_of(detail::unescaped(node.text))) return *c;
         }
-        return node.text;
+        return detail::unescaped(node.text);
       default:
         return std::monostate{};
     }
@@ -232,7 +234,7 @@ Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const
   if (topic->type != Node::Type::string) return bad("topic", "it is no string");
   if (origin->type != Node::Type::string) return bad("origin", "it is no string");
   event.topic = topic->text;
-  event.origin = origin->text;
+  event.origin = unescaped(origin->text);
   if (time->type == Node::Type::integer) {
     event.time = from_nanoseconds(time->integer);
   } else if (time->type == Node::Type::natural &&

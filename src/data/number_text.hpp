@@ -5,6 +5,8 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <string_view>
+#include <system_error>
 #include <type_traits>
 
 namespace rtdata::detail {
@@ -37,6 +39,63 @@ char* put_number(char* to, Number number) {
     if (char* end = put_short_decimal(to, number)) return end;
   }
   return std::to_chars(to, to + longest_number, number).ptr;
+}
+
+/// Whether a decimal number that is not 0 is nearer to 0 than 1 is; of one that is far away from both.
+inline bool is_tiny(std::string_view text) noexcept {
+  std::int64_t magnitude = 0;  // of its first digit that is not 0
+  bool is_fraction = false, has_begun = false;
+  std::size_t i = 0;
+  for (; i < text.size() && text[i] != 'e' && text[i] != 'E'; ++i) {
+    if (text[i] == '.') is_fraction = true;
+    if (text[i] < '0' || text[i] > '9') continue;
+    has_begun = has_begun || text[i] != '0';
+    if (has_begun && !is_fraction) ++magnitude;
+    if (!has_begun && is_fraction) --magnitude;
+  }
+  if (i >= text.size()) return magnitude <= 0;
+  const bool is_negative = i + 1 < text.size() && text[i + 1] == '-';
+  std::int64_t exponent = 0;
+  for (++i; i < text.size(); ++i) {
+    if (text[i] >= '0' && text[i] <= '9' && exponent < 1'000'000'000) exponent = exponent * 10 + (text[i] - '0');
+  }
+  return magnitude + (is_negative ? -exponent : exponent) <= 0;
+}
+
+/// The whole text as a number, the nearest that there is: 1e-400 is 0, -0 is 0 of an unsigned type too, and a plus sign
+/// may stand before. invalid_argument: it is none; result_out_of_range: it is too large.
+template <class Number>
+std::errc read_number(std::string_view text, Number& number) noexcept {
+  if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (status == std::errc{} && end == text.data() + text.size() && !text.empty()) return {};
+  if constexpr (std::is_floating_point_v<Number>) {
+    if (status == std::errc::result_out_of_range && end == text.data() + text.size() && is_tiny(text)) {
+      number = text.front() == '-' ? -Number{0} : Number{0};
+      return {};
+    }
+  } else if constexpr (std::is_unsigned_v<Number>) {
+    if (text.size() > 1 && text[0] == '-' && text.find_first_not_of('0', 1) == std::string_view::npos) {
+      number = 0;
+      return {};
+    }
+  }
+  if (status == std::errc::result_out_of_range && end == text.data() + text.size()) return status;
+  return std::errc::invalid_argument;
+}
+
+/// true, false, 1 and 0; upper and lower case are the same.
+inline bool read_boolean(std::string_view text, bool& flag) noexcept {
+  const auto is = [&](std::string_view word) {
+    if (text.size() != word.size()) return false;
+    for (std::size_t i = 0; i < word.size(); ++i) {
+      const char c = text[i] >= 'A' && text[i] <= 'Z' ? static_cast<char>(text[i] - 'A' + 'a') : text[i];
+      if (c != word[i]) return false;
+    }
+    return true;
+  };
+  flag = text == "1" || is("true");
+  return flag || text == "0" || is("false");
 }
 
 }  // namespace rtdata::detail

@@ -246,7 +246,7 @@ std::size_t Bridge::send_accounts() {
 
 Bridge::Told Bridge::tell_all() {
   for (const Passage& passage : passages_) {
-    if (!passage.is_given_up) passage.source->close_gap();
+    if (!passage.is_given_up) passage.source->divide_gaps();
   }
   const std::size_t left = send_accounts();
   return {left, ring_.published()};

@@ -20,7 +20,7 @@ namespace rtdata::detail {
 
 /// One thread and the jobs on their way to it. Shared with the thread, which may be left behind.
 struct Lane::Worker {
-  std::array<std::shared_ptr<LaneJob>, capacity> ring;  // one producer (the loop), one consumer (the thread)
+  std::array<std::shared_ptr<LaneJob>, ring_size> ring;  // one producer (the loop), one consumer (the thread)
   std::atomic<std::size_t> head{0};
   std::atomic<std::size_t> tail{0};
   sem_t wake;  // not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers
@@ -36,7 +36,7 @@ struct Lane::Worker {
 
   void push(std::shared_ptr<LaneJob> job) {
     const std::size_t at = head.load(std::memory_order_relaxed);
-    ring[at % capacity] = std::move(job);
+    ring[at % ring_size] = std::move(job);
     head.store(at + 1, std::memory_order_release);
     ::sem_post(&wake);
   }
@@ -57,7 +57,7 @@ struct Lane::Worker {
       if (quit.load(std::memory_order_acquire)) break;
       const std::size_t at = tail.load(std::memory_order_relaxed);
       if (at == head.load(std::memory_order_acquire)) continue;
-      const std::shared_ptr<LaneJob> job = std::move(ring[at % capacity]);
+      const std::shared_ptr<LaneJob> job = std::move(ring[at % ring_size]);
       tail.store(at + 1, std::memory_order_release);
       int expected = LaneJob::queued;
       // Another worker may have taken it, when this one was given up while it waited.
@@ -109,7 +109,7 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
       give_up_after_(give_up_after),
       watchdog_(std::make_unique<Watchdog>(*this)),
       delayed_(std::make_unique<Delayed>(*this)) {
-  outstanding_.reserve(capacity);
+  outstanding_.reserve(ring_size);
   loop_.add(*this);
 }
 
@@ -157,7 +157,7 @@ bool Lane::start_worker() noexcept {
 }
 
 bool Lane::submit(std::shared_ptr<LaneJob> job) {
-  if (outstanding_.size() == capacity) return false;
+  if (outstanding_.size() == most_outstanding) return false;
   if (loop_.is_manual()) {
     job->run();
     outstanding_.push_back(std::move(job));
@@ -178,8 +178,8 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   if (worker_ == nullptr && !start_worker()) return false;
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
   loop_.ref();
-  outstanding_.push_back(job);
-  worker_->push(std::move(job));
+  outstanding_.push_back(std::move(job));
+  hand_over();
   if (!watchdog_->is_listed()) {
     watchdog_->due = loop_.now() + give_up_after_;
     loop_.insert(*watchdog_);
@@ -187,9 +187,16 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   return true;
 }
 
+void Lane::hand_over() {
+  for (; worker_ != nullptr && handed_over_ < std::min(outstanding_.size(), ring_size); ++handed_over_)
+    worker_->push(outstanding_[handed_over_]);
+}
+
 void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
   const std::shared_ptr<LaneJob> job = std::move(outstanding_[index]);
   outstanding_.erase(outstanding_.begin() + static_cast<std::ptrdiff_t>(index));
+  if (index < handed_over_) --handed_over_;
+  hand_over();
   if (outcome == LaneJob::Outcome::finished) job->state_.store(LaneJob::idle, std::memory_order_relaxed);
   loop_.unref();
   if (outcome != LaneJob::Outcome::finished || health_ != Health::ok) [[unlikely]]
@@ -268,8 +275,9 @@ void Lane::give_up() {
   worker_->end();
   worker_->stop_listening();
   behind_.push_back(std::exchange(worker_, nullptr));
+  handed_over_ = 1;  // that which is given up; the fresh thread gets the others
   if (start_worker()) {
-    for (std::size_t i = 1; i < outstanding_.size(); ++i) worker_->push(outstanding_[i]);
+    hand_over();
     finish(0, LaneJob::Outcome::given_up);
   } else {
     for (std::size_t left = outstanding_.size(); left > 0 && *is_alive; --left) finish(0, LaneJob::Outcome::given_up);

@@ -65,6 +65,7 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
   load.sensors = sensors.size();
   std::map<Duration, Reads> by_period;
   std::map<std::string, LaneLoad> lanes;
+  double on_lanes = 0;  // share of the time that their readings hold the loop
   for (const SensorLoad& sensor : sensors) {
     const bool has_schedule = sensor.period.count() > 0;
     if (has_schedule && (load.period.count() == 0 || sensor.period < load.period)) load.period = sensor.period;
@@ -78,7 +79,11 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
     }
     if (!sensor.time.on_loop) continue;
     ++load.declared;
-    if (has_schedule && sensor.phase) {
+    const Duration held = *sensor.time.on_loop;
+    if (has_schedule) load.busy += static_cast<double>(held.count()) / static_cast<double>(sensor.period.count());
+    if (has_schedule && !sensor.time.lane.empty()) {
+      on_lanes += static_cast<double>(held.count()) / static_cast<double>(sensor.period.count());
+    } else if (has_schedule && sensor.phase) {
       const Duration phase = (*sensor.phase % sensor.period + sensor.period) % sensor.period;
       by_period[sensor.period].emplace_back(phase, *sensor.time.on_loop);
     } else {
@@ -86,6 +91,7 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
     }
   }
   for (auto& [period, reads] : by_period) load.worst += worst_of(std::move(reads), period, load.period);
+  load.worst += Duration{std::llround(on_lanes * static_cast<double>(load.period.count()))};
   for (auto& [key, lane] : lanes) {
     lane.lane = key;
     load.lanes.push_back(std::move(lane));

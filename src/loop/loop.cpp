@@ -271,7 +271,7 @@ void LoopCore::arm() {
                                            : std::max(top->due - config.spin, MonotonicTime{Duration{1}});
   itimerspec spec{};
   spec.it_value.tv_sec = due.time_since_epoch().count() / 1'000'000'000;
-  spec.it_value.tv_nsec = due.time_since_epoch().count() % 1'000'000'000;
+  spec.it_value.tv_nsec = static_cast<decltype(spec.it_value.tv_nsec)>(due.time_since_epoch().count() % 1'000'000'000);
   ::timerfd_settime(side_->timer_fd, TFD_TIMER_ABSTIME, &spec, nullptr);
 }
 

@@ -5,15 +5,17 @@
 #include <string>
 #include <string_view>
 
+#include "data/utf8.hpp"
+
 namespace rtdata::detail {
 
-inline constexpr const char* name_rule = "a name has 1 to 200 characters and no control characters";
+inline constexpr const char* name_rule = "a name has 1 to 200 characters of UTF-8 and no control characters";
 
 inline bool is_control(unsigned char c) noexcept { return c < ' ' || c == 0x7f; }
 
 /// Whether it keeps to the rule.
 inline bool is_name(std::string_view name) noexcept {
-  return !name.empty() && name.size() <= 200 && std::none_of(name.begin(), name.end(), is_control);
+  return !name.empty() && name.size() <= 200 && std::none_of(name.begin(), name.end(), is_control) && is_utf8(name);
 }
 
 /// A name that may be none, in quotes, for one line of text.

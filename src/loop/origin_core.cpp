@@ -60,8 +60,8 @@ void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, c
   scheduled_before_ = told.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
   if (gap_is_open_) {
-    if (gap_ == nullptr) gap_ = std::make_unique<Gap>();
-    *gap_ = *gap;
+    if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
+    gaps_->gap = *gap;
   }
   topic.tell_taps_of_change(*this);
 }
@@ -99,23 +99,54 @@ void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTim
 
 void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                             std::uint64_t count) {
-  const RuntimeCore& runtime = topic.runtime();
-  if (gap_is_open_ && (gap_->kind != kind || gap_->reason != reason)) close_gap();
+  const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
+  if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
+  Gaps& now = *gaps_;
+  // A read that was under way when the gaps around it were told of as one.
+  if (from <= now.joined_up_to) return tell({kind, reason, from, to, count});
+  const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
+                       from > now.gap.last;
+  if (gap_is_open_ && !goes_on && !now.is_joining) close_gap();
   if (!gap_is_open_) {
-    if (gap_ == nullptr) gap_ = std::make_unique<Gap>();
-    *gap_ = {kind, reason, runtime.event_time(first), {}, 0};
+    now.gap = {kind, reason, from, to, 0};
+    now.parts = 0;
+    now.is_joining = !now.allowance.has_some(from.time_since_epoch());
     gap_is_open_ = true;
   }
-  gap_->last = runtime.event_time(last);
-  gap_->count += count;
+  if (now.parts == 0 || !goes_on) ++now.parts;
+  if (now.parts > 1) now.gap.kind = Gap::Kind::joined;
+  if (now.gap.reason != reason) now.gap.reason = "several";
+  now.gap.first = std::min(now.gap.first, from);
+  now.gap.last = std::max(now.gap.last, to);
+  now.gap.count += count;
+  now.last_kind = kind;
+  now.last_reason = reason;
+  now.is_interrupted = false;
   topic.tell_taps_of_change(*this);
 }
 
+void OriginCore::interrupt_gap() noexcept {
+  if (!gaps_->is_joining) return close_gap();
+  gaps_->is_interrupted = true;
+  if (gaps_->allowance.has_some(topic.runtime().event_time(last_due()).time_since_epoch())) close_gap();
+}
+
 void OriginCore::close_gap() noexcept {
-  if (!gap_is_open_) return;
-  const Gap closed = *gap_;
+  if (!gap_is_open_ || is_mirror) return;  // a mirror's closes on its own loop
+  const Gap closed = gaps_->gap;
   gap_is_open_ = false;
-  for (Listener* listener : topic.runtime().listeners) listener->on_gap(*this, closed);
+  gaps_->allowance.spend(closed.last.time_since_epoch());
+  if (closed.kind == Gap::Kind::joined) gaps_->joined_up_to = closed.last;
+  tell(closed);
+}
+
+void OriginCore::divide_gaps() noexcept {
+  close_gap();
+  if (gaps_ != nullptr) gaps_->joined_up_to = std::max(gaps_->joined_up_to, topic.runtime().event_time(last_due()));
+}
+
+void OriginCore::tell(const Gap& gap) noexcept {
+  for (Listener* listener : topic.runtime().listeners) listener->on_gap(*this, gap);
 }
 
 }  // namespace rtdata::detail

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "loop/allowance.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/runtime.hpp"
 
@@ -43,7 +44,7 @@ class OriginCore {
     ++counts.taken;
     if (is_late) ++counts.late;
     if (gap_is_open_) [[unlikely]]
-      close_gap();
+      interrupt_gap();
   }
   /// A read that needs no waiting: begins and ends at once.
   void read_at_once(Duration lateness) noexcept {
@@ -51,16 +52,19 @@ class OriginCore {
     ++counts.taken;
     if (lateness > late_after) ++counts.late;
     if (gap_is_open_) [[unlikely]]
-      close_gap();
+      interrupt_gap();
   }
   void fail_read(std::string_view reason, MonotonicTime due);
   void fail_tick(std::string_view reason, MonotonicTime due);
   /// `count` ticks, the first of them due at `first`, were skipped.
   void miss(std::uint64_t count, std::string_view reason, MonotonicTime first);
 
+  /// Tells of the gap under way, if there is one.
   void close_gap() noexcept;
+  /// The same; and what is told of later joins nothing from before.
+  void divide_gaps() noexcept;
   /// Null: none.
-  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? gap_.get() : nullptr; }
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
 
   /// What goes on when another loop takes the name over.
   struct State {
@@ -106,11 +110,25 @@ class OriginCore {
   MonotonicTime last_due() const noexcept;
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                   std::uint64_t count);
+  /// There was a reading: what is told of later begins another gap, or joins this one when there are too many.
+  void interrupt_gap() noexcept;
+  void tell(const Gap& gap) noexcept;
 
   MonotonicTime first_due_{};  // of the segment under way; without one, `free_from`
   Duration period_{0};         // without one, 0
   std::uint64_t scheduled_before_ = 0;
-  std::unique_ptr<Gap> gap_;  // made at the first gap, then kept
+  /// The gap under way, which may be several that are joined.
+  struct Gaps {
+    Gap gap;
+    Gap::Kind last_kind{};  // of the last part
+    std::string_view last_reason;
+    std::uint64_t parts = 0;
+    bool is_joining = false;      // a reading does not end it
+    bool is_interrupted = false;  // by a reading, since the last part
+    Allowance allowance;
+    Time joined_up_to = Time::min();  // the last one that was told of
+  };
+  std::unique_ptr<Gaps> gaps_;  // made at the first gap, then kept
 };
 
 }  // namespace rtdata::detail

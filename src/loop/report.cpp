@@ -29,8 +29,10 @@ void RuntimeCore::tell_hub(Callback<void()> what) {
   });
 }
 
-void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view text,
+void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view told,
                       std::string_view error_id) noexcept try {
+  const std::string without = config.secrets.empty() ? std::string() : hide(std::string(told));
+  const std::string_view text = config.secrets.empty() ? told : std::string_view(without);
   if (hub != nullptr && !on_log) {
     return tell_hub([hub = hub, level, object = std::string(object), text = std::string(text),
                      id = std::string(error_id)] { hub->log(level, object, text, id); });
@@ -101,7 +103,7 @@ text<N> fitting(std::string_view content) {
 
 void RuntimeCore::health_changed(std::string_view kind, std::string_view name, Health health,
                                  std::string_view reason) noexcept try {
-  const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(reason)};
+  const HealthChange change{fitting<16>(kind), fitting<200>(name), health, fitting<96>(hide(std::string(reason)))};
   const Time time = event_time(clock_->monotonic());
   for (Listener* listener : listeners) listener->on_health(time, change);
   publish_from_program(topic(health_topic, payload_type<HealthChange>()), &change);
@@ -122,7 +124,9 @@ void RuntimeCore::flush_repeats(Repeats which) {
   }
 }
 
-void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& error, std::uint64_t count) noexcept try {
+void RuntimeCore::write(LoopCore* loop, std::string_view object, const Error& met, std::uint64_t count) noexcept try {
+  const auto shown = [&] { return Error{met.code, hide(met.what), hide(met.where), hide(met.why), hide(met.advice)}; };
+  const Error error = config.secrets.empty() ? met : shown();
   const Time time = event_time(clock_->monotonic());
   for (Listener* listener : listeners) listener->on_error(time, object, error, count);
   if (loop == nullptr) loop = own_loop;

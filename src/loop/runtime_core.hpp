@@ -10,6 +10,7 @@
 #include <unordered_set>
 #include <vector>
 
+#include "data/hidden.hpp"
 #include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
 #include "loop/priority_mutex.hpp"
@@ -244,6 +245,8 @@ class RuntimeCore {
     return found != places.end() ? found->second : std::string();
   }
   /// Something does better or worse: to the recordings, and to the topic `$rtdata/health`.
+  /// The text without the secrets of the configuration.
+  std::string hide(std::string text) const { return hidden(std::move(text), config.secrets); }
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:

@@ -62,6 +62,15 @@ class AnalogDevice final : public detail::LaneDevice {
   std::string lane_key_;
 };
 
+/// What is wrong between parameters that are right by themselves; empty: nothing.
+const char* mistake_in_range(const AnalogConfig& config) {
+  const double span = span_voltage_of_value(config);
+  const bool has_width = config.conversion == AnalogConversion::standard ? span != 0
+                                                                         : span != config.zero_value_voltage;
+  return has_width ? "" : "the sensor's range has no width";
+}
+constexpr const char* range_advice = "set span_value_voltage to the voltage of the full value";
+
 void check(const AnalogConfig& config, const std::string& name) {
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot use this analog sensor", "sensor " + name, why, advice});
@@ -75,12 +84,17 @@ void check(const AnalogConfig& config, const std::string& name) {
     if (!std::isfinite(volts)) refuse("a voltage or the scale is not finite", "set it to a number");
   }
   if (config.span_voltage == 0) refuse("span_voltage is 0", "set it to the range of the converter, such as 3.3");
-  if (config.conversion == AnalogConversion::standard ? span == 0 : span == config.zero_value_voltage) {
-    refuse("the sensor's range has no width", "set span_value_voltage to the voltage of the full value");
-  }
+  if (const std::string_view mistake = mistake_in_range(config); !mistake.empty()) refuse(mistake.data(), range_advice);
 }
 
 }  // namespace
+
+void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::string mistake = mistake_in_range(config);
+  if (mistake.empty()) return;
+  const ConfigItem* span = item.find("span_value_voltage");
+  problems.add((span != nullptr ? *span : item).problem("bad-value", mistake + "; " + range_advice));
+}
 
 ReadTime read_time(const AnalogConfig& config) {
   return {.on_loop = detail::lane_read_on_loop, .on_lane = {}, .lane = detail::physical_device_of(config.file)};

@@ -236,6 +236,17 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
   return process;
 }
 
+constexpr const char* no_device = "it does not say which device";
+
+bool lacks_device(const HostConfig& config) {
+  return config.device.empty() && (config.what == HostQuantity::disk || config.what == HostQuantity::network);
+}
+
+const char* device_advice(HostQuantity what) {
+  return what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
+                                    : "set `device`, such as eth0; /proc/net/dev lists them";
+}
+
 detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
   const std::string proc = config.root + "/proc/";
   std::string device = config.device;
@@ -272,6 +283,13 @@ detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
 
 }  // namespace
 
+void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!lacks_device(config)) return;
+  const ConfigItem* device = item.find("device");
+  problems.add((device != nullptr ? *device : item)
+                   .problem("bad-value", std::string(no_device) + "; " + device_advice(config.what)));
+}
+
 ReadTime read_time(const HostConfig& config) {
   using namespace std::chrono_literals;
   // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
@@ -299,12 +317,9 @@ ReadTime read_time(const HostConfig& config) {
 }
 
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
-  const bool needs_device = config.what == HostQuantity::disk || config.what == HostQuantity::network;
-  if (needs_device && config.device.empty()) {
-    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name,
-                      "it does not say which device",
-                      config.what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
-                                                        : "set `device`, such as eth0; /proc/net/dev lists them"});
+  if (lacks_device(config)) {
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device,
+                      device_advice(config.what)});
   }
   *this = HostSensor(make(loop, std::move(sensor), std::move(config)));
 }

@@ -6,6 +6,9 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "data/character.hpp"
+#include "data/number_text.hpp"
+#include "data/utf8.hpp"
 #include "sensors/sysfs_file.hpp"
 
 namespace rtdata {
@@ -35,12 +38,14 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
     if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
       return refused("field " + field.name, "only a float or double can be scaled", "make its `type` double");
     }
+    using Presence = DescriptionBuilder::Presence;
+    const Presence presence = field.optional ? Presence::optional : Presence::always;
     if (field.type == Kind::text) {
       if (field.length < 1 || field.length > 65535)
         return refused("field " + field.name, "a length of 0", "set `length`");
-      builder.text(field.name, field.length);
+      builder.text(field.name, field.length, presence);
     } else {
-      builder.field(field.name, field.type, field.unit);
+      builder.field(field.name, field.type, field.unit, presence);
     }
   }
   if (kept == 0) return refused("", "no field has a name", "list what is in a line in `fields`");
@@ -55,10 +60,10 @@ namespace {
 template <class T>
 std::errc parse_into(std::string_view text, std::byte* to, double scale) noexcept {
   T number{};
-  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
-  if (status != std::errc{}) return status;
-  if (end != text.data() + text.size()) return std::errc::invalid_argument;
-  if constexpr (std::is_floating_point_v<T>) number = static_cast<T>(static_cast<double>(number) * scale);
+  if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
+  if constexpr (std::is_floating_point_v<T>) {
+    if (scale != 1) number = static_cast<T>(static_cast<double>(number) * scale);
+  }
   std::memcpy(to, &number, sizeof number);
   return {};
 }
@@ -104,6 +109,7 @@ LineDecoder::LineDecoder(const SerialConfig& config)
       comment_(config.comment),
       payload_((description_->size() + sizeof(std::max_align_t) - 1) / sizeof(std::max_align_t)),
       seen_(fields_.size()) {
+  cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
     if (field.key.empty()) field.key = field.name;
@@ -117,6 +123,10 @@ LineDecoder::LineDecoder(const SerialConfig& config)
   if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
     throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is no integer among the fields",
                              "name one of `fields` whose type is an integer"));
+  }
+  if (sequence_->optional != nullptr) {
+    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is optional",
+                             "remove its `optional`: each line has a number"));
   }
 }
 
@@ -138,6 +148,13 @@ Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const 
 Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   const Leaf* leaf = leaves_[index];
   if (leaf == nullptr) return {};
+  if (auto done = put_value(index, *leaf, text); !done) return done;
+  if (leaf->optional != nullptr) payload()[leaf->offset + leaf->optional->value_size] = std::byte{1};
+  return {};
+}
+
+Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text) {
+  const Leaf* leaf = &leaf_of_it;
   std::byte* to = payload() + leaf->offset;
   switch (leaf->kind) {
     case Kind::text: {
@@ -151,20 +168,22 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
       std::memcpy(to + text_length_bytes, text.data(), text.size());
       return {};
     }
-    case Kind::character:
-      if (text.size() != 1) return failure(Errc::bad_data, index, shown(text) + " is not one character");
-      *to = static_cast<std::byte>(text[0]);
+    case Kind::character: {
+      const auto c = character_of(text);
+      if (!c) return failure(Errc::bad_data, index, shown(text) + " is not one character");
+      *to = static_cast<std::byte>(*c);
       return {};
-    case Kind::boolean:
-      if (text != "0" && text != "1" && text != "true" && text != "false") {
+    }
+    case Kind::boolean: {
+      bool flag = false;
+      if (!read_boolean(text, flag)) {
         return failure(Errc::bad_data, index, shown(text) + " is none of true, false, 1 and 0");
       }
-      *to = static_cast<std::byte>(text == "1" || text == "true");
+      *to = static_cast<std::byte>(flag);
       return {};
+    }
     default: {
-      // What std::from_chars does not take but devices send: a plus sign.
-      const bool has_plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
-      const std::errc status = parse_number(leaf->kind, has_plus ? text.substr(1) : text, to, fields_[index].scale);
+      const std::errc status = parse_number(leaf->kind, text, to, fields_[index].scale);
       if (status == std::errc{}) return {};
       if (status == std::errc::result_out_of_range) {
         return failure(Errc::out_of_range, index,
@@ -175,23 +194,33 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   }
 }
 
-std::string_view LineDecoder::next_column(std::string_view& rest) const noexcept {
-  std::size_t end = rest.find(separator_);
-  // A separator within double quotes belongs to the column.
+Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::string_view& rest) {
   const auto first = rest.find_first_not_of(' ');
-  if (first != std::string_view::npos && rest[first] == '"') {
-    const auto quote = rest.find('"', first + 1);
-    if (quote != std::string_view::npos) end = rest.find(separator_, quote + 1);
+  const bool is_quoted = first != std::string_view::npos && rest[first] == '"';
+  std::size_t end = is_quoted ? first + 1 : rest.find(separator_);
+  if (is_quoted) {  // a separator in it belongs to it, and a quote is written twice
+    cell_.clear();
+    for (;; ++end) {
+      const auto quote = rest.find('"', end);
+      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote does not end");
+      cell_.append(rest.substr(end, quote - end));
+      end = quote + 1;
+      if (end >= rest.size() || rest[end] != '"') break;
+      cell_ += '"';
+    }
+    const std::size_t after = end;
+    end = rest.find(separator_, after);
+    if (const auto more = trimmed(rest.substr(after, end - after)); !more.empty())
+      return failure(Errc::bad_data, index, shown(more) + " follows its quotes");
   }
-  std::string_view column = trimmed(rest.substr(0, end));
+  const std::string_view text = is_quoted ? std::string_view(cell_) : trimmed(rest.substr(0, end));
   if (end == std::string_view::npos) {
     rest = {};
   } else {
     rest.remove_prefix(end + 1);
     if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
   }
-  if (column.size() >= 2 && column.front() == '"' && column.back() == '"') column = column.substr(1, column.size() - 2);
-  return column;
+  return Column{text, is_quoted};
 }
 
 Result<void> LineDecoder::decode_csv(std::string_view line) {
@@ -204,7 +233,11 @@ Result<void> LineDecoder::decode_csv(std::string_view line) {
   for (std::size_t i = 0; i < fields_.size(); ++i) {
     const bool has_more = rest.data() != nullptr;
     if (!has_more) return count_error("fewer");
-    if (Result<void> done = put(i, next_column(rest)); !done) return done;
+    const Result<Column> column = next_column(i, rest);
+    if (!column) return column.error();
+    const bool is_absent = fields_[i].optional && column->text.empty() && !column->is_quoted;
+    if (is_absent) continue;
+    if (Result<void> done = put(i, column->text); !done) return done;
   }
   if (rest.data() != nullptr) return count_error("more");
   return {};
@@ -222,7 +255,8 @@ class LineDecoder::JsonHandler {
 
   bool null() { return take(Form::null, "null"); }
   bool boolean(bool is_true) { return take(Form::boolean, is_true ? "true" : "false"); }
-  bool number_integer(number_integer_t number) { return take_number(number); }
+  // The parser takes a 0 without a sign for an unsigned number.
+  bool number_integer(number_integer_t number) { return number == 0 ? take(Form::number, "-0") : take_number(number); }
   bool number_unsigned(number_unsigned_t number) { return take_number(number); }
   bool number_float(number_float_t, const string_t& text) { return take(Form::number, text); }
   bool string(string_t& text) { return take(Form::string, text); }
@@ -287,6 +321,8 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     const bool is_textual = kind == Kind::text || kind == Kind::character;
     if (decoder_.seen_[i]) {
       error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
+    } else if (form == Form::null && decoder_.fields_[i].optional) {
+      // absent, as it is from the beginning
     } else if (form == Form::null || is_textual != (form == Form::string) ||
                (kind != Kind::boolean && form == Form::boolean)) {
       error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
@@ -309,7 +345,8 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
     return error;
   }
   for (std::size_t i = 0; i < fields_.size(); ++i) {
-    if (!seen_[i]) return failure(Errc::bad_data, i, "the line has no \"" + fields_[i].key + "\"");
+    if (!seen_[i] && !fields_[i].optional)
+      return failure(Errc::bad_data, i, "the line has no \"" + fields_[i].key + "\"");
   }
   return {};
 }

@@ -41,7 +41,12 @@ class LineDecoder {
   Result<void> decode_json(std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
-  std::string_view next_column(std::string_view& rest) const noexcept;
+  Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text);
+  struct Column {
+    std::string_view text;  // valid until the next one
+    bool is_quoted = false;
+  };
+  Result<Column> next_column(std::size_t index, std::string_view& rest);
   Error failure(Errc code, std::size_t index, std::string why) const;
 
   std::vector<LineField> fields_;
@@ -54,6 +59,7 @@ class LineDecoder {
   std::optional<std::uint64_t> last_;  // the bits of the number
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
+  std::string cell_;  // without its quotes
 };
 
 }  // namespace rtdata::detail

@@ -6,6 +6,7 @@
 #include <cerrno>
 #include <cstring>
 
+#include "data/utf8.hpp"
 #include "io/tty.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
@@ -79,6 +80,7 @@ class SerialLineNode final : public SourceNode {
     line_.clear();
     is_overlong_ = false;
     is_first_ = config_.first_line == FirstLine::discard;
+    is_beginning_ = true;
     lines_to_skip_ = config_.skip_lines;
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
@@ -127,8 +129,10 @@ class SerialLineNode final : public SourceNode {
     while (is_same()) {
       const auto end = line_.find('\n', std::max(begin, from));
       if (end == std::string::npos) break;
-      const std::string_view line(line_.data() + begin, end - begin);
+      std::string_view line(line_.data() + begin, end - begin);
       begin = end + 1;
+      if (std::exchange(is_beginning_, false) && line.starts_with(byte_order_mark))
+        line.remove_prefix(byte_order_mark.size());
       if (std::exchange(is_first_, false)) {
         is_overlong_ = false;
       } else if (!std::exchange(is_overlong_, false)) {
@@ -202,11 +206,25 @@ class SerialLineNode final : public SourceNode {
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet
+  bool is_beginning_ = true;          // no line has come yet
   bool is_overlong_ = false;          // the rest of the line is thrown away
   bool is_running_ = false;
 };
 
 }  // namespace detail
+
+void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  try {
+    const detail::LineDecoder decoder(config);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    const std::string key = e.where == "sequence_field" ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
+}
 
 ReadTime read_time(const SerialConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
 

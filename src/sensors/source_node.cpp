@@ -40,7 +40,7 @@ void SourceNode::report(const Error& error) noexcept {
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
-  if (reason != nullptr) rare().reason = reason->text();
+  if (reason != nullptr) rare().reason = loop()->runtime.hide(reason->text());
   if (health == health_) return;
   health_ = health;
   if (health == Health::ok && rare_ != nullptr) rare_->reason.clear();

@@ -143,7 +143,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     RuntimeCore& runtime = loop()->runtime;
     runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
     runtime.flush_repeats(RuntimeCore::Repeats::old);
-    if (is_open()) flush();
+    if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   }
   std::string blame_name() const override { return object_name(); }
   bool tell_times(CallbackStatus& status) const override {
@@ -199,7 +199,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     tell_health();  // when nothing here is under way, since this sink may take the event itself
   }
 
-  void flush() {
+  void flush() { hand_over(Hand::rows_and_account); }
+
+  enum class Hand { rows, rows_and_account };
+  void hand_over(Hand what) {
     if (closing_) return;
     bool has_rows = false;
     if (is_busy()) {  // the chunk goes on filling
@@ -207,9 +210,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     } else {
       has_rows = queue_->hand_over();
     }
+    const bool has_account = what == Hand::rows_and_account;
     if (retry_.is_running()) {
-      is_account_due_ = true;
-    } else if (begin_account() || has_rows) {
+      is_account_due_ = is_account_due_ || has_account;
+    } else if ((has_account && begin_account()) || has_rows) {
       start_storing();
     }
   }
@@ -259,7 +263,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   /// What will not get better: the first reason stays.
   void fault_for_good(std::string reason) {
-    if (fault_.empty()) fault_ = std::move(reason);
+    if (fault_.empty()) fault_ = loop()->runtime.hide(std::move(reason));
     health_ = Health::faulted;
     reason_ = fault_;
   }
@@ -287,9 +291,19 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void failed(const Error& error) {
     health_ = Health::faulted;
-    reason_ = error.text();
+    reason_ = loop()->runtime.hide(error.text());
     if (!job_->has_ended && is_attached_) retry_.start(next_delay());
     report(error, 1);
+  }
+
+  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
+  bool is_account_worth_it() const noexcept {
+    constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
+    const StorePace& pace = queue_->pace();
+    const std::uint64_t slots = queue_->slot_count();
+    return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
+           loop()->now() - account_at_ >= pace.account_time ||
+           queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
   }
 
   /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
@@ -297,7 +311,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool begin_account() {
     if (next_part_.is_running()) return false;  // the one before is under way
     is_account_due_ = !account_.has_room();
-    return !is_account_due_ && tell(SinkAccount::Part::first);
+    if (is_account_due_) return false;
+    account_at_ = loop()->now();
+    slots_told_ = queue_->slot_count();
+    return tell(SinkAccount::Part::first);
   }
 
   void account_more() {
@@ -438,7 +455,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool is_storing_ = false;
   bool is_due_ = false;  // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
-  std::string unknown_;  // what the last account does not know
+  MonotonicTime account_at_{};    // when the last one was begun
+  std::uint64_t slots_told_ = 0;  // that it had
+  std::string unknown_;           // what the last account does not know
   bool closing_ = false;
   bool closed_ = false;
 };

@@ -21,12 +21,13 @@ class SinkNotes {
   static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
-    std::uint32_t& last = last_gap(slot, gap.kind);
-    if (gaps_.size() >= std::max<std::size_t>(4096, 2 * slots) && last < gaps_.size() && gaps_[last].slot == slot &&
-        gaps_[last].gap.kind == gap.kind) {
+    std::uint32_t& last = last_gap(slot);
+    if (gaps_.size() >= std::max<std::size_t>(4096, 2 * slots) && last < gaps_.size() && gaps_[last].slot == slot) {
       Gap& grown = gaps_[last].gap;
-      grown.last = gap.last;
-      grown.count += gap.count;
+      grown.kind = Gap::Kind::joined;
+      grown.first = std::min(grown.first, gap.first);
+      grown.last = std::max(grown.last, gap.last);
+      grown.count = std::max<std::uint64_t>(grown.count, 1) + std::max<std::uint64_t>(gap.count, 1);
       if (grown.reason != gap.reason) grown.reason = "several";
       return;
     }
@@ -35,6 +36,7 @@ class SinkNotes {
   }
 
   void add(std::uint32_t slot, const Segment& segment) {
+    last_gap(slot) = no_gap;  // those that are joined lie in one segment
     if (segments_.size() == most_segments) {
       ++lost_segments_;
     } else {
@@ -71,6 +73,9 @@ class SinkNotes {
       health_.push_back({time, change});
     }
   }
+  bool is_empty() const noexcept {
+    return gaps_.empty() && segments_.empty() && errors_.empty() && clock_.empty() && health_.empty();
+  }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
   void move_into(Account& account) {
@@ -86,17 +91,17 @@ class SinkNotes {
   }
 
  private:
+  static constexpr std::uint32_t no_gap = ~std::uint32_t{0};
   static void tell_lost(Account& account, std::uint64_t& count, const char* what) {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
                       "look at the storage"};
     account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0)});
   }
-  /// Where in `gaps_` the last one of this kind is; anywhere when there is none.
-  std::uint32_t& last_gap(std::uint32_t slot, Gap::Kind kind) {
-    const std::size_t at = 2 * std::size_t{slot} + (kind == Gap::Kind::missed ? 0 : 1);
-    if (at >= last_gaps_.size()) last_gaps_.resize(2 * at + 2);
-    return last_gaps_[at];
+  /// Where in `gaps_` the last one is; anywhere when there is none.
+  std::uint32_t& last_gap(std::uint32_t slot) {
+    if (slot >= last_gaps_.size()) last_gaps_.resize(2 * std::size_t{slot} + 2, no_gap);
+    return last_gaps_[slot];
   }
   template <class T>
   static void move(std::vector<T>& from, std::vector<T>& to) {

@@ -39,7 +39,15 @@ constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { r
 }  // namespace
 
 SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
-    : config_(config), writer_(std::move(writer)), chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+    : config_(config),
+      writer_(std::move(writer)),
+      pace_(writer_->pace()),
+      due_rows_(pace_.bytes == 0 ? config.batch_rows : std::numeric_limits<std::size_t>::max()),
+      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+  const std::size_t part = std::max<std::size_t>(1, chunks_.size() / 8);
+  due_chunks_ = pace_.bytes == 0 ? (chunks_.size() + 1) / 2
+                                 : std::clamp<std::size_t>(pace_.bytes / chunk_bytes, 1, part);
+  most_chunks_ = pace_.bytes == 0 ? std::min(most_chunks_together, chunks_.size() / 8) : due_chunks_ + 1;
   // Pages are the kernel's until they are used: a queue that never fills costs no memory.
   memory_bytes_ = chunks_.size() * chunk_bytes;
   void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1,
@@ -142,7 +150,7 @@ bool SinkQueue::hand_over() {
   const bool has_rows = filling_ != nullptr && filling_->rows != 0;
   const bool is_due = has_rows || full_chunks_ != 0;
   if (has_rows) queue_filling();
-  rows_since_handover_ = 0;
+  rows_since_account_ += std::exchange(rows_since_handover_, 0);
   full_chunks_ = 0;
   return is_due;
 }
@@ -154,6 +162,7 @@ bool SinkQueue::has_account() const noexcept {
 void SinkQueue::hand_over_account() {
   accounts_[next_account_].after_ticket.store(last_ticket_ + 1, std::memory_order_release);
   next_account_ = (next_account_ + 1) % account_count;
+  rows_since_account_ = 0;
 }
 
 SinkCounts SinkQueue::counts() const noexcept {
@@ -262,9 +271,9 @@ bool SinkQueue::gather() {
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
   // What waits already is stored together, in transactions that stay short.
-  const std::size_t most_chunks = std::min(most_chunks_together, chunks_.size() / 8);
+  const std::size_t enough_rows = pace_.bytes == 0 ? config_.batch_rows : 1;
   bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
-  while ((batch_.rows_ < config_.batch_rows || batch_.chunks_.size() < most_chunks) && !has_all) {
+  while ((batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;

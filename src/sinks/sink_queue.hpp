@@ -74,10 +74,11 @@ class SinkQueue {
   }
   /// Queues the chunk being filled. False when nothing has come since the last call.
   bool hand_over();
-  /// As many rows as a batch has, or half of the queue, wait to be handed over.
-  bool is_batch_due() const noexcept {
-    return rows_since_handover_ >= config_.batch_rows || 2 * full_chunks_ >= chunks_.size();
-  }
+  /// As much as makes a batch, or half of the queue, waits to be handed over.
+  bool is_batch_due() const noexcept { return rows_since_handover_ >= due_rows_ || full_chunks_ >= due_chunks_; }
+  const StorePace& pace() const noexcept { return pace_; }
+  /// Handed over since the last account was.
+  std::uint64_t rows_since_account() const noexcept { return rows_since_account_; }
   /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
   /// there is to tell cannot wait.
   bool has_account() const noexcept;
@@ -164,6 +165,10 @@ class SinkQueue {
 
   const SinkConfig config_;
   std::unique_ptr<Writer> writer_;
+  const StorePace pace_;
+  std::size_t due_rows_ = 0;     // a batch by number
+  std::size_t due_chunks_ = 0;   // by memory
+  std::size_t most_chunks_ = 0;  // stored together when more waits
   std::byte* memory_ = nullptr;
   std::size_t memory_bytes_ = 0;
   std::vector<ChunkHeader> chunks_;
@@ -176,6 +181,7 @@ class SinkQueue {
   ChunkHeader* filling_ = nullptr;
   std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;
+  std::uint64_t rows_since_account_ = 0;
   std::size_t full_chunks_ = 0;  // queued since the last hand-over because they were full
   std::size_t next_account_ = 0;
   std::uint64_t full_at_revision_ = ~std::uint64_t{0};  // when no chunk was free

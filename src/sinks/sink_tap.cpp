@@ -45,7 +45,7 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
       payload_bytes_(topic.type.size),
       record_bytes_(record_bytes_of(topic.type.size)) {
   for (OriginCore* origin : topic.origins()) {
-    if (!origin->is_mirror) origin->close_gap();  // what follows begins another
+    origin->divide_gaps();  // what follows begins another
     if (origin->sensor != nullptr) origin->sensor->count_read_begun();
     before_.push_back({origin->counts, origin->has_segment() ? origin->segment({}) : Segment{}});
   }

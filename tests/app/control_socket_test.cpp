@@ -138,26 +138,31 @@ TEST_SUITE("app") {
     CHECK(echo.answered == 1);
   }
 
-  TEST_CASE("a control socket keeps eight clients, and tells a ninth") {
+  TEST_CASE("a control socket keeps eight clients; whoever has asked nothing for the longest gives way to a ninth") {
     Echo echo;
     std::vector<std::unique_ptr<RawClient>> clients;
     for (std::size_t i = 0; i < ControlSocket::most_clients; ++i) {
       clients.push_back(std::make_unique<RawClient>(echo.socket.path()));
       echo.turn();
     }
-    RawClient ninth(echo.socket.path());
-    echo.turn();
-    CHECK(ninth.read() == "{\"error\":\"too many clients\"}\n");
-    CHECK(ninth.is_disconnected());
     clients.front()->send("still here\n");
     echo.turn();
     CHECK(clients.front()->read() == "1:still here\n");
-    clients.pop_back();
+    RawClient ninth(echo.socket.path());
+    ninth.send("x\n");
     echo.turn();
-    RawClient tenth(echo.socket.path());
-    tenth.send("x\n");
+    CHECK(ninth.read() == "9:x\n");
+    CHECK(clients[1]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[1]->is_disconnected());
+    CHECK(echo.gone == std::vector<std::uint64_t>{2});
+    for (std::uint64_t i = 0; i < 20; ++i) {  // however many idle ones there are
+      clients.push_back(std::make_unique<RawClient>(echo.socket.path()));
+      echo.turn();
+    }
+    RawClient last(echo.socket.path());
+    last.send("y\n");
     echo.turn();
-    CHECK(tenth.read() == "9:x\n");
+    CHECK(last.read() == "30:y\n");
   }
 
   TEST_CASE("a control socket gives up on who does not read, and serves the others meanwhile") {

@@ -30,7 +30,7 @@ class BareTimer {
   void arm(std::int64_t due) const {
     itimerspec spec{};
     spec.it_value.tv_sec = due / 1'000'000'000;
-    spec.it_value.tv_nsec = due % 1'000'000'000;
+    spec.it_value.tv_nsec = static_cast<decltype(spec.it_value.tv_nsec)>(due % 1'000'000'000);
     ::timerfd_settime(timer_, TFD_TIMER_ABSTIME, &spec, nullptr);
   }
   void wait() const {

@@ -197,6 +197,7 @@ int run(int count, char** arguments) {
   bench_encoding(report);
   bench_loop(report);
   bench_sinks(report);
+  bench_disk(report);
   bench_program(report);
   bench_real_time(report);
   if (report.write_json()) return 0;

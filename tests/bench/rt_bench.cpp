@@ -506,7 +506,7 @@ Round isolation_round(const std::string& path) {
     });
     const rtdata::SqliteSink sink(
         main, {.path = path,
-               .sink = {.topics = {"followed"}, .batch_rows = 50, .batch_time = std::chrono::milliseconds{50}}});
+               .sink = {.topics = {"followed"}, .batch_time = std::chrono::milliseconds{50}}});
     main.run();
     fast.stop();
   }

@@ -255,7 +255,7 @@ TEST_SUITE("config") {
   TEST_CASE("US-21 what is set reads back as the same value") {
     ConfigItem item;
     item.set(1234567890123456789);
-    CHECK(item.get<long>() == 1234567890123456789);
+    CHECK(item.get<std::int64_t>() == 1234567890123456789);
     item.set(0.1f);
     CHECK(item.get<float>() == 0.1f);
     item.set(1e300);

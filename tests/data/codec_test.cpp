@@ -275,6 +275,50 @@ TEST_SUITE("data") {
     }
   }
 
+  TEST_CASE("US-31 JSON and CSV: text that is no UTF-8 comes back equal") {
+    for (const char* format : {"json", "csv"}) {
+      auto codec = CodecRegistry::standard().make(format).or_throw();
+      for (const std::string& text : {std::string("\xff"), std::string("a\x80z"), std::string("\0", 1),
+                                      std::string("\\x5c"), std::string("\\"), std::string("\xff\xff\xff\xff")}) {
+        Event<Small> event{{{}, 1, "o"}, {}};
+        event.data.t = text;
+        event.data.c = text[0];
+        event.data.d = -0.0;
+        Bytes bytes;
+        encode(*codec, "t", event, bytes).or_throw();
+        CAPTURE(as_text(bytes));
+        CHECK(as_text(bytes).find('\xff') == std::string::npos);
+        CHECK(as_text(bytes).find('\0') == std::string::npos);
+        const auto same = decode<Small>(*codec, bytes).or_throw();
+        CHECK(same.data == event.data);
+        CHECK(std::signbit(*same.data.d));
+      }
+    }
+  }
+
+  TEST_CASE("US-31 CSV and JSON: numbers and flags as users write them") {
+    auto csv = make_csv_codec();
+    const auto read = [&](const std::string& row) { return decode<Small>(*csv, as_bytes(row)).or_throw().data; };
+    CHECK(read("5,o,2,-0,1e-400,x,abc,TRUE,-0,2").d == 0);
+    CHECK(read("5,o,2,1,-1e-400,x,abc,False,0,2").d == 0);
+    CHECK(std::signbit(*read("5,o,2,1,-0.0000001e-399,x,abc,False,0,2").d));
+    CHECK(read("\xef\xbb\xbf"
+               "5,o,2,1,+1.5,x,abc,1,0,2")
+              .b);
+    CHECK_FALSE(decode<Small>(*csv, as_bytes("5,o,2,1,1e400,x,abc,1,0,2")));
+    CHECK_FALSE(decode<Small>(*csv, as_bytes("5,o,2,1,1000000e399,x,abc,1,0,2")));
+    auto json = make_json_codec();
+    const auto number = [&](const std::string& text) {
+      return decode<Small>(*json,
+                           as_bytes(small_json(R"({"i":-0,"d":)" + text + R"(,"c":"x","t":"","b":true,"a":[1,2]})")))
+          .or_throw()
+          .data.d;
+    };
+    CHECK(std::signbit(*number("-0")));
+    CHECK_FALSE(std::signbit(*number("0")));
+    CHECK(number("1e-400") == 0);
+  }
+
   TEST_CASE("US-31 JSON: wrong input is refused") {
     auto codec = make_json_codec();
     const auto read = [&](const std::string& text) { return decode<Small>(*codec, as_bytes(text)); };
@@ -501,7 +545,7 @@ TEST_SUITE("data") {
                             "5,o,2,1,,xy,abc,true,1,2",
                             "5,o,2,1,,,abc,true,1,2",
                             "5,o,2,1,,x,abcde,true,1,2",
-                            "5,o,2,1,,x,abc,1,1,2",
+                            "5,o,2,1,,x,abc,yes,1,2",
                             "5,o,2,1,,x,abc,true,256,2",
                             "5,o,2,1,,x,\"abc,true,1,2",
                             "5,o,2,1,,x,a\"bc,true,1,2",

@@ -31,11 +31,12 @@ if [ "${RTDATA_DEBIAN13_INSIDE:-}" != "$tree" ]; then
     flock 9 # one at a time; released when the last process of this script ends
     if [ ! -e "$root/.made" ]; then
         # From where this machine has its own packages.
+        # shellcheck disable=SC2016 # apt's variables
         from=$(apt-get indextargets --format '$(ORIGIN) $(LABEL) $(REPO_URI)' 'Created-By: Packages' 2>/dev/null |
             sed -n 's/^Debian Debian //p' | head -n 1)
         [ -n "$from" ] || cannot "apt here has no archive of Debian's to make a Debian 13 from"
         rm -rf "$root"
-        debootstrap --variant=minbase "$suite" "$root" "$from" >"$cache/debootstrap.log" 2>&1 ||
+        unshare --mount --propagation private debootstrap --variant=minbase "$suite" "$root" "$from" >"$cache/debootstrap.log" 2>&1 ||
             cannot "debootstrap cannot make a Debian 13: $(tail -n 1 "$cache/debootstrap.log")"
         # The archive is reached as here.
         apt-config dump | grep -E '^Acquire::(http|https|Check|Retries)' >"$root/etc/apt/apt.conf.d/90here" || true
@@ -79,7 +80,12 @@ if [ $# -gt 0 ]; then
 fi
 
 if [ "$(cat "$root/.bootstrapped" 2>/dev/null)" != "$(cksum <script/bootstrap)" ]; then
-    inside script/bootstrap || cannot "script/bootstrap could not install what is needed there"
+    inside script/bootstrap >build/debian13/bootstrap.log 2>&1 || {
+        cat build/debian13/bootstrap.log
+        cannot "script/bootstrap could not install what is needed there"
+    }
+    cat build/debian13/bootstrap.log
+    [ "$(wc -l <build/debian13/bootstrap.log)" -le 10 ] # what apt says is nobody's to read
     # Not for users: ccache, since this is done again and again.
     inside apt-get install -y -qq --no-install-recommends ccache >/dev/null 2>&1 || true
     cksum <script/bootstrap >"$root/.bootstrapped"

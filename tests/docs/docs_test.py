@@ -160,7 +160,8 @@ def check_requirements(source, rewrite):
     for line in page.read_text().splitlines():
         match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)
         if match and rewrite:
-            tests = tests_of(match[1], names)
+            scripts = [test for test in re.findall(r"`([^`]+)`", match[3]) if (source / test).exists()]
+            tests = tests_of(match[1], names) + scripts
             shown = "<br>".join(f"`{test}`" for test in tests) or match[3].strip()
             line = f"| {match[1]} | {match[2]} | {shown} |"
         elif match:

@@ -60,7 +60,7 @@ void check_recording(const std::vector<std::function<void()>>& things, const std
     loop.runtime().on_log([&](const LogRecord& record) {
       if (record.object == "clock") ++warnings;
     });
-    SqliteSink sink(loop, {.path = path, .sink = {.batch_rows = 20}});
+    SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 100ms}});
     Sensor<Sample> sensor(loop, {.name = "clocked", .topic = "clocked", .rate = 200_Hz},
                           [] { return Sample{SystemClock().monotonic().time_since_epoch().count()}; });
     std::size_t done = 0;

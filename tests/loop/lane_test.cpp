@@ -95,14 +95,14 @@ TEST_SUITE("loop") {
     Stuck stuck;
     int finished = 0;
     CHECK(lane.submit(job(stuck.work(), [&](Outcome) { ++finished; })));
-    for (std::size_t i = 1; i < Lane::capacity; ++i) CHECK(lane.submit(job({}, [&](Outcome) { ++finished; })));
+    for (std::size_t i = 1; i < Lane::most_outstanding; ++i) CHECK(lane.submit(job({}, [&](Outcome) { ++finished; })));
     CHECK_FALSE(lane.submit(job({}, [&](Outcome) { ++finished; })));
     stuck.release();
     loop.run();
-    CHECK(finished == static_cast<int>(Lane::capacity));
+    CHECK(finished == static_cast<int>(Lane::most_outstanding));
     CHECK(lane.submit(job({}, [&](Outcome) { ++finished; })));
     loop.run();
-    CHECK(finished == static_cast<int>(Lane::capacity) + 1);
+    CHECK(finished == static_cast<int>(Lane::most_outstanding) + 1);
   }
 
   TEST_CASE("a job that outlives the limit is given up, and the next goes on with a fresh thread") {

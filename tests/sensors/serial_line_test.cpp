@@ -11,6 +11,7 @@
 #include "paths.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/read.hpp"
+#include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/line_decoder.hpp"
@@ -77,6 +78,19 @@ struct Bench {
   std::vector<std::string> errors;
 };
 
+struct Row {
+  bool on = false;
+  char c = 'x';
+  std::int64_t n = 0;
+  std::uint8_t small = 0;
+  double x = 0;
+  float f = 0;
+  text<32> s;
+  std::optional<double> maybe;
+  std::optional<text<8>> word;
+  RTDATA_FIELDS(Row, (on), (c), (n), (small), (x), (f), (s), (maybe), (word))
+};
+
 using Texts = std::vector<std::string>;
 
 std::string id_of(detail::LineDecoder& decoder, std::string_view line) {
@@ -112,6 +126,98 @@ TEST_CASE("US-17 a CSV line is decoded by its fields, and says what is wrong wit
   CHECK(id_of(decoder, std::string_view("1,\0,1,t,0", 9)) == "ok");
   CHECK(decoder.is_skipped("  \t"));
   CHECK(decoder.is_skipped("# comment"));
+}
+
+TEST_CASE("US-17 a CSV line is read as RFC 4180 writes it") {
+  detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::text}, {.name = "b", .type = Kind::text}}});
+  const auto values = [&](std::string_view line) {
+    const auto done = decoder.decode(line);
+    if (!done) return std::string(done.error().why);
+    const auto value = [&](const char* path) {
+      return to_string(read(*decoder.description()->find(path), decoder.payload()));
+    };
+    return value("a") + "|" + value("b");
+  };
+  CHECK(values(R"("say ""hi"", please","")") == "say \"hi\", please|");
+  CHECK(values(R"(" blanks " , "x")") == " blanks |x");
+  CHECK(values(R"("""",b)") == "\"|b");
+  CHECK(values(R"(6" pipe,b "quoted" b)") == "6\" pipe|b \"quoted\" b");
+  CHECK(values(R"("a,b)") == "its quote does not end");
+  CHECK(values(R"("a"b,c)") == "\"b\" follows its quotes");
+}
+
+TEST_CASE("US-17 values as users write them, and cells without one") {
+  detail::LineDecoder decoder({.fields = {{.name = "on", .type = Kind::boolean, .optional = true},
+                                          {.name = "n", .type = Kind::u8, .optional = true},
+                                          {.name = "x", .optional = true},
+                                          {.name = "s", .type = Kind::text, .optional = true},
+                                          {.name = "f", .type = Kind::f32},
+                                          {.name = "c", .type = Kind::character, .optional = true}}});
+  const auto values = [&](std::string_view line) {
+    const auto done = decoder.decode(line);
+    if (!done) return std::string(done.error().id());
+    std::string all;
+    for (const Leaf& leaf : decoder.description()->leaves()) all += to_string(read(leaf, decoder.payload())) + " ";
+    return all;
+  };
+  CHECK(values("TRUE,-0,1e-400,t,1e-50,z") == "true 0 0 t 0 z ");
+  CHECK(values("False,+7,-0,\"\",-1e-400,\xc3\xa4") == "false 7 -0  -0 \xe4 ");
+  CHECK(values(",,,,1,") == "absent absent absent absent 1 absent ");
+  CHECK(values(" , ,,\"\",1,") == "absent absent absent  1 absent ");
+  CHECK(values("0,1,2,x,,c") == "not-a-number");
+  CHECK(values("\"\",1,2,x,1,c") == "bad-data");
+  CHECK(values("0,1,1e400,x,1,c") == "out-of-range");
+  detail::LineDecoder json(
+      {.format = LineFormat::json,
+       .fields = {{.name = "a", .optional = true}, {.name = "b", .type = Kind::u8, .optional = true}}});
+  const auto of_json = [&](std::string_view line) {
+    REQUIRE(json.decode(line));
+    return to_string(read(*json.description()->find("a"), json.payload())) + " " +
+           to_string(read(*json.description()->find("b"), json.payload()));
+  };
+  CHECK(of_json(R"({"a":-0,"b":-0})") == "-0 0");
+  CHECK(of_json(R"({"a":null})") == "absent absent");
+  CHECK(of_json(R"({"b":3,"a":1e-400})") == "0 3");
+  CHECK_THROWS_AS(
+      detail::LineDecoder({.fields = {{.name = "n", .type = Kind::u8, .optional = true}}, .sequence_field = "n"}),
+      SetupError);
+}
+
+TEST_CASE("US-17 our own CSV comes back equal from a serial line") {
+  std::vector<LineField> fields{
+      {.name = "time", .type = Kind::i64},     {.name = "origin", .type = Kind::text},
+      {.name = "sequence", .type = Kind::u64}, {.name = "on", .type = Kind::boolean},
+      {.name = "c", .type = Kind::character},  {.name = "n", .type = Kind::i64},
+      {.name = "small", .type = Kind::u8},     {.name = "x"},
+      {.name = "f", .type = Kind::f32},        {.name = "s", .type = Kind::text},
+      {.name = "maybe", .optional = true},     {.name = "word", .type = Kind::text, .optional = true}};
+  for (LineField& field : fields) {  // events have these themselves
+    if (field.name == "time" || field.name == "origin" || field.name == "sequence") field.name = "its_" + field.name;
+  }
+  detail::LineDecoder decoder({.fields = fields});
+  const auto codec = make_csv_codec();
+  std::vector<Row> rows(5);
+  rows[1] = {true, '\xe4', -5, 255, -0.0, 1e-45F, "a,\"b\" ", 1e-300, ""};
+  rows[2] = {
+      false, '"', std::numeric_limits<std::int64_t>::min(), 0, std::numeric_limits<double>::infinity(), 0.1F, "\"",
+      {},    ","};
+  rows[3] = {false, ' ', 1, 1, std::numeric_limits<double>::denorm_min(), -0.0F, " # \xc3\xa4\t", 0.1, {}};
+  rows[4] = {true, ',', 7, 9, std::numeric_limits<double>::quiet_NaN(), 3, "\xe2\x82\xac", {}, {}};
+  for (const Row& row : rows) {
+    std::vector<std::byte> bytes;
+    encode(*codec, "t", Event<Row>{{Time{5s}, 3, "o, \"p\""}, row}, bytes).or_throw();
+    const std::string line(reinterpret_cast<const char*>(bytes.data()), bytes.size() - 1);
+    CAPTURE(line);
+    REQUIRE(decoder.decode(line));
+    const auto& leaves = description_of<Row>()->leaves();
+    for (std::size_t i = 0; i < leaves.size(); ++i) {
+      const Value sent = read(leaves[i], reinterpret_cast<const std::byte*>(&row));
+      const Value got = read(decoder.description()->leaves()[3 + i], decoder.payload());
+      CAPTURE(leaves[i].path);
+      CHECK(to_string(got) == to_string(sent));
+    }
+    CHECK(to_string(read(decoder.description()->leaves()[1], decoder.payload())) == "o, \"p\"");
+  }
 }
 
 TEST_CASE("US-17 columns may be separated by blanks") {
@@ -229,6 +335,17 @@ TEST_CASE("US-5 the first lines can be kept, or skipped as a heading") {
   Bench skip({.skip_lines = 2, .first_line = FirstLine::keep});
   skip.run("value\nvolts\n3\n", 1);
   CHECK(skip.events == Texts{"3"});
+}
+
+TEST_CASE("US-5 a byte order mark before the first line does not count") {
+  Bench bench({.first_line = FirstLine::keep});
+  bench.run(
+      "\xef\xbb\xbf"
+      "1\n2\n\xef\xbb\xbf"
+      "3\n",
+      3);
+  CHECK(bench.events == Texts{"1", "2"});
+  CHECK(bench.errors == Texts{"not-a-number"});
 }
 
 TEST_CASE("US-5 bad lines are counted and reported, and cost no other line anything") {

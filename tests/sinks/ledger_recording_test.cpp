@@ -172,6 +172,111 @@ TEST_CASE("US-5 what cannot be decoded is unreadable, and a read fails when it b
   }
 }
 
+TEST_CASE("US-26 a device that fails at every second tick for an hour leaves some gaps, and the ledger is exact") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  SensorCounts counts;
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    Sensor<Climate> bad(loop, {.name = "bad", .rate = 10_Hz}, [n = 0]() mutable -> Result<Climate> {
+      if (++n % 2 == 0) return no_answer;
+      return Climate{static_cast<double>(n), 40};
+    });
+    loop.advance(1h);
+    bad.close();
+    counts = bad.counts();
+    loop.close();
+  }
+  const VerifyReport report = check_balanced(path);
+  CHECK(report.runs.at(0).failed == 18'000);
+  CHECK(number(path, "SELECT count(*) FROM bad") == 18'001);
+  CHECK(number(path, "SELECT sum(count) FROM rtdata_gap") == 18'000);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE kind = 'failed'") >= 15);
+  const auto joined = number(path, "SELECT count(*) FROM rtdata_gap WHERE kind = 'joined'");
+  CHECK(joined >= 55);
+  CHECK(joined <= 61);
+  // Of each joined gap: its rows and its count are the ticks from its first to its last.
+  CHECK(number(path,
+               "SELECT count(*) FROM rtdata_gap g WHERE kind = 'joined' AND (last - first) / 100000000 + 1 <> count + "
+               "(SELECT count(*) FROM bad WHERE time BETWEEN g.first AND g.last)") == 0);
+  CHECK(number(path,
+               "SELECT count(*) FROM rtdata_gap a JOIN rtdata_gap b ON a.rowid < b.rowid AND a.last >= b.first") == 0);
+  sql(path, "DELETE FROM rtdata_gap WHERE rowid = (SELECT max(rowid) FROM rtdata_gap)");
+  CHECK(verified(path).verdict() == Verdict::not_balanced);
+}
+
+TEST_CASE("US-26 a long outage is one gap, also after many short ones") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    bool is_away = false, is_well = false;
+    Sensor<Climate> bad(loop, {.name = "bad", .rate = 10_Hz}, [&, n = 0]() mutable -> Result<Climate> {
+      if (is_away || (!is_well && ++n % 2 == 0)) return no_answer;
+      return Climate{};
+    });
+    loop.advance(10s);
+    is_well = true;
+    loop.advance(20min);
+    is_away = true;
+    loop.advance(1h);
+    is_away = false;
+    loop.advance(1min);
+    is_well = false;
+    loop.advance(10s);
+    bad.close();
+    loop.close();
+  }
+  check_balanced(path);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_gap WHERE kind = 'failed' AND count >= 36000") == 1);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_gap") <= 40);
+}
+
+TEST_CASE("US-26 reads that hang again and again leave some gaps that hold with the rows between them") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    const Take take = [n = 0](detail::SamplePort& port) mutable {
+      Climate sample{};
+      if (++n % 3 == 0) return port.fail(no_answer);
+      port.publish(&sample);
+      return detail::Sampled::value;
+    };
+    loop.script_lane_duration(35ms);
+    BurstSensor chip = BurstSensor::make<BurstLane>(loop, {.name = "chip", .rate = 100_Hz, .faulted_after = 100}, take);
+    loop.advance(5min);
+    chip.set_rate(90_Hz);
+    loop.advance(5min);
+    chip.close();
+    loop.close();
+  }
+  const VerifyReport report = check_balanced(path);
+  CHECK(report.runs.at(0).missed > 30'000);
+  CHECK(report.runs.at(0).failed > 3000);
+  CHECK(number(path, "SELECT count(*) FROM rtdata_gap") <= 40);
+  // Each read makes a row: of each joined gap, ticks = rows + its count + those of gaps within it.
+  CHECK(
+      number(path,
+             "SELECT count(*) FROM rtdata_gap g, rtdata_schedule s WHERE g.kind = 'joined' AND g.first >= s.first_due "
+             "AND g.first <= s.end AND (g.last - g.first) / s.period + 1 <> g.count + "
+             "(SELECT count(*) FROM chip WHERE time BETWEEN g.first AND g.last) + "
+             "(SELECT coalesce(sum(count), 0) FROM rtdata_gap i WHERE i.rowid <> g.rowid AND i.first >= g.first AND "
+             "i.last <= g.last)") == 0);
+  CHECK(number(path,
+               "SELECT count(*) FROM rtdata_gap a JOIN rtdata_gap b ON a.kind = 'joined' AND b.kind = 'joined' AND "
+               "a.rowid < b.rowid AND a.last >= b.first") == 0);
+}
+
 TEST_CASE("US-26 a recording of format 4 is read and continued, with the account that it had") {
   const Folder folder;
   const std::string path = make(folder, [](Feed<Everything>& feed) {

@@ -10,6 +10,7 @@
 #include <fstream>
 #include <functional>
 #include <limits>
+#include <map>
 #include <string>
 
 #include "data/payloads.hpp"
@@ -19,8 +20,10 @@
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace recordings {
 
@@ -64,11 +67,65 @@ inline void make_older(const std::string& path, int format) {
   sql(path,
       "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
       "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
-      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; UPDATE rtdata_run SET format = " +
+      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; DROP TABLE rtdata_checksum; UPDATE rtdata_run SET format = " +
           std::to_string(format));
   if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
   if (format < 3) sql(path, "DROP TABLE rtdata_health");
   sql(path, "PRAGMA user_version = " + std::to_string(format));
+}
+
+/// Makes all checksums those of what is there: as if it had been written so, by a recorder that made a mistake.
+inline void write_checksums(const std::string& path) {
+  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+  database.execute("BEGIN; DELETE FROM rtdata_checksum").or_throw();
+  const auto columns = [&](std::string_view table) {
+    return static_cast<int>(sqlite::columns_of(database, table).or_throw().size());
+  };
+  const auto all_of = [&](const std::string& query) {
+    std::vector<std::string> found;
+    auto statement = database.prepare(query).or_throw();
+    while (statement.step().or_throw()) found.emplace_back(statement.text(0));
+    return found;
+  };
+  sqlite::RowHash hash;
+  sqlite::RowSum topics;
+  auto topic = database.prepare("SELECT * FROM rtdata_topic").or_throw();
+  while (topic.step().or_throw()) topics.add(sqlite::hash_of(hash, topic.raw(), 0, columns("rtdata_topic")));
+  sqlite::insert_line(database, {0, "rtdata_topic", "", 0, 0, columns("rtdata_topic"), topics}).or_throw();
+  for (const std::string& run : all_of("SELECT run FROM rtdata_run WHERE state <> 'recording' AND format >= 5")) {
+    const auto sums = sqlite::sums_found(database, std::stoll(run)).or_throw();
+    for (std::size_t i = 0; i < sums.size(); ++i) {
+      const std::string_view table = sqlite::account_tables[i];
+      sqlite::insert_line(database, {std::stoll(run), table, "", 0, 0, columns(table), sums[i]}).or_throw();
+    }
+  }
+  for (const std::string& table : all_of("SELECT table_name FROM rtdata_topic")) {
+    if (columns(table) == 0) continue;
+    std::map<std::pair<std::int64_t, std::string>, sqlite::ChecksumLine> lines;
+    auto row = database.prepare("SELECT * FROM " + sqlite::quoted(table)).or_throw();
+    while (row.step().or_throw()) {
+      auto& line = lines[{row.integer(0), std::string(row.text(2))}];
+      const auto sequence = static_cast<std::uint64_t>(row.integer(3));
+      if (line.sum.rows == 0 || sequence < line.first_sequence) line.first_sequence = sequence;
+      line.last_sequence = std::max(line.last_sequence, sequence);
+      line.sum.add(sqlite::hash_of(hash, row.raw(), 1, columns(table)));
+    }
+    for (auto& [key, line] : lines) {
+      line.run = key.first;
+      line.table = table;
+      line.origin = key.second;
+      line.columns = columns(table);
+      if (database.integer("SELECT format FROM rtdata_run WHERE run = " + std::to_string(key.first)).or_throw() >= 5)
+        sqlite::insert_line(database, line).or_throw();
+    }
+  }
+  database.execute("COMMIT").or_throw();
+}
+
+/// Changes a recording, and makes its checksums fit.
+inline void written_as(const std::string& path, const std::string& statements) {
+  sql(path, statements);
+  write_checksums(path);
 }
 
 /// All problems, a line each.

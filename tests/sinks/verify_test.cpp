@@ -407,7 +407,8 @@ TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches
 TEST_CASE("US-26 a run that ended without closing is reported as such, and held to its last account") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path,
+  written_as(
+      path,
       "UPDATE rtdata_run SET state = 'recording', boot_id = '00000000-0000-0000-0000-000000000000'; UPDATE rtdata_utc "
       "SET boot_id = '00000000-0000-0000-0000-000000000000'");
   VerifyReport report = verified(path);
@@ -429,8 +430,8 @@ TEST_CASE("US-26 a run that is being recorded by a living process is no mistake"
   std::ifstream boot("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
   std::getline(boot, boot_id);
-  sql(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id +
-                "', pid = " + std::to_string(::getpid()) + "; UPDATE rtdata_utc SET boot_id = '" + boot_id + "'");
+  written_as(path, "UPDATE rtdata_run SET state = 'recording', boot_id = '" + boot_id + "', pid = " +
+                       std::to_string(::getpid()) + "; UPDATE rtdata_utc SET boot_id = '" + boot_id + "'");
   const VerifyReport report = verified(path);
   CHECK(report.verdict() == Verdict::recording);
   CHECK(report.exit_code() == 0);
@@ -440,10 +441,10 @@ TEST_CASE("US-26 a run that is being recorded by a living process is no mistake"
 TEST_CASE("US-26 a sealed run says what was lost, and is exit code 0 as long as its rows agree") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path,
-      "UPDATE rtdata_run SET state = 'sealed', lost = 3, remark = 'killed';"
-      "DELETE FROM \"room/climate\" WHERE sequence > 996;"
-      "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room'");
+  written_as(path,
+             "UPDATE rtdata_run SET state = 'sealed', lost = 3, remark = 'killed';"
+             "DELETE FROM \"room/climate\" WHERE sequence > 996;"
+             "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room'");
   VerifyReport report = verified(path);
   CHECK_MESSAGE(report.verdict() == Verdict::sealed, report.text());
   CHECK(report.exit_code() == 0);
@@ -471,7 +472,7 @@ TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and r
   CHECK(json["exit_code"] == 1);
   CHECK(json["runs"][0]["rows"] == 1000);
   CHECK(json["runs"][0]["stored"] == 1001);
-  CHECK(json["runs"][0]["problems"].size() == 1);
+  CHECK(json["runs"][0]["problems"].size() == 2);  // the checksum too
   CHECK(app::verify({.database = folder / "nothing.db"}, out, err) == 2);
   CHECK(has(err.str(), "nothing.db"));
 }
@@ -479,7 +480,8 @@ TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and r
 TEST_CASE("US-26 a million rows are verified in one pass") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path,
+  written_as(
+      path,
       "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1000000) INSERT INTO \"room/climate\" "
       "SELECT r.run, "
       "(SELECT max(time) FROM \"room/climate\") - 2000000 + i, CASE i % 2 WHEN 0 THEN 'even' ELSE 'odd' END, (i + 1) / "

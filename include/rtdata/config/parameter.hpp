@@ -27,11 +27,16 @@
 /// it holds then are the defaults. Parameters of a base come with `include<Base>`, those of a member, without a level
 /// of their own, with `include_member(&Config::member)`.
 ///
+/// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file, and
+/// never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit).
+///
 /// A mistake in a declaration is a compile error of one sentence. Values; any thread.
 #pragma once
 
 #include <array>
 #include <chrono>
+#include <cstdint>
+#include <string>
 #include <string_view>
 #include <tuple>
 #include <type_traits>
@@ -41,10 +46,34 @@
 
 namespace rtdata {
 
+/// What a text stands for, which says more about it than its type does. An option of `parameter`: a mistake in such a text
+/// is told when it is read, and the schema has a pattern for it. An empty text stands for none, where it need not be there.
+enum class TextIs : std::uint8_t {
+  anything,
+  recorded,       ///< written into recordings, such as notes
+  name,           ///< of a sensor or sink: 1 to 200 characters, no control characters
+  field,          ///< of a payload
+  topic,          ///< see is_topic_name
+  topic_pattern,  ///< see is_topic_pattern
+  unit,           ///< UCUM; another one is a warning
+  device,         ///< the path of what is opened
+  output_file,    ///< the path of a file that is written: no folder, in a folder that is there
+};
+
+/// The parameter means something only while another one, beside it, has one of these values.
+struct OnlyWith {
+  std::string_view key;  ///< empty: always
+  std::array<std::string_view, 6> values{};
+};
+
 /// What a value must keep to, without its type.
 struct ParameterRules {
-  bool required = false;
-  bool negative = false;  ///< a duration may be
+  bool required = false;  ///< a required text is not empty either
+  bool not_zero = false;
+  TextIs text = TextIs::anything;
+  OnlyWith only_with;
+  std::array<std::string_view, 4> placeholders{};  ///< that may stand in the text, in braces
+  bool negative = false;                           ///< a duration may be
   bool has_least = false;
   bool has_most = false;
   double least = 0;  ///< numbers as they are, durations in ns, rates in Hz
@@ -56,6 +85,10 @@ namespace config_detail {
 
 struct Required {};
 struct MayBeNegative {};
+struct NotZero {};
+struct Placeholders {
+  std::array<std::string_view, 4> names;
+};
 struct Unit {
   std::string_view text;
 };
@@ -131,6 +164,17 @@ constexpr void apply(ParameterRules& rules, const Option& option) {
   } else if constexpr (std::is_same_v<Option, MayBeNegative>) {
     static_assert(is_duration<Leaf>, "rtdata: may_be_negative is for durations; bound a number with range or at_least");
     rules.negative = true;
+  } else if constexpr (std::is_same_v<Option, NotZero>) {
+    static_assert(quantity_of<Leaf>() == Quantity::number, "rtdata: not_zero is for numbers");
+    rules.not_zero = true;
+  } else if constexpr (std::is_same_v<Option, TextIs>) {
+    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: TextIs is for texts");
+    rules.text = option;
+  } else if constexpr (std::is_same_v<Option, Placeholders>) {
+    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: placeholders are for texts");
+    rules.placeholders = option.names;
+  } else if constexpr (std::is_same_v<Option, OnlyWith>) {
+    rules.only_with = option;
   } else if constexpr (std::is_same_v<Option, Unit>) {
     static_assert(quantity_of<Leaf>() == Quantity::number,
                   "rtdata: a unit is for a number; durations and rates are written with theirs");
@@ -145,7 +189,8 @@ constexpr void apply(ParameterRules& rules, const Option& option) {
   } else {
     static_assert(is_choices<Option>,
                   "rtdata: parameter(key, member, doc, ...) takes required, unit(...), range(...), "
-                  "at_least(...), at_most(...), choices(...) and may_be_negative");
+                  "at_least(...), at_most(...), choices(...), may_be_negative, not_zero, TextIs::..., "
+                  "placeholders(...) and only_with(...)");
   }
 }
 
@@ -175,10 +220,23 @@ struct ParameterList {
   std::tuple<Entries...> entries;
 };
 
-/// The key must be there.
+/// The key must be there; a text must not be empty.
 inline constexpr config_detail::Required required{};
 /// The duration may be negative ("-5 ms").
 inline constexpr config_detail::MayBeNegative may_be_negative{};
+/// The number may not be 0.
+inline constexpr config_detail::NotZero not_zero{};
+/// What may stand in the text in braces, such as {topic}; anything else in braces is a warning.
+template <class... Names>
+constexpr config_detail::Placeholders placeholders(Names... names) {
+  return {{std::string_view(names)...}};
+}
+/// The parameter means something only while that of `key`, beside it, has one of these values ("true" and "false" for a
+/// boolean): elsewhere it is a warning.
+template <class... Values>
+constexpr OnlyWith only_with(std::string_view key, Values... values) {
+  return {key, {std::string_view(values)...}};
+}
 /// The UCUM unit of a number, for people and schema; it is not written in the file.
 constexpr config_detail::Unit unit(std::string_view text) { return {text}; }
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "rtdata/config/item.hpp"
+#include "rtdata/config/parameter.hpp"
 
 namespace rtdata {
 
@@ -35,6 +36,10 @@ struct ParameterType {
   bool nullable = false;              ///< null is a value (std::optional)
   std::size_t length = 0;             ///< of a list; 0: any
   std::optional<double> least, most;  ///< numbers as they are, durations in ns, rates in Hz
+  bool not_zero = false;
+  bool not_empty = false;          ///< a text
+  bool may_be_negative = false;    ///< a duration
+  TextIs text = TextIs::anything;  ///< of a string
   std::vector<std::string> choices;
   std::vector<ParameterType> element;  ///< one, of a list or map
   std::vector<ParameterInfo> members;  ///< of an object
@@ -51,6 +56,8 @@ struct ParameterInfo {
   std::string unit;          ///< UCUM, of a number
   ConfigItem default_value;  ///< null for none
   bool required = false;
+  OnlyWith only_with;
+  std::vector<std::string> placeholders;  ///< that may stand in the text
   std::string doc;
 
   /// The default as one writes it in the file, strings without quotes; "" for none.

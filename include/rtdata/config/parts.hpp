@@ -101,7 +101,8 @@ namespace config_detail {
 struct Placement {
   std::string tier;
   friend constexpr auto parameters(type_tag<Placement>) {
-    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop"));
+    return parameter_list(
+        parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop", TextIs::recorded));
   }
 };
 

@@ -36,6 +36,7 @@ namespace config_detail {
 bool check_number(const ConfigItem& item, double value, const ParameterRules& rules, Problems& problems);
 bool check_duration(const ConfigItem& item, Duration value, const ParameterRules& rules, Problems& problems);
 bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules, Problems& problems);
+bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems);
 struct KnownKey {
   std::string_view key;
   std::string_view doc;
@@ -117,6 +118,7 @@ bool read_member(const ConfigItem& item, T& out, const ParameterRules& rules, co
     static_assert(
         !std::is_enum_v<T> || DescribedEnum<T>,
         "rtdata: a parameter is an enumeration without names: give it a `describe`, or the parameter `choices`");
+    if constexpr (std::is_same_v<T, std::string>) return read_text(item, out, rules, problems);
     if (!ConfigValue<T>::read(item, out, problems)) return false;
     if constexpr (std::is_same_v<T, Rate>)
       return check_rate(item, out, rules, problems);
@@ -245,6 +247,12 @@ ParameterType type_of(const ParameterRules& rules, const Choices& choices) {
         type.least = 0.0;
       }
     }
+    type.not_zero = rules.not_zero;
+    type.may_be_negative = rules.negative;
+    if constexpr (std::is_same_v<T, std::string>) {
+      type.text = rules.text;
+      type.not_empty = rules.required;
+    }
     if (rules.has_least) type.least = rules.least;
     if (rules.has_most) type.most = rules.most;
   }
@@ -262,6 +270,9 @@ std::vector<ParameterInfo> list_parameters() {
     info.type = type_of<Member>(parameter.rules, parameter.choices);
     info.unit = parameter.rules.unit;
     info.required = parameter.rules.required;
+    info.only_with = parameter.rules.only_with;
+    for (const std::string_view name : parameter.rules.placeholders)
+      if (!name.empty()) info.placeholders.emplace_back(name);
     info.doc = parameter.doc;
     if (!info.required) write_member(object.*parameter.member, parameter.choices, info.default_value);
     list.push_back(std::move(info));

@@ -15,14 +15,16 @@
 /// names used twice, payloads that meet on one topic, and files written twice. It can be checked on another machine
 /// than the one that runs it. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp:
-/// bad-name, cannot-record, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
-/// matches-nothing, no-sensors, overloaded-lane, overloaded-loop, unused-tier.
+/// Keys of the file: $schema, name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp:
+/// bad-name, cannot-record, cannot-resolve, cannot-write, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
+/// late-readings, matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
+/// unknown-placeholder, unknown-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <optional>
@@ -42,15 +44,24 @@ namespace rtdata {
 struct LogSettings {
   std::string file = {};            ///< empty: the program's default
   LogLevel level = LogLevel::info;  ///< lesser ones are left out
+  /// Before it becomes larger it is renamed to FILE.1, what was that to FILE.2, and so on; 0: never.
+  std::uint64_t max_bytes = std::uint64_t{10} << 20;
+  unsigned keep = 5;  ///< how many of those before are kept
 
   friend constexpr auto parameters(type_tag<LogSettings>) {
     return parameter_list(
         parameter("file", &LogSettings::file,
-                  "the log file; default: the configuration file's name with .log, in the working directory"),
+                  "the log file; default: the configuration file's name with .log, in the working directory",
+                  TextIs::device),
         parameter("level", &LogSettings::level, "the least important lines that are written",
                   choices(value("debug", LogLevel::debug), value("info", LogLevel::info),
-                          value("warning", LogLevel::warning), value("error", LogLevel::error))));
+                          value("warning", LogLevel::warning), value("error", LogLevel::error))),
+        parameter("max_bytes", &LogSettings::max_bytes,
+                  "a new file before this one becomes larger, which is renamed to FILE.1; 0: never, else 4096 at least",
+                  unit("By")),
+        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)));
   }
+  friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
 /// See Loop::Config.
@@ -94,7 +105,8 @@ struct TierSettings {
         parameter("cpu", &TierSettings::cpu, "the processor that it runs on; default: any", range(0, 1023)),
         parameter("cpus", &TierSettings::cpus, "the processors that it may run on, if more than one", range(0, 1023)),
         parameter("lock_memory", &TierSettings::lock_memory,
-                  "with a real-time policy: keep all memory of the program resident"),
+                  "with a real-time policy: keep all memory of the program resident",
+                  only_with("policy", "fifo", "rr")),
         parameter("keep_cpu_awake", &TierSettings::keep_cpu_awake,
                   "no deep idle of any processor while it runs: less lateness, more power"),
         parameter("spin", &TierSettings::spin,
@@ -113,6 +125,7 @@ struct TierSettings {
 
 /// The file's keys that belong to no sensor or sink.
 struct SystemSettings {
+  std::string schema = {};
   std::string name = {};
   std::string notes = {};
   LogSettings log = {};
@@ -123,8 +136,11 @@ struct SystemSettings {
 
   friend constexpr auto parameters(type_tag<SystemSettings>) {
     return parameter_list(
-        parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name"),
-        parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings"),
+        parameter("$schema", &SystemSettings::schema, "for editors: where the JSON Schema is (rtdata types --schema)",
+                  TextIs::recorded),
+        parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name",
+                  TextIs::recorded),
+        parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
         parameter("log", &SystemSettings::log, "the log file"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),
         parameter("tiers", &SystemSettings::tiers,
@@ -140,10 +156,13 @@ struct SystemPlan {
   SystemSettings settings;
   std::vector<SensorPlan> sensors;
   std::vector<SinkPlan> sinks;
-  Problems problems;  ///< in the order of the file
-  Problems warnings;  ///< the system runs, but perhaps not as it was meant
+  Problems problems;                 ///< in the order of the file
+  Problems warnings;                 ///< the system runs, but perhaps not as it was meant
+  std::vector<std::string> secrets;  ///< that were resolved (secret.hpp): to be shown nowhere
 
   bool good() const noexcept { return problems.empty(); }
+  /// Replaces what was resolved in the texts of problems and warnings.
+  void hide_secrets();
   /// Every problem with its line of the file, for people.
   std::string report() const;
   /// How long the sensors of each loop may hold it (load.hpp): the main loop, then the tiers; those without sensors are

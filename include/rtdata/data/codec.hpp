@@ -69,8 +69,8 @@ class Codec {
 ///
 /// Numbers are the shortest that read back equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char
 /// is a string of one character (bytes from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that
-/// has none), an absent optional null. Text that is no UTF-8 gets U+FFFD in place of each wrong byte. Decoding wants
-/// every key once and no other, in any order; "sequence" may be missing.
+/// has none), an absent optional null. Bytes of a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and
+/// come back equal. Decoding wants every key once and no other, in any order; "sequence" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
 struct RawConfig {
@@ -93,7 +93,9 @@ struct CsvConfig {
 };
 
 /// CSV after RFC 4180 with "\n" as line end ("\r\n" is read too): time, origin, sequence, then a column a leaf. The
-/// topic is not written: a CSV text holds one. An absent optional is an empty cell, an empty text is "".
+/// topic is not written: a CSV text holds one. An absent optional is an empty cell, an empty text is "". Each byte of a
+/// text that is no UTF-8, and each zero byte, is written as \xHH, a backslash that would begin one of these as \x5c; a
+/// char above 0x7f is U+0080 to U+00FF. Read are also TRUE and FALSE, 1 and 0, and a byte order mark before the row.
 std::unique_ptr<Codec> make_csv_codec(CsvConfig config = {});
 
 /// `time,origin,sequence,temperature,position.x` with a line end: what the CSV codec's `header` gives.

@@ -46,7 +46,7 @@ class LaneJob {
 
 class Lane {
  public:
-  static constexpr std::size_t capacity = 64;
+  static constexpr std::size_t most_outstanding = 4096;  ///< jobs that run or wait: sensors that share a device
   static constexpr std::size_t most_left_behind = 4;
   Lane(LoopCore& loop, std::string name, Duration give_up_after);
   /// Waits for the running job for at most the limit; jobs that wait are cancelled.
@@ -70,12 +70,15 @@ class Lane {
   /// Leaves the thread behind with what it runs, without a fresh one: nothing waits for it any more.
   void leave_behind() noexcept;
 
+
  private:
+  static constexpr std::size_t ring_size = 64;  // jobs that the thread has at hand; the others wait on the loop
   struct Worker;
   struct Watchdog;
   struct Delayed;
   /// False when there can be none: too many were left behind, or the system gives no more threads.
   bool start_worker() noexcept;
+  void hand_over();
   void check_limit();
   void look_at_health(LaneJob::Outcome outcome);
   void finish(std::size_t index, LaneJob::Outcome outcome);
@@ -87,6 +90,7 @@ class Lane {
   std::shared_ptr<Worker> worker_;
   mutable std::vector<std::shared_ptr<Worker>> behind_;
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
+  std::size_t handed_over_ = 0;                        // of these, the first so many are with the thread
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for calls during which `done` may destroy the lane

@@ -8,7 +8,8 @@
 /// `worst` is what comes due within the loop's shortest period, taken together: each sensor once, but of sensors that
 /// share a longer period only those whose phases lie within one shortest period of each other. Sensors of different
 /// periods are taken to meet, and so is what has no schedule or does not run. What a device does on a lane counts for
-/// the lane; the loop is held for its decode only. Handlers are not counted.
+/// the lane; the loop is held for its decode only, at another time for each sensor, so that these count with their share of
+/// the shortest period. Handlers are not counted.
 ///
 /// Values; any thread.
 #pragma once
@@ -57,10 +58,13 @@ struct LoopLoad {
   std::size_t declared = 0;  ///< of these, how many say how long they hold the loop; the others are not in `worst`
   Duration worst{0};
   Duration period{0};  ///< the shortest; 0: nothing has a schedule
+  double busy = 0;     ///< share of the loop's time that all readings take in the long run
   std::vector<LaneLoad> lanes = {};
 
   /// worst / period; 0 without a schedule. No less than the share of time that all readings take in the long run.
   double share() const noexcept;
+  /// The readings take more of the loop's time than there is to spare, whenever they come.
+  bool is_too_busy() const noexcept { return busy > most; }
   bool is_overloaded() const noexcept { return share() > most; }
   /// "fast: 3 sensors, worst 1.4 ms of 2 ms, 70 % (2 of 3 declared)"
   std::string text() const;

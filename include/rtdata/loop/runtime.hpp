@@ -89,6 +89,8 @@ class Runtime {
     std::string name = {};           ///< of the set-up; kept in recordings
     std::string notes = {};          ///< the user's; kept in recordings
     std::string configuration = {};  ///< the text of the file it was made from; kept in recordings
+    /// Texts that errors, log records and reasons of health must not show: "(secret)" stands in their place.
+    std::vector<std::string> secrets = {};
     Clock* clock = nullptr;          ///< null: the machine's. Must outlive the runtime.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };

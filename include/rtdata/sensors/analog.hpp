@@ -61,7 +61,7 @@ struct AnalogConfig {
   friend constexpr auto parameters(type_tag<AnalogConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", required),
+        parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", required, TextIs::device),
         parameter("zero_value_voltage", &AnalogConfig::zero_value_voltage, "voltage at which the value is 0",
                   rtdata::unit("V")),
         parameter("span_value_voltage", &AnalogConfig::span_value_voltage,
@@ -71,8 +71,8 @@ struct AnalogConfig {
                   rtdata::unit("bit"), range(1, 62)),
         parameter("zero_voltage", &AnalogConfig::zero_voltage, "voltage at which the converter gives 0",
                   rtdata::unit("V")),
-        parameter("span_voltage", &AnalogConfig::span_voltage, "range of the converter", rtdata::unit("V")),
-        parameter("unit", &AnalogConfig::unit, "unit of the value (UCUM)"),
+        parameter("span_voltage", &AnalogConfig::span_voltage, "range of the converter", rtdata::unit("V"), not_zero),
+        parameter("unit", &AnalogConfig::unit, "unit of the value (UCUM)", TextIs::unit),
         parameter("conversion", &AnalogConfig::conversion,
                   "two_point: the value at span_value_voltage is exactly scale, also when zero_value_voltage is not 0"),
         parameter("signed_adc", &AnalogConfig::signed_adc, "the converter gives negative codes too"),
@@ -80,6 +80,9 @@ struct AnalogConfig {
                   range(Duration{1ms}, Duration{1h})));
   }
 };
+
+/// What no parameter says by itself: that the sensor's range has a width.
+void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& problems);
 
 /// The payload of an analog sensor's events.
 struct AnalogReading {

@@ -136,13 +136,17 @@ struct HostConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("quantity", &HostConfig::what, "what is read", required),
-        parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer"),
-        parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's"),
+        parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer",
+                  only_with("quantity", "cpu", "disk", "network", "temperature", "frequency")),
+        parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's",
+                  TextIs::device),
         parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
-                  range(Duration{1ms}, Duration{1h})));
+                  range(Duration{1ms}, Duration{1h}), only_with("quantity", "temperature", "frequency")));
   }
 };
 
+/// What no parameter says by itself: that a disk or network is named.
+void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems);
 /// Some ten times what was measured (docs/tiers.md), since there are slower boards and machines with more processors.
 ReadTime read_time(const HostConfig& config);
 

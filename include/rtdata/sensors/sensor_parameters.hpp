@@ -15,8 +15,8 @@ namespace rtdata {
 constexpr auto parameters(type_tag<SensorConfig>) {
   using namespace std::chrono_literals;
   return parameter_list(
-      parameter("name", &SensorConfig::name, "the origin of its events, unique in the file", required),
-      parameter("topic", &SensorConfig::topic, "where it publishes; empty: as its name"),
+      parameter("name", &SensorConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
+      parameter("topic", &SensorConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
       parameter("rate", &SensorConfig::rate, "how often it is read", required, at_most(Rate::from_period(1us))),
       parameter("phase", &SensorConfig::phase, "added to the start of its schedule", range(Duration{0}, Duration{1h})),
       parameter(
@@ -40,8 +40,9 @@ constexpr auto parameters(type_tag<SensorConfig>) {
 }
 
 constexpr auto parameters(type_tag<FeedConfig>) {
-  return parameter_list(parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required),
-                        parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name"));
+  return parameter_list(
+      parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
+      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic));
 }
 
 }  // namespace rtdata

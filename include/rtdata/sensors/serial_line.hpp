@@ -7,9 +7,13 @@
 ///
 /// Each line becomes one event, whose fields are the configured ones; its time is that of the read which brought its end.
 ///
-/// - CSV: one column a field, in order; a field without a name is a column that is not kept. Blanks around a column do not
-///   count, nor do double quotes around it. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a
-///   field's `key` reaches into nested objects.
+/// - CSV as in RFC 4180, a row a line: one column a field, in order; a field without a name is a column that is not kept.
+///   Blanks around a column do not count, nor do double quotes around it; in them a separator belongs to the column and a
+///   quote is written twice. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a field's `key` reaches
+///   into nested objects.
+/// - An empty column (JSON: null, or no such key) is no value in a field that is `optional`, and else a mistake, but for a
+///   text, which it leaves empty. Numbers become the nearest that there is: 1e-400 is 0. A bool is true, false, 1 or 0, in
+///   upper or lower case. A byte order mark at the beginning does not count.
 /// - A line ends with a newline, a carriage return before it does not count. Empty lines and those that begin with
 ///   `comment` are skipped, as are the first `skip_lines` lines after opening.
 /// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line` is
@@ -44,20 +48,23 @@ struct LineField {
   double scale = 1;         ///< a float or double is multiplied by it
   std::string key = {};     ///< JSON: where it is in the object, levels separated by dots; empty: as the name
   std::size_t length = 32;  ///< of a text: the most bytes it may have
+  bool optional = false;    ///< an empty column, null or a missing key is no value; else the line cannot be used
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
-        parameter("name", &LineField::name, "name of the field; without one the column is not kept"),
+        parameter("name", &LineField::name, "name of the field; without one the column is not kept", TextIs::field),
         parameter("type", &LineField::type, "type of the value",
                   choices(value("bool", Kind::boolean), value("char", Kind::character), value("int8", Kind::i8),
                           value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
                           value("uint8", Kind::u8), value("uint16", Kind::u16), value("uint32", Kind::u32),
                           value("uint64", Kind::u64), value("float", Kind::f32), value("double", Kind::f64),
                           value("text", Kind::text))),
-        parameter("unit", &LineField::unit, "unit of the value (UCUM)"),
-        parameter("scale", &LineField::scale, "factor, for float and double"),
+        parameter("unit", &LineField::unit, "unit of the value (UCUM)", TextIs::unit),
+        parameter("scale", &LineField::scale, "factor, for float and double", only_with("type", "float", "double")),
         parameter("key", &LineField::key, "JSON: where it is, levels separated by dots; empty: as the name"),
-        parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255)));
+        parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
+                  only_with("type", "text")),
+        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"));
   }
 };
 
@@ -89,10 +96,10 @@ struct SerialConfig {
   friend constexpr auto parameters(type_tag<SerialConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &SerialConfig::device, "the serial device", rtdata::required),
+        parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
         include_member(&SerialConfig::serial), parameter("format", &SerialConfig::format, "how a line is written"),
         parameter("fields", &SerialConfig::fields, "what is in a line", rtdata::required),
-        parameter("separator", &SerialConfig::separator, "between the columns of CSV"),
+        parameter("separator", &SerialConfig::separator, "between the columns of CSV", only_with("format", "csv")),
         parameter("comment", &SerialConfig::comment, "lines that begin with it are skipped"),
         parameter("skip_lines", &SerialConfig::skip_lines, "lines skipped after each opening, such as a heading",
                   range(0, 1000000)),
@@ -100,7 +107,8 @@ struct SerialConfig {
                   "what comes first after opening may be half a line: discard or keep it"),
         parameter("max_line", &SerialConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
-        parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines"),
+        parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines",
+                  TextIs::field),
         parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &SerialConfig::retry_longest, "the wait doubles up to this",
@@ -113,6 +121,8 @@ struct SerialConfig {
 /// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
 Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
 
+/// What no parameter says by itself: that `fields` and `sequence_field` go together.
+void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems);
 /// Of the most that is read at once, 1 KiB of short lines.
 ReadTime read_time(const SerialConfig& config);
 

@@ -42,6 +42,9 @@ struct ConsoleConfig {
   }
 };
 
+/// What no parameter says by itself: that the descriptor is open for writing.
+void check_config(const ConsoleConfig& config, const ConfigItem& item, Problems& problems);
+
 class ConsoleSink : public Sink {
  public:
   ConsoleSink() noexcept = default;

@@ -4,9 +4,8 @@
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
 ///
 /// The file is made when it is not there and appended to when it is. Half an event that a kill or a power cut left at
-/// its end is seen to at the next start, and reported: half a line of JSON is completed with a line end, so that it
-/// spoils itself alone. Half a row of CSV and half an event of raw bytes could be taken for values that were never
-/// measured: they are moved to FILE.half. (To find the end, these two are read through once at the start.)
+/// its end is seen to at the next start, and reported: half an event could be taken for values that were never measured,
+/// so it is moved to FILE.half. (To find the end, CSV and raw bytes are read through once at the start.)
 ///
 /// `{topic}` in the file's name stands for the topic, its `/` written as `-`: a file each. A format with a header (CSV)
 /// holds one topic a file: a second topic on one path is an error that says so. The header is written into a new or
@@ -17,6 +16,10 @@
 /// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
 /// reported. A file that somebody deletes is made anew, and that is reported.
+///
+/// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which sorts before
+/// "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole. When no new file can be made,
+/// the old one grows on, and that is reported. After a restart, the time of a file from before is that of its last change.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
 /// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,
@@ -34,6 +37,9 @@
 
 namespace rtdata {
 
+class ConfigItem;
+class Problems;
+
 /// When what was written is forced onto the disk (fdatasync). Without it, a power cut loses what the kernel still holds
 /// (some 30 s, usually); a kill loses nothing that was written.
 enum class FileSync {
@@ -46,21 +52,43 @@ constexpr auto describe(type_tag<FileSync>) {
                      value("close", FileSync::at_close));
 }
 
+/// When a file is given a number and a new one begun: at whichever comes first.
+struct FileRotation {
+  static constexpr std::uint64_t least_bytes = 4096;
+  static constexpr Duration least_time = std::chrono::seconds{1};
+  std::uint64_t bytes = 0;  ///< before the event that would make it larger; 0: never
+  Duration time{0};         ///< at the first event after each multiple of it (UTC: 1 h, 1 d); 0: never
+
+  friend constexpr auto parameters(type_tag<FileRotation>) {
+    return parameter_list(
+        parameter("bytes", &FileRotation::bytes, "a new file before this one becomes larger", unit("By"),
+                  range(least_bytes, std::uint64_t{1} << 50)),
+        parameter("time", &FileRotation::time, "a new file at each multiple of it, such as 1 h or 1 d",
+                  range(least_time, Duration{std::chrono::hours{24 * 366}})));
+  }
+};
+
 struct FileConfig {
   std::string path;              ///< may hold {topic} in its last part
   std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "raw", or a name of the registry
   FileSync sync = FileSync::at_close;
-  SinkConfig sink = {};  ///< name: the file's by default
+  FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
+  std::uint64_t keep = 0;    ///< so many of those before; the oldest are removed; 0: all
+  SinkConfig sink = {};      ///< name: the file's by default
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required),
+        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
+                  TextIs::output_file, placeholders("topic")),
         parameter("format", &FileConfig::format,
                   "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
         parameter("sync", &FileConfig::sync,
                   "when the data is forced onto the disk: never, after each batch, at close"),
+        parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
+        parameter("keep", &FileConfig::keep, "how many of those before are kept; 0: all"),
         include_member(&FileConfig::sink));
   }
+  friend void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems);
 };
 
 /// Of these, which the files cannot take: a second one on one path of a format with a header, one whose file is there

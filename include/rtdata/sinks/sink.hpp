@@ -54,6 +54,7 @@ struct SinkConfig {
   std::string name = {};                            ///< in reports and the ledger; each kind has a default
   std::vector<std::string> topics = {"#"};          ///< patterns; topics made later are taken too
   std::size_t batch_rows = 500;                     ///< events that are stored together; more when more wait already
+                                                    ///< (SqliteSink: all that came within batch_time)
   Duration batch_time = std::chrono::seconds{1};    ///< a batch is stored after so long, however small it is
   std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
   WhenFull when_full = WhenFull::drop_newest;
@@ -64,9 +65,11 @@ struct SinkConfig {
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default"),
-        parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below"),
-        parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together", range(1, 1'000'000)),
+        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default", TextIs::name),
+        parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below",
+                  TextIs::topic_pattern),
+        parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together (sqlite: all of batch_time)",
+                  range(1, 1'000'000)),
         parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after so long, however small it is",
                   range(1ms, 1h)),
         parameter("queue_bytes", &SinkConfig::queue_bytes, "memory for events that wait, at most", unit("By"),
@@ -203,6 +206,16 @@ struct LiveCounts {
   std::uint64_t dropped = 0;
 };
 
+/// How a writer wants what it stores, where each storing costs something however little it stores.
+struct StorePace {
+  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when it
+  /// takes so much memory of the queue.
+  std::size_t bytes = 0;
+  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last one.
+  Duration account_time{0};
+  std::uint64_t account_events = 0;
+};
+
 /// A topic that a sink is to take, before either is made. See `refused_topics` of each kind.
 struct TopicToRecord {
   std::string_view name;
@@ -225,6 +238,8 @@ class Writer {
   virtual Result<void> close() { return {}; }
   /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
   virtual std::optional<Error> take_warning() { return std::nullopt; }
+  /// On the loop's thread, once, before the first batch.
+  virtual StorePace pace() const { return {}; }
   /// On the loop's thread, before the first event of a topic: from the sink's constructor, or later, while the lane may
   /// be at work. `number` is that of the slots to come. An error: no event of the topic comes here, each is
   /// counted as refused, and the sink is faulted; the constructor throws it.

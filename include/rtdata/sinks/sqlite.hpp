@@ -22,23 +22,35 @@
 
 namespace rtdata {
 
-/// How much a power cut may cost. A killed program loses nothing that was committed, with any of them.
+/// What a kill and a power cut may cost. The file itself is damaged by neither, but for `fast`.
+///
+/// A transaction holds what came within `batch_time` (1 s), so that a killed program loses that much at most, whatever the
+/// profile; the next start says how much it was.
 enum class SqliteProfile {
-  normal,  ///< WAL, synchronous=NORMAL: a power cut may cost the last commits, never the file
-  safe,    ///< WAL, synchronous=FULL: a power cut costs no commit
-  fast,    ///< no sync, journal in memory: a power cut or a kill in a commit may destroy the file
+  normal,  ///< WAL, synchronous=NORMAL; the log is synced each 30 s: a power cut costs as much at most
+  safe,    ///< WAL, synchronous=FULL: a power cut costs what a kill costs
+  fast,    ///< WAL, never synced: a power cut may destroy the file
+  card,    ///< for SD cards: as `safe`, with a `batch_time` of 10 s at least: ten seconds at risk, few bytes written
 };
 
 struct SqliteConfig {
   std::string path;
   SqliteProfile profile = SqliteProfile::normal;
-  std::uint64_t max_bytes = 0;  ///< the oldest rows are deleted above this size, and counted as pruned; 0: no limit
-  Duration max_age{0};          ///< rows older than this are deleted, and counted as pruned; 0: no limit
-  SinkConfig sink = {};         ///< what every sink has; its name is the path unless given
+  /// The recording as a whole, with its log: the oldest rows are deleted when it takes more, and counted as pruned; 0: no
+  /// limit, otherwise at least `least_max_bytes`.
+  std::uint64_t max_bytes = 0;
+  Duration max_age{0};   ///< rows older than this are deleted, and counted as pruned; 0: no limit
+  SinkConfig sink = {};  ///< what every sink has; its name is the path unless given
+
+  static constexpr std::uint64_t least_max_bytes = std::uint64_t{4} << 20;
 };
 
 /// Of these, which a recording cannot have a table for: an error each, `where` its topic.
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
+
+/// Whether what is at the path, if anything, is a recording, as far as its first bytes tell; the file is not changed.
+/// Errors: not-a-recording, newer-version.
+Result<void> check_recordable(const std::string& path);
 
 class SqliteSink : public Sink {
  public:

@@ -45,6 +45,7 @@ struct RunReport {
   std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
   std::uint64_t received = 0, unreadable = 0;   ///< before format 5: 0
   std::optional<std::uint64_t> lost_by_source;  ///< none: no source numbers its data
+  std::uint64_t values_checked = 0;             ///< rows whose values agree with their checksum
   std::size_t origins = 0, gaps = 0;
   std::vector<std::string> problems;  ///< a sentence each; the first 100
   std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100

@@ -12,6 +12,8 @@
 #include <cstdio>
 #include <ctime>
 
+#include "data/utf8.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -43,16 +45,19 @@ class NoSigpipe {
   bool was_pending_;
 };
 
+/// Why nothing can be written to it; empty: it can.
+const char* obstacle(int descriptor) {
+  const int flags = ::fcntl(descriptor, F_GETFL);
+  return flags < 0 ? "it is not open" : (flags & O_ACCMODE) == O_RDONLY ? "it is open for reading only" : "";
+}
+constexpr const char* descriptor_advice = "use 1 (standard output) or 2 (standard error)";
+
 class ConsoleWriter final : public Writer {
  public:
   explicit ConsoleWriter(const ConsoleConfig& config)
       : where_("descriptor " + std::to_string(config.descriptor)), time_(config.time) {
-    const int flags = ::fcntl(config.descriptor, F_GETFL);
-    if (flags < 0 || (flags & O_ACCMODE) == O_RDONLY) {
-      throw SetupError({Errc::bad_argument, "cannot print", where_,
-                        flags < 0 ? "it is not open" : "it is open for reading only",
-                        "use 1 (standard output) or 2 (standard error)"});
-    }
+    if (const std::string why = obstacle(config.descriptor); !why.empty())
+      throw SetupError({Errc::bad_argument, "cannot print", where_, why, descriptor_advice});
     // A copy: a lane that is left behind must not write into what has this number by then.
     fd_ = ::fcntl(config.descriptor, F_DUPFD_CLOEXEC, 3);
     if (fd_ < 0) throw SetupError(system_error(errno, "cannot print", where_));
@@ -131,11 +136,13 @@ class ConsoleWriter final : public Writer {
     text_ += text;
   }
 
-  /// Without what would move the cursor or colour the screen.
+  /// Without what would move the cursor or colour the screen, and without what is no UTF-8.
   void append_clean(std::string_view text) {
-    for (const char c : text) {
-      if (static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
-        text_ += c;
+    for (std::size_t i = 0, size = 0; i < text.size(); i += std::max<std::size_t>(size, 1)) {
+      const char c = text[i];
+      size = detail::utf8_size(text.substr(i));
+      if (size > 0 && static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
+        text_ += text.substr(i, size);
         continue;
       }
       char escaped[8];
@@ -152,6 +159,13 @@ class ConsoleWriter final : public Writer {
 };
 
 }  // namespace
+
+void check_config(const ConsoleConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::string why = obstacle(config.descriptor);
+  const ConfigItem* descriptor = item.find("descriptor");
+  if (!why.empty())
+    problems.add((descriptor != nullptr ? *descriptor : item).problem("bad-value", why + "; " + descriptor_advice));
+}
 
 ConsoleSink::ConsoleSink(Loop& loop, ConsoleConfig config)
     : Sink(loop, config.sink, std::make_unique<ConsoleWriter>(config)) {}

@@ -9,11 +9,17 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "rtdata/config/item.hpp"
+#include "rtdata/config/problem.hpp"
+#include "sinks/escaped_texts.hpp"
 #include "sinks/file/output_file.hpp"
+#include "sinks/file/rotation.hpp"
 
 namespace rtdata {
 
+using detail::EscapedTexts;
 using detail::OutputFile;
+using detail::Rotation;
 
 namespace {
 
@@ -44,7 +50,11 @@ Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const 
 class FileWriter final : public Writer {
  public:
   FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
-      : config_(config), codec_(std::move(codec)), header_codec_(std::move(header_codec)) {
+      : config_(config),
+        codec_(std::move(codec)),
+        header_codec_(std::move(header_codec)),
+        is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
@@ -81,6 +91,7 @@ class FileWriter final : public Writer {
                    "what had been written into it is gone with it", "a new one is made"};
     }
     for (OutputFile& file : files_) file.begin_batch();
+    escaped_.begin_batch();
     for (const Record& record : batch) {
       const std::uint32_t number = record.info->topic_number;
       if (!is_ready(number)) {
@@ -98,7 +109,13 @@ class FileWriter final : public Writer {
       }
       if (!repairs_.empty()) return take_repairs();
       OutputFile& file = files_[by_topic_[number]];
-      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) batch.refuse(record, encoded.error());
+      if (is_text_) escaped_.look_at(record);
+      const std::size_t from = file.buffer.size();
+      if (auto encoded = codec_->encode(record.view(), file.buffer); !encoded) {
+        batch.refuse(record, encoded.error());
+      } else if (rotation_.is_on()) {
+        if (auto done = rotation_.see_to(file, by_topic_[number], from, record.header.time); !done) return done;
+      }
       if (file.buffer.size() < piece_bytes) continue;
       if (auto done = file.write_out(); !done) return done;
     }
@@ -109,15 +126,20 @@ class FileWriter final : public Writer {
       if (auto done = sync(); !done) return done;
     }
     for (OutputFile& file : files_) file.end_batch();
+    escaped_.end_batch(batch);
     return {};
   }
 
-  Result<void> close() override {
-    Result<void> done;
-    if (config_.sync != FileSync::never) done = sync();
-    if (!done) return done;
-    for (OutputFile& file : files_) file.close();
-    return {};
+  std::optional<Error> take_warning() override {
+    if (std::string trouble = rotation_.take_trouble(); !trouble.empty()) {
+      return Error{Errc::io_failed, "files are not rotated as set", config_.path, std::move(trouble),
+                   "the file grows on, and it is tried again with each event"};
+    }
+    std::optional<Error> warning = escaped_.take_warning();
+    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_told_total_, true)) return warning;
+    if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
+    warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
+    return warning;
   }
 
   /// What was found at the ends of the files since the last call: an error that tells, when there was something.
@@ -182,15 +204,20 @@ class FileWriter final : public Writer {
   const FileConfig config_;
   std::unique_ptr<Codec> codec_;         // of whoever the files are
   std::unique_ptr<Codec> header_codec_;  // loop
+  const bool is_text_;                   // a format of ours that escapes what is no UTF-8
   bool is_pattern_ = false;
   // loop
   std::map<std::string, std::string> topic_by_path_;
   bool is_set_up_ = false;
   // loop until it is set up, then lane
+  Rotation rotation_;
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
+  EscapedTexts escaped_;
+  bool is_closed_ = false;
+  bool has_told_total_ = false;
 };
 
 std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
@@ -227,6 +254,13 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
     if (!taken) refused.push_back(std::move(taken).error());
   }
   return refused;
+}
+
+void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::string wrong = Rotation::mistake(config);
+  if (wrong.empty()) return;
+  const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");
+  problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
 }
 
 FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {

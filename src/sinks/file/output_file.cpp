@@ -8,9 +8,11 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdio>
 #include <span>
 #include <utility>
 
+#include "data/utf8.hpp"
 #include "sinks/lock_holder.hpp"
 
 namespace rtdata::detail {
@@ -25,10 +27,16 @@ bool is_by_lines(const Codec& codec) {
 }
 
 Result<void> compare_header(int fd, const std::string& path, const std::string& header) {
-  std::string there(header.size(), '\0');
+  using detail::byte_order_mark;
+  std::string there(byte_order_mark.size() + header.size(), '\0');
   const ssize_t got = ::pread(fd, there.data(), there.size(), 0);
   if (got < 0) return system_error(errno, "cannot read the file's header", path, "");
   there.resize(static_cast<std::size_t>(got));
+  if (there.starts_with(byte_order_mark)) {  // an editor may have put it there
+    there.erase(0, byte_order_mark.size());
+  } else if (there.size() > header.size()) {
+    there.resize(header.size());
+  }
   if (there == header) return {};
   if (got == 0 || (header.starts_with(there) && !there.ends_with('\n'))) return {};  // half a header is moved aside
   there.resize(std::min(there.find('\n'), there.size()));
@@ -45,10 +53,12 @@ OutputFile::OutputFile(OutputFile&& other) noexcept
       fd_(std::exchange(other.fd_, -1)),
       size_at_open_(other.size_at_open_),
       header_(std::move(other.header_)),
-      writes_header_(other.writes_header_),
+      header_left_(other.header_left_),
       has_begun_(other.has_begun_),
+      size_(other.size_),
       passed_(other.passed_),
-      done_(other.done_) {}
+      done_(other.done_),
+      done_before_(other.done_before_) {}
 
 OutputFile::~OutputFile() { close(); }
 
@@ -88,7 +98,8 @@ Result<void> OutputFile::open(const std::string& path) {
   }
   if (!result) close();
   size_at_open_ = about.st_size;
-  passed_ = done_ = 0;
+  passed_ = 0;
+  done_ = done_before_;
   has_begun_ = false;
   return result;
 }
@@ -96,15 +107,7 @@ Result<void> OutputFile::open(const std::string& path) {
 Result<void> OutputFile::repair(Codec& codec, std::string& what) {
   what.clear();
   if (size_at_open_ == 0) return {};
-  if (is_by_lines(codec)) {
-    std::byte last{};
-    if (::pread(fd_, &last, 1, size_at_open_ - 1) != 1) return failed(errno, "cannot read the file's end");
-    if (last == std::byte{'\n'}) return {};
-    constexpr std::byte line_end{'\n'};
-    std::size_t written = 0;
-    what = "the file ended in half a line, which was completed with a line end";
-    return append(&line_end, 1, written);
-  }
+  if (is_by_lines(codec)) return repair_lines(what);
   std::vector<std::byte> tail;  // from the last event's start on
   for (off_t at = 0;;) {
     const std::size_t kept = tail.size();
@@ -128,8 +131,32 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
     return Error{Errc::damaged, "cannot append to", path_, "what it holds is no " + std::string(codec.name()),
                  "check `format`, or choose another path"};
   }
-  what = "the file ended in half an event, whose " + std::to_string(tail.size()) + " bytes were moved to " + path_ +
-         ".half";
+  what = half_moved(tail.size());
+  return move_aside(tail);
+}
+
+std::string OutputFile::half_moved(std::size_t size) const {
+  return "the file ended in half an event, whose " + std::to_string(size) + " bytes were moved to " + path_ + ".half";
+}
+
+Result<void> OutputFile::repair_lines(std::string& what) {
+  std::vector<std::byte> tail;  // the end of the file, back to its last line end
+  for (off_t begin = size_at_open_; begin > 0;) {
+    const auto size = static_cast<std::size_t>(std::min<off_t>(begin, window_bytes));
+    begin -= static_cast<off_t>(size);
+    std::vector<std::byte> window(size);
+    if (::pread(fd_, window.data(), size, begin) != static_cast<ssize_t>(size))
+      return failed(errno, "cannot read the file's end");
+    const auto last = std::find(window.rbegin(), window.rend(), std::byte{'\n'});
+    tail.insert(tail.begin(), last.base(), window.end());
+    if (last != window.rend()) break;
+    if (tail.size() > 2 * window_bytes) {
+      return Error{Errc::damaged, "cannot append to", path_, "its last megabytes have no line end",
+                   "check `format`, or choose another path"};
+    }
+  }
+  if (tail.empty()) return {};
+  what = half_moved(tail.size());
   return move_aside(tail);
 }
 
@@ -148,7 +175,8 @@ Result<void> OutputFile::move_aside(std::span<const std::byte> tail) {
 
 Result<void> OutputFile::begin(const std::string& header) {
   header_ = header;
-  writes_header_ = size_at_open_ == 0 && !header.empty();
+  header_left_ = size_at_open_ == 0 ? header.size() : 0;
+  size_ = static_cast<std::uint64_t>(size_at_open_);
   has_begun_ = true;
   if (size_at_open_ == 0 || header.empty()) return {};
   return compare_header(fd_, path_, header);
@@ -167,9 +195,11 @@ Result<void> OutputFile::check_header(const std::string& path, const std::string
 void OutputFile::begin_batch() {
   buffer.clear();
   passed_ = 0;
-  if (!writes_header_) return;
-  const auto* from = reinterpret_cast<const std::byte*>(header_.data());
-  buffer.insert(buffer.end(), from, from + header_.size());
+}
+
+std::uint64_t OutputFile::size_with(std::size_t up_to) const noexcept {
+  const std::uint64_t end = passed_ + up_to;
+  return size_ + header_left_ + (end > done_ ? end - done_ : 0);
 }
 
 Result<void> OutputFile::append(const std::byte* data, std::size_t size, std::size_t& written) {
@@ -190,19 +220,67 @@ Result<void> OutputFile::append(const std::byte* data, std::size_t size, std::si
 Result<void> OutputFile::write_out() {
   std::size_t at = static_cast<std::size_t>(
       std::min<std::uint64_t>(done_ > passed_ ? done_ - passed_ : 0, buffer.size()));
+  while (at < buffer.size() && header_left_ > 0) {
+    const std::size_t begin = header_.size() - header_left_;
+    std::size_t written = 0;
+    auto done = append(reinterpret_cast<const std::byte*>(header_.data()) + begin, header_left_, written);
+    header_left_ -= written;
+    size_ += written;
+    if (!done) return done;
+  }
   while (at < buffer.size()) {
     const std::size_t before = at;
     if (auto done = append(buffer.data() + at, buffer.size() - at, at); !done) return done;
     done_ += at - before;
+    size_ += at - before;
   }
   passed_ += buffer.size();
   buffer.clear();
   return {};
 }
 
-void OutputFile::end_batch() noexcept {
-  if (passed_ > 0) writes_header_ = false;
-  passed_ = done_ = 0;
+void OutputFile::end_batch() noexcept { passed_ = done_ = done_before_ = 0; }
+
+std::int64_t OutputFile::changed_at() const noexcept {
+  struct stat about {};
+  if (fd_ < 0 || ::fstat(fd_, &about) != 0) return 0;
+  return std::int64_t{about.st_mtim.tv_sec} * 1'000'000'000 + about.st_mtim.tv_nsec;
+}
+
+Result<void> OutputFile::go_on_as_new(const std::string& name_of_old) {
+  struct stat old {};
+  if (::fstat(fd_, &old) != 0) return failed(errno, "cannot look at the file");
+  const auto make = [&](const std::string& path) -> Result<int> {
+    const int made = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_EXCL | O_CLOEXEC | O_NOCTTY, 0600);
+    if (made < 0) return system_error(errno, "cannot begin a new file", path, "");
+    if (::fchmod(made, old.st_mode & 07777) == 0 && ::flock(made, LOCK_EX | LOCK_NB) == 0) return made;
+    const int reason = errno;
+    ::close(made);
+    ::unlink(path.c_str());
+    return system_error(reason, "cannot begin a new file", path, "");
+  };
+  auto made = make(name_of_old);
+  if (!made) return std::move(made).error();
+  if (::renameat2(AT_FDCWD, name_of_old.c_str(), AT_FDCWD, path_.c_str(), RENAME_EXCHANGE) != 0) {
+    // FAT and some network file systems: for a moment there is no file of this path.
+    ::close(*made);
+    if (::rename(path_.c_str(), name_of_old.c_str()) != 0) {
+      const int reason = errno;
+      ::unlink(name_of_old.c_str());
+      return failed(reason, "cannot give the file its new name");
+    }
+    made = make(path_);
+    if (!made) {
+      ::rename(name_of_old.c_str(), path_.c_str());
+      return std::move(made).error();
+    }
+  }
+  ::close(std::exchange(fd_, *made));
+  size_at_open_ = 0;
+  size_ = 0;
+  header_left_ = header_.size();
+  done_before_ = done_;
+  return {};
 }
 
 Result<void> OutputFile::sync() {

@@ -40,12 +40,24 @@ class OutputFile {
   Result<void> write_out();
   /// All of the batch is written.
   void end_batch() noexcept;
+  /// Bytes of the file with what the buffer adds up to this place in it.
+  std::uint64_t size_with(std::size_t up_to) const noexcept;
+  bool has_events(std::uint64_t size) const noexcept { return size > header_.size(); }
+  /// The event that begins at this place in the buffer is in the file neither as a whole nor in part.
+  bool is_new(std::size_t from) const noexcept { return passed_ + from >= done_ && passed_ + buffer.size() > done_; }
+  /// Gives the file this name and goes on with a new one under its own; nothing waits in the buffer. There is a file of the
+  /// path at each moment, unless the file system cannot exchange names. After an error all is as before.
+  Result<void> go_on_as_new(const std::string& name_of_old);
+  /// When it was changed last.
+  std::int64_t changed_at() const noexcept;
   Result<void> sync();
   /// The file is no longer where it was: closes it. True when it was so.
   bool close_if_deleted();
   void close() noexcept;
 
  private:
+  Result<void> repair_lines(std::string& what);
+  std::string half_moved(std::size_t size) const;
   Result<void> move_aside(std::span<const std::byte> tail);
   Error failed(int errno_value, const char* what) const;
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);
@@ -53,11 +65,13 @@ class OutputFile {
   std::string path_;
   int fd_ = -1;
   off_t size_at_open_ = 0;
-  std::string header_;  // to stand before the first batch
-  bool writes_header_ = false;
+  std::string header_;           // to stand before the first event
+  std::size_t header_left_ = 0;  // of it, to be written
   bool has_begun_ = false;
-  std::uint64_t passed_ = 0;  // bytes of this batch that went through the buffer in this pass
-  std::uint64_t done_ = 0;    // bytes of this batch in the file
+  std::uint64_t size_ = 0;         // of the file
+  std::uint64_t passed_ = 0;       // bytes of this batch that went through the buffer in this pass
+  std::uint64_t done_ = 0;         // bytes of this batch in the file, or in those before it
+  std::uint64_t done_before_ = 0;  // of them, in those before it
 };
 
 }  // namespace rtdata::detail

@@ -4,6 +4,8 @@
 
 #include <cerrno>
 
+#include "data/utf8.hpp"
+
 namespace rtdata::sqlite {
 namespace {
 
@@ -94,7 +96,12 @@ Statement& Statement::bind(int index, double value) noexcept {
   sqlite3_bind_double(raw(), index, value);
   return *this;
 }
-Statement& Statement::bind(int index, std::string_view value) noexcept {
+Statement& Statement::bind(int index, std::string_view value) {
+  if (!detail::is_readable(value)) {
+    const std::string text = detail::readable(value);
+    sqlite3_bind_text64(raw(), index, text.data(), text.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+    return *this;
+  }
   sqlite3_bind_text64(raw(), index, value.data() != nullptr ? value.data() : "", value.size(), SQLITE_STATIC,
                       SQLITE_UTF8);
   return *this;

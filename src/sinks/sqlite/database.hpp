@@ -21,8 +21,8 @@ class Statement {
 
   Statement& bind(int index, std::int64_t value) noexcept;
   Statement& bind(int index, double value) noexcept;
-  /// Not copied: it must live until the statement has run.
-  Statement& bind(int index, std::string_view value) noexcept;
+  /// What is no UTF-8 in it is escaped. Not copied: it must live until the statement has run.
+  Statement& bind(int index, std::string_view value);
   Statement& bind_null(int index) noexcept;
 
   /// Runs up to the next row: true when there is one. Errors are those of the database.

@@ -29,12 +29,13 @@ struct LiveFile::Header {
   char recording[PATH_MAX];
   std::atomic<std::uint64_t> is_incomplete;
   std::atomic<std::uint64_t> slots;
+  Kept<RunSums> sums;
 };
 
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{2} << 32) | sizeof(LiveSlot);
+constexpr std::uint64_t layout = (std::uint64_t{3} << 32) | sizeof(LiveSlot);
 constexpr std::size_t header_bytes = 8192;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";
@@ -252,6 +253,8 @@ std::uint32_t LiveFile::slots() const noexcept {
 bool LiveFile::is_complete() const noexcept {
   return header_ != nullptr && header_->is_incomplete.load(std::memory_order_acquire) == 0;
 }
+
+Kept<RunSums>& LiveFile::sums() noexcept { return header_->sums; }
 
 void LiveFile::remove() noexcept {
   if (fd_ < 0) return;

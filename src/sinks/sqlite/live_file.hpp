@@ -15,6 +15,7 @@
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/sqlite/checksum.hpp"
 
 namespace rtdata::sqlite {
 
@@ -92,7 +93,7 @@ struct LiveAccount {
   SensorCounts sensor;
   std::uint64_t offered;         ///< when this was written
   std::uint64_t first_sequence;  ///< 0: none
-  Segment segment;        ///< under way; period 0: none
+  Segment segment;               ///< under way; period 0: none
   LiveGap under_way;
   LiveGap closed;  ///< those that may be in no account of the recording, as one
 };
@@ -136,6 +137,9 @@ class LiveFile {
   std::uint32_t slots() const noexcept;
   /// Whether each slot of the run has its place here.
   bool is_complete() const noexcept;
+
+  /// The checksums of the run's account, which are not in the recording before it ends. The lane's.
+  Kept<RunSums>& sums() noexcept;
 
   // Of slots that it has.
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }

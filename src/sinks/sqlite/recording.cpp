@@ -41,6 +41,13 @@ Result<Statement> RecordingFile::prepare(const std::string& sql) const {
   return made;
 }
 
+Result<std::int64_t> RecordingFile::first_run_with_escapes() const {
+  auto written = version();
+  if (!written || *written < sqlite::first_version_of_own_account) return written ? INT64_MAX : written;
+  return database.integer("SELECT coalesce(min(run), 9223372036854775807) FROM rtdata_run WHERE format >= " +
+                          std::to_string(sqlite::first_version_of_escapes));
+}
+
 Result<Snapshot> Snapshot::take(std::shared_ptr<RecordingFile> file) {
   if (file->snapshots == 0) {
     if (auto begun = file->database.execute("BEGIN"); !begun) return std::move(begun).error();

@@ -16,6 +16,8 @@ struct RecordingFile {
   Result<sqlite::Statement> prepare(const std::string& sql) const;
   /// Of its layout; it may be an older one than that of this program.
   Result<std::int64_t> version() const { return database.integer("PRAGMA user_version"); }
+  /// Of the first run whose texts have escapes; the runs after it have them too.
+  Result<std::int64_t> first_run_with_escapes() const;
   Error damaged(std::string where, std::string why) const;
 };
 
@@ -38,8 +40,10 @@ class RowReader {
   explicit RowReader(const RecordedTopic& topic) : topic_(&topic) {}
   /// ", t."temperature", t."position.x"": what follows other columns in a SELECT from the table called t.
   std::string columns() const;
+  /// Texts that are no UTF-8 are stored with escapes since version 5.
+  enum class Texts { as_they_are, with_escapes };
   /// `first`: the column where those begin. Errors: damaged, which names the field.
-  Result<void> read(sqlite3_stmt* row, int first, std::byte* payload) const;
+  Result<void> read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const;
 
  private:
   const RecordedTopic* topic_;

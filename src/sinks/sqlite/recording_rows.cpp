@@ -60,6 +60,7 @@ struct RowsMerge {
   std::vector<TableCursor*> heap;
   TableCursor* last = nullptr;  // gave the row that is out; goes on at the next call
   std::uint64_t given = 0;
+  std::int64_t first_run_with_escapes = 0;
   RecordedRow row;
 
   static bool is_later(const TableCursor* a, const TableCursor* b) noexcept {
@@ -137,7 +138,10 @@ Result<const RecordedRow*> Rows::next() {
                  static_cast<std::uint64_t>(cursor.statement.integer(detail::sequence_column)), row.origin_};
   row.payload_.resize(cursor.topic.description->size());
   if (auto read = detail::RowReader(cursor.topic)
-                      .read(cursor.statement.raw(), detail::fixed_columns, row.payload_.data());
+                      .read(cursor.statement.raw(), detail::fixed_columns,
+                            cursor.run >= merge.first_run_with_escapes ? detail::RowReader::Texts::with_escapes
+                                                                       : detail::RowReader::Texts::as_they_are,
+                            row.payload_.data());
       !read) {
     Error error = std::move(read).error();
     error.where = merge.file->database.path() + ", topic " + cursor.topic.topic + ", run " + std::to_string(row.run_) +
@@ -157,6 +161,9 @@ Result<Rows> Recording::rows(const RowFilter& filter) const {
   auto snapshot = detail::Snapshot::take(file_);
   if (!snapshot) return std::move(snapshot).error();
   auto merge = std::make_unique<detail::RowsMerge>(file_, std::move(*snapshot), filter);
+  auto first_run = file_->first_run_with_escapes();
+  if (!first_run) return std::move(first_run).error();
+  merge->first_run_with_escapes = *first_run;
   auto all = topics();
   if (!all) return std::move(all).error();
   for (RecordedTopic& topic : *all) {

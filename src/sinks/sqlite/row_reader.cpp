@@ -2,6 +2,7 @@
 #include <cstring>
 #include <limits>
 
+#include "data/utf8.hpp"
 #include "rtdata/data/value.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
@@ -29,7 +30,7 @@ std::string found(sqlite3_stmt* row, int column) {
 }
 
 /// The value of a column as `write` takes it; false when it does not fit the kind.
-bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, Value& value) {
+bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts texts, Value& value) {
   const int type = sqlite3_column_type(row, column);
   switch (leaf.kind) {
     case Kind::boolean:
@@ -46,9 +47,12 @@ bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, Value& value) {
     case Kind::u64:
       value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
       return type == SQLITE_INTEGER;
-    case Kind::text:
-      value = std::string(text_of(row, column));
+    case Kind::text: {
+      const std::string_view text = text_of(row, column);
+      const bool is_escaped = texts == RowReader::Texts::with_escapes && has_escape(text);
+      value = is_escaped ? unescaped(text) : std::string(text);
       return type == SQLITE_TEXT;
+    }
     case Kind::character: {
       if (type == SQLITE_TEXT) {
         const std::string_view text = text_of(row, column);
@@ -109,7 +113,7 @@ std::string RowReader::columns() const {
   return sql;
 }
 
-Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
+Result<void> RowReader::read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const {
   std::memset(payload, 0, topic_->description->size());
   int column = first - 1;
   for (const Leaf& leaf : topic_->description->leaves()) {
@@ -124,7 +128,7 @@ Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) c
       continue;
     }
     Value value;
-    if (!convert(row, column, leaf, value)) {
+    if (!convert(row, column, leaf, texts, value)) {
       return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
                    "it holds " + found(row, column) + ", which is no " + std::string(name_of(leaf.kind)), ""};
     }

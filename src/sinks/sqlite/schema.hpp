@@ -6,7 +6,8 @@
 //   run, time, origin, sequence, then one column a leaf of the description, named by its path ("position.x",
 //   "accel[0]").
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
-// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT; char TEXT of
+// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT,
+// escaped where it is no UTF-8 (data/utf8.hpp, since version 5); char TEXT of
 // one character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name;
 // absent NULL.
 #pragma once
@@ -18,6 +19,12 @@ inline constexpr int schema_version = 5;           // PRAGMA user_version
 
 /// Reads and data have accounts of their own; gaps may have no number of ticks.
 inline constexpr int first_version_of_own_data_account = 5;
+
+/// Texts of events that are no UTF-8 have escapes.
+inline constexpr int first_version_of_escapes = 5;
+
+/// Rows and accounts have checksums.
+inline constexpr int first_version_with_checksums = 5;
 
 /// Accounts count from the beginning of the recording; before, from that of the sensor.
 inline constexpr int first_version_of_own_account = 4;
@@ -91,6 +98,21 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change
   name TEXT NOT NULL,
   state TEXT NOT NULL,              -- ok, degraded, faulted
   reason TEXT NOT NULL);            -- empty when ok
+CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- since version 5: what hashing the rows of a table must give again
+  run INTEGER NOT NULL,             -- 0: of all runs
+  table_name TEXT NOT NULL,         -- a topic's table, or one of the account
+  origin TEXT NOT NULL,             -- of a topic's table; otherwise empty: all rows of the run
+  first_sequence INTEGER NOT NULL, last_sequence INTEGER NOT NULL,
+  columns INTEGER NOT NULL,         -- so many of the table's first columns are hashed, without `run`
+  rows INTEGER NOT NULL,
+  sum INTEGER);                     -- of the rows' hashes mod 2^64, as a signed number; NULL: not known
+)sql"
+                                      // Texts of events that were no UTF-8.
+                                      R"sql(
+CREATE TABLE IF NOT EXISTS rtdata_escaped(  -- since version 5
+  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
+  texts INTEGER NOT NULL,           -- stored with escapes in them
+  PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 )sql";
 
 /// What `schema` does not do to the tables of a file of version 1.

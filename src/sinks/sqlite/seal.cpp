@@ -1,4 +1,4 @@
-// Runs that ended without closing, and rows beyond the limits of a recording.
+// Runs that ended without closing.
 #include <algorithm>
 #include <limits>
 #include <string_view>
@@ -7,6 +7,7 @@
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/seal_account.hpp"
+#include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -137,8 +138,12 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live) {
+Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   bool is_known = live != nullptr && live->is_complete();
+  const bool has_checksums = run.format >= first_version_with_checksums;
+  if (has_checksums) {
+    if (auto taken = take_over_sums(database, run.run, live, sums); !taken) return std::move(taken).error();
+  }
   std::vector<std::string> topics;
   {
     auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
@@ -167,6 +172,9 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
       unnamed += live->counts(slot).offered;
   }
   is_known = is_known && unnamed == 0;
+  if (has_checksums) {
+    if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
+  }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
   remark += is_known      ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
@@ -183,13 +191,16 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
+  if (has_checksums) {
+    if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
+  }
   return remark;
 }
 
 }  // namespace
 
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           std::vector<LiveFile>& used) {
+                                           AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
     auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
@@ -206,94 +217,12 @@ Result<std::vector<std::string>> seal_runs(Database& database, const std::string
   for (const OpenRun& run : open) {
     auto live = LiveFile::find(recording, run.uuid, noted);
     if (!live) return std::move(live).error();
-    auto remark = seal_run(database, run, *live ? &**live : nullptr);
+    auto remark = seal_run(database, run, *live ? &**live : nullptr, sums);
     if (!remark) return std::move(remark).error();
     if (*live) used.push_back(std::move(**live));
     remarks.push_back(*remark);
   }
   return remarks;
-}
-
-namespace {
-
-/// Deletes the rows of a table up to the rowid, and counts them in the ledger.
-Result<void> prune_table(Database& database, const std::string& topic, const std::string& table, std::int64_t up_to) {
-  auto count = database.prepare("SELECT run, origin, count(*) FROM " + quoted(table) +
-                                " WHERE rowid <= ? GROUP BY run, origin");
-  if (!count) return std::move(count).error();
-  auto update = database.prepare(
-      "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
-  if (!update) return std::move(update).error();
-  count->bind(1, up_to);
-  for (;;) {
-    auto row = count->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    update->bind(1, count->integer(2)).bind(2, count->integer(0)).bind(3, topic).bind(4, count->text(1));
-    if (auto done = update->run(); !done) return done;
-  }
-  auto remove = database.prepare("DELETE FROM " + quoted(table) + " WHERE rowid <= ?");
-  if (!remove) return std::move(remove).error();
-  remove->bind(1, up_to);
-  return remove->run();
-}
-
-}  // namespace
-
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now) {
-  constexpr std::int64_t most_rows_a_table = 5000;
-  bool is_too_large = false;
-  if (max_bytes > 0) {
-    auto bytes = database.integer(
-        "SELECT (page_count - freelist_count) * page_size FROM pragma_page_count(), pragma_freelist_count(), "
-        "pragma_page_size()");
-    if (!bytes) return std::move(bytes).error();
-    is_too_large = static_cast<std::uint64_t>(*bytes) > max_bytes;
-  }
-  std::vector<std::pair<std::string, std::string>> tables;
-  {
-    auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
-    if (!query) return std::move(query).error();
-    for (;;) {
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
-      tables.emplace_back(query->text(0), query->text(1));
-    }
-  }
-  if (auto begun = database.execute("BEGIN IMMEDIATE"); !begun) return begun;
-  const auto work = [&]() -> Result<void> {
-    for (const auto& [topic, table] : tables) {
-      // Rows lie in order of recording: the oldest first. The last one stays, so that rowids go on ascending.
-      auto first = database.integer("SELECT min(rowid) FROM " + quoted(table));
-      if (!first) return std::move(first).error();
-      auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
-      if (!last) return std::move(last).error();
-      if (*last <= *first) continue;
-      std::int64_t up_to = 0;
-      if (is_too_large) up_to = std::min(*first + std::min(most_rows_a_table, (*last - *first) / 10 + 1), *last) - 1;
-      if (max_age.count() > 0) {
-        auto query = database.prepare("SELECT max(rowid) FROM (SELECT rowid, time FROM " + quoted(table) +
-                                      " ORDER BY rowid LIMIT ?) WHERE time < ?");
-        if (!query) return std::move(query).error();
-        query->bind(1, most_rows_a_table).bind(2, to_nanoseconds(now - max_age));
-        auto row = query->step();
-        if (!row) return std::move(row).error();
-        if (*row && !query->is_null(0)) up_to = std::max(up_to, std::min(query->integer(0), *last - 1));
-      }
-      if (up_to >= *first) {
-        if (auto pruned = prune_table(database, topic, table, up_to); !pruned) return pruned;
-      }
-    }
-    return {};
-  };
-  auto done = work();
-  if (done) done = database.execute("COMMIT");
-  if (!done) {
-    if (sqlite3_get_autocommit(database.raw()) == 0) (void)database.execute("ROLLBACK");
-    return done;
-  }
-  return database.execute("PRAGMA incremental_vacuum(1000)");
 }
 
 }  // namespace rtdata::sqlite

@@ -129,8 +129,8 @@ Result<void> put_gap(Database& database, const KilledOrigin& killed, const LiveG
     }
     return statement->run();
   };
-  if (auto done = run("UPDATE rtdata_gap SET last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 AND topic = "
-                      "?2 AND origin = ?3 AND first = ?4");
+  if (auto done = run("UPDATE rtdata_gap SET first = ?4, last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 "
+                      "AND topic = ?2 AND origin = ?3 AND first BETWEEN ?4 AND ?5");
       !done)
     return done;
   if (sqlite3_changes(database.raw()) > 0) return {};
@@ -173,11 +173,11 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
     std::int64_t others = known->count;
     for (const LiveGap* gap : {&closed, &open}) {
       if (!gap->is_there) continue;
-      auto query = prepare(
-          database, killed,
-          "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
+      auto query = prepare(database, killed,
+                           "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND "
+                           "first BETWEEN ? AND ?");
       if (!query) return std::move(query).error();
-      query->bind(4, gap->first);
+      query->bind(4, gap->first).bind(5, gap->last);
       auto row = query->step();
       if (!row) return std::move(row).error();
       others -= query->integer(0);

@@ -1,14 +1,26 @@
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+
 #include "loop/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 
 namespace rtdata {
 namespace {
 
+constexpr Duration card_batch_time = std::chrono::seconds{10};
+
 SinkConfig named(const SqliteConfig& config) {
   SinkConfig sink = config.sink;
   if (sink.name.empty()) sink.name = config.path;
+  if (config.profile == SqliteProfile::card) sink.batch_time = std::max<Duration>(sink.batch_time, card_batch_time);
   return sink;
 }
 
@@ -36,6 +48,41 @@ std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRe
       refused.push_back(std::move(fits).error());
   }
   return refused;
+}
+
+Result<void> check_recordable(const std::string& path) {
+  constexpr std::string_view magic("SQLite format 3\0", 16);
+  std::array<unsigned char, 100> head{};
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (fd < 0) return {};  // it is not there, or what else is wrong is told elsewhere
+  struct stat about {};
+  const bool is_file = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode);
+  const ssize_t got = is_file ? ::pread(fd, head.data(), head.size(), 0) : 0;
+  ::close(fd);
+  if (got <= 0) return {};
+  const auto number_at = [&](std::size_t at) {
+    std::uint32_t number = 0;
+    for (std::size_t i = 0; i < 4; ++i) number = number << 8 | head[at + i];
+    return number;
+  };
+  const auto refuse = [&](Errc code, std::string why, const char* advice) {
+    return Error{code, "cannot record into", path, std::move(why), advice};
+  };
+  if (got < static_cast<ssize_t>(head.size()) || std::memcmp(head.data(), magic.data(), magic.size()) != 0)
+    return refuse(Errc::not_a_recording, "it is no SQLite file", "choose another path");
+  struct stat log {};
+  if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // what holds is in there
+  const std::uint32_t page = number_at(14) & 0xffff;                             // 1 stands for 65536
+  const bool may_be_empty = about.st_size <= static_cast<off_t>(page == 1 ? 65536 : page);
+  const std::uint32_t id = number_at(68);
+  if (id != sqlite::application_id && (id != 0 || !may_be_empty))
+    return refuse(Errc::not_a_recording, "it is another program's SQLite database", "choose another path");
+  if (id == sqlite::application_id && number_at(60) > sqlite::schema_version)
+    return refuse(Errc::newer_version,
+                  "a newer version wrote it (format " + std::to_string(number_at(60)) + ", this one knows " +
+                      std::to_string(sqlite::schema_version) + ")",
+                  "update rt-data, or choose another path");
+  return {};
 }
 
 SqliteSink::SqliteSink(Loop& loop, SqliteConfig config) : Sink(loop, named(config), make_writer(loop, config)) {}

@@ -1,7 +1,10 @@
 #include "sinks/sqlite/sqlite_writer.hpp"
 
+#include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
+
+#include <algorithm>
 
 #include "loop/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
@@ -10,10 +13,21 @@
 namespace rtdata::sqlite {
 namespace {
 
-constexpr int wal_pages_to_checkpoint = 256;  // 1 MiB: a log that stays small stays in the caches
+// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a checkpoint
+// writes each of them once: the later, the less is written.
+constexpr std::uint64_t log_bytes_at_most = std::uint64_t{4} << 20;
+constexpr std::uint64_t log_bytes_when_fast = std::uint64_t{1} << 20;
+constexpr std::size_t rows_when_fast = 1000;  // in a transaction
+constexpr Duration log_sync_interval = std::chrono::seconds{30};
+constexpr Duration reader_wait_interval = std::chrono::seconds{1};
+constexpr int reader_wait_ms = 200;
+constexpr int busy_ms = 2000;
+constexpr std::size_t batch_bytes = std::size_t{1} << 20;
+constexpr std::uint64_t account_events = 5000;
+constexpr Duration account_interval = std::chrono::seconds{30};
+constexpr Duration account_interval_of_card = std::chrono::seconds{60};
 constexpr std::uint64_t short_of_space = std::uint64_t{64} << 20;
 constexpr Duration space_interval = std::chrono::seconds{10};
-constexpr Duration limits_interval = std::chrono::seconds{1};
 
 std::string random_uuid() { return detail::first_line("/proc/sys/kernel/random/uuid"); }
 
@@ -51,10 +65,19 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
 }  // namespace
 
 SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks)
-    : config_(config) {
+    : config_(config), pruner_(config.max_bytes, config.max_age) {
   if (config_.path.empty()) {
     throw SetupError(
         {Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
+  }
+  if (config_.max_bytes != 0 && config_.max_bytes < SqliteConfig::least_max_bytes) {
+    throw SetupError({Errc::bad_argument, "cannot record into", config_.path,
+                      "`max_bytes` is " + std::to_string(config_.max_bytes),
+                      "set at least " + std::to_string(SqliteConfig::least_max_bytes) + " (4 MiB), or 0 for no limit"});
+  }
+  if (config_.max_age.count() < 0) {
+    throw SetupError({Errc::bad_argument, "cannot record into", config_.path, "`max_age` is negative",
+                      "set a positive time, or 0 for no limit"});
   }
   database_ = std::move(Database::open(config_.path, Database::Mode::write)).or_throw();
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
@@ -77,9 +100,11 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
   const std::string uuid = random_uuid();
   throw_if(database_.execute("BEGIN IMMEDIATE"));
   throw_if(make_schema());
+  throw_if(sums_.watch(database_));
   std::vector<LiveFile> used;
-  remarks = std::move(seal_runs(database_, recording, lock_.noted(), used)).or_throw();
+  remarks = std::move(seal_runs(database_, recording, lock_.noted(), sums_, used)).or_throw();
   throw_if(begin_run(run, uuid));
+  throw_if(sums_.write_changes(database_));
   if (auto made = LiveFile::make(recording, uuid)) {
     live_ = std::move(*made);
   } else {
@@ -89,35 +114,49 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
     live_.remove();
     committed.or_throw();
   }
+  if (live_) live_.sums().set(sums_.sums_of(run_));
+  sums_.committed();
   lock_.note(live_.path());
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
 }
 
 Result<void> SqliteWriter::configure() {
-  std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=";
+  std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
   switch (config_.profile) {
     case SqliteProfile::normal:
-      sql += "WAL; PRAGMA synchronous=NORMAL;";
+      sql += "NORMAL;";
       break;
     case SqliteProfile::safe:
-      sql += "WAL; PRAGMA synchronous=FULL;";
+    case SqliteProfile::card:
+      sql += "FULL;";
       break;
     case SqliteProfile::fast:
-      sql += "MEMORY; PRAGMA synchronous=OFF;";
+      sql += "OFF;";
       break;
   }
   // Checkpoints are ours, outside of commits.
-  sql += "PRAGMA wal_autocheckpoint=0; PRAGMA journal_size_limit=67108864; PRAGMA temp_store=MEMORY;";
+  const std::uint64_t most_log = pruner_.log_bytes() != 0 ? pruner_.log_bytes() : std::uint64_t{64} << 20;
+  sql += "PRAGMA wal_autocheckpoint=0; PRAGMA temp_store=MEMORY; PRAGMA journal_size_limit=" + std::to_string(most_log);
   if (auto set = database_.execute(sql); !set) return set;
+  auto bytes = database_.integer("PRAGMA page_size");
+  if (!bytes) return std::move(bytes).error();
+  page_bytes_ = static_cast<int>(*bytes);
   sqlite3_wal_hook(
       database_.raw(),
       [](void* pages, sqlite3*, const char*, int count) {
         *static_cast<int*>(pages) = count;
         return SQLITE_OK;
       },
-      &wal_pages_);
+      &log_pages_);
   return {};
+}
+
+StorePace SqliteWriter::pace() const {
+  const bool is_card = config_.profile == SqliteProfile::card;
+  const std::uint64_t of_limit = config_.max_bytes == 0 ? batch_bytes : config_.max_bytes / 20;
+  return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)),
+          is_card ? account_interval_of_card : account_interval, account_events};
 }
 
 Result<void> SqliteWriter::make_schema() {
@@ -162,6 +201,8 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   insert->bind(12, std::int64_t{schema_version});
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
+  sums_.begin(run_);
+  ranges_.begin(run_, run.started);
   boot_id_ = run.boot_id;
   return {};
 }
@@ -247,26 +288,36 @@ Result<void> SqliteWriter::prepare_account() {
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
+  // Before the batch, not after it: what fails here must not make it come again when it is stored already.
+  if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
+  escaped_.begin_batch();
   auto done = begin_.run();
+  // First, so that the new rows take the pages of the old ones within one transaction.
+  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
   if (done) done = write_slots(batch);
   if (done) done = write_rows(batch);
+  if (done) done = write_escaped(batch);
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
+  if (done) done = write_checksums(batch.account());
+  if (done) stage();
   if (done) done = commit_.run();
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
     grown_gaps_ = stored_gaps_;
+    rolled_back();
+    pruner_.close();
     return done;
   }
+  committed();
   known_slots_ = slots;
   if (batch.account() != nullptr) stored_gaps_ = grown_gaps_;
-  if (batch.account() != nullptr) {
-    last_account_ = batch.account()->at;
-    look_at_space();
-    if (!has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
-  }
-  if (wal_pages_ >= 4 * wal_pages_to_checkpoint) return checkpoint(SQLITE_CHECKPOINT_PASSIVE);
+  escaped_.end_batch(batch);
+  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
+  rows_in_last_ = batch.size();
+  look_at_space();
+  if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   return {};
 }
 
@@ -284,6 +335,7 @@ Result<void> SqliteWriter::write_slots(const Batch& batch) {
 
 Result<void> SqliteWriter::write_rows(Batch& batch) {
   for (const Record& record : batch) {
+    now_ = std::max(now_, record.header.time);
     const std::uint32_t number = record.info->topic_number;
     TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
     if (table == nullptr) [[unlikely]] {
@@ -308,7 +360,7 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_);
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -325,6 +377,19 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   if (number >= tables_.size()) tables_.resize(number + 1);
   tables_[number] = std::make_unique<TopicTable>(std::move(*table));
   return tables_[number].get();
+}
+
+Result<void> SqliteWriter::write_escaped(const Batch& batch) {
+  for (const auto& [number, count] : escaped_.in_batch()) {
+    auto add = database_.prepare(
+        "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
+        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts");
+    if (!add) return std::move(add).error();
+    const SlotInfo& slot = batch.slot(number);
+    add->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
+    if (auto done = add->run(); !done) return done;
+  }
+  return {};
 }
 
 Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
@@ -427,8 +492,10 @@ Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot,
     return statement.run();
   };
   const auto known = grown_gaps_.find(number);
-  if (known != grown_gaps_.end() && known->second.first == gap.first) {
+  // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
+  if (known != grown_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
     grown_gap_.bind(9, known->second.second);
+    known->second.first = gap.first;
     if (what == GapIs::closed) grown_gaps_.erase(known);
     return run_with(grown_gap_);
   }
@@ -437,26 +504,124 @@ Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot,
   return {};
 }
 
+Result<void> SqliteWriter::write_checksums(const Account* account) {
+  const bool is_last = account != nullptr && account->is_last;
+  const auto which = is_last              ? ValueRanges::Close::all
+                     : account != nullptr ? ValueRanges::Close::aged
+                                          : ValueRanges::Close::full;
+  if (auto done = ranges_.write(database_, which, account != nullptr ? account->at : Time{}); !done) return done;
+  if (is_last) {
+    if (auto done = sums_.write_lines(database_, run_); !done) return done;
+  }
+  return sums_.write_changes(database_);
+}
+
+void SqliteWriter::stage() {
+  ranges_.stage(live_);
+  if (live_) live_.sums().stage(sums_.sums_of(run_));
+}
+
+void SqliteWriter::committed() {
+  ranges_.committed(live_);
+  sums_.committed();
+  if (live_) live_.sums().settle();
+}
+
+void SqliteWriter::rolled_back() {
+  ranges_.rolled_back(live_);
+  sums_.rolled_back();
+}
+
+Result<void> SqliteWriter::tend_log() {
+  const std::uint64_t limit = pruner_.log_bytes();
+  std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
+  if (limit != 0) most = std::min(most, limit / 2);
+  const auto bytes = static_cast<std::uint64_t>(log_pages_) * static_cast<std::uint64_t>(page_bytes_);
+  if (bytes >= most) {
+    if (auto done = checkpoint(SQLITE_CHECKPOINT_PASSIVE); !done) return done;
+    log_synced_at_ = now_;
+    // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.
+    if (limit != 0 && bytes >= limit && now_ - readers_waited_for_at_ >= reader_wait_interval) {
+      readers_waited_for_at_ = now_;
+      sqlite3_busy_timeout(database_.raw(), reader_wait_ms);
+      auto done = checkpoint(SQLITE_CHECKPOINT_RESTART);
+      sqlite3_busy_timeout(database_.raw(), busy_ms);
+      if (!done) return done;
+    }
+  } else if (config_.profile == SqliteProfile::normal && now_ - log_synced_at_ >= log_sync_interval) {
+    log_synced_at_ = now_;
+    if (auto done = sync_log(); !done) return done;
+  }
+  if (config_.max_bytes != 0) look_at_size();
+  return {};
+}
+
 Result<void> SqliteWriter::checkpoint(int mode) {
-  if (config_.profile == SqliteProfile::fast) return {};
-  wal_pages_ = 0;
   const int status = sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, mode, nullptr, nullptr);
   if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY)
     return error_of(database_.raw(), "cannot checkpoint the recording");
   return {};
 }
 
-Result<void> SqliteWriter::flush() {
-  if ((config_.max_bytes > 0 || config_.max_age.count() > 0) && last_account_ - limits_looked_at_ >= limits_interval) {
-    limits_looked_at_ = last_account_;
-    if (auto pruned = prune(database_, config_.max_bytes, config_.max_age, last_account_); !pruned) return pruned;
+Result<void> SqliteWriter::sync_log() {
+  sqlite3_file* log = nullptr;
+  if (sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_JOURNAL_POINTER, &log) != SQLITE_OK ||
+      log == nullptr || log->pMethods == nullptr) {
+    return {};
   }
-  return wal_pages_ >= wal_pages_to_checkpoint ? checkpoint(SQLITE_CHECKPOINT_PASSIVE) : Result<void>{};
+  if (log->pMethods->xSync(log, SQLITE_SYNC_NORMAL) == SQLITE_OK) return {};
+  return Error{Errc::io_failed, "cannot force the recording's log onto the disk", config_.path + "-wal", "", ""};
+}
+
+Result<void> SqliteWriter::flush() {
+  // What a transaction does not delete at once follows in others, for as long as it takes to come near to the limit.
+  constexpr int most_transactions = 100;
+  if (auto done = tend_log(); !done) return done;
+  for (int i = 0; i < most_transactions && pruner_.has_more(); ++i) {
+    if (auto done = prune(); !done) return done;
+  }
+  return {};
+}
+
+Result<void> SqliteWriter::prune() {
+  auto done = begin_.run();
+  if (done) done = pruner_.make_room(database_, ranges_, now_);
+  if (done) done = sums_.write_changes(database_);
+  if (done) stage();
+  if (done) done = commit_.run();
+  if (!done) {
+    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    rolled_back();
+    pruner_.close();
+    return done;
+  }
+  committed();
+  return tend_log();
+}
+
+/// A limit that does not hold is told, once until it holds again.
+void SqliteWriter::look_at_size() {
+  std::uint64_t total = 0;
+  for (const char* part : {"", "-wal", "-shm"}) {
+    struct stat status {};
+    if (::stat((config_.path + part).c_str(), &status) == 0) total += static_cast<std::uint64_t>(status.st_size);
+  }
+  const bool is_too_large = total > config_.max_bytes + config_.max_bytes / 10;
+  if (is_too_large && !is_too_large_ && !pruner_.has_more()) {
+    warning_ = Error{Errc::storage_full, "the recording is larger than `max_bytes`", config_.path,
+                     std::to_string(total) + " bytes" +
+                         (pruner_.is_exhausted() ? ": its accounts alone take as much"
+                                                 : ": another program holds a transaction open"),
+                     pruner_.is_exhausted() ? "raise `max_bytes`, or record into another file"
+                                            : "end its query: until then no space can be used again"};
+    is_too_large_ = true;
+  }
+  if (total <= config_.max_bytes) is_too_large_ = false;
 }
 
 void SqliteWriter::look_at_space() {
-  if (last_account_ - space_looked_at_ < space_interval) return;
-  space_looked_at_ = last_account_;
+  if (now_ - space_looked_at_ < space_interval) return;
+  space_looked_at_ = now_;
   struct statvfs space {};
   if (::statvfs(config_.path.c_str(), &space) != 0) return;
   const std::uint64_t free = std::uint64_t{space.f_bavail} * space.f_frsize;
@@ -471,6 +636,7 @@ void SqliteWriter::look_at_space() {
 Result<void> SqliteWriter::close() {
   if (is_closed_) return {};
   tables_.clear();
+  pruner_.close();
   for (Statement* statement :
        {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
     *statement = Statement();

@@ -10,10 +10,13 @@
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -40,7 +43,10 @@ class SqliteWriter final : public Writer {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
-  std::optional<Error> take_warning() override { return std::exchange(warning_, std::nullopt); }
+  std::optional<Error> take_warning() override {
+    return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
+  }
+  StorePace pace() const override;
 
  private:
   void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
@@ -51,20 +57,34 @@ class SqliteWriter final : public Writer {
   Result<void> write_rows(Batch& batch);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
+  Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   enum class GapIs { closed, under_way };
   Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
+  Result<void> write_checksums(const Account* account);
+  /// Of the checksums: before a transaction commits, after it has, and after it was given up.
+  void stage();
+  void committed();
+  void rolled_back();
   Result<void> prepare_account();
+  Result<void> prune();
+  /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
+  Result<void> tend_log();
   Result<void> checkpoint(int mode);
+  Result<void> sync_log();
   void look_at_space();
+  void look_at_size();
   void tell_of_live_file(const Error& why);
 
   SqliteConfig config_;
-  RecordingLock lock_;  // given up last
+  AccountSums sums_;  // the connection calls it
+  ValueRanges ranges_;
+  RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
   Database database_;
   std::int64_t run_ = 0;
   std::string boot_id_;
+  detail::EscapedTexts escaped_;
   std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
   std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
   Statement begin_;
@@ -85,9 +105,14 @@ class SqliteWriter final : public Writer {
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
-  Time limits_looked_at_{};
-  Time last_account_{};
-  int wal_pages_ = 0;
+  Pruner pruner_;
+  bool is_too_large_ = false;  // and has been told
+  Time now_{};                 // of the last row or account
+  Time log_synced_at_{};
+  Time readers_waited_for_at_{};
+  int log_pages_ = 0;  // after the last transaction
+  std::size_t rows_in_last_ = 0;
+  int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
@@ -96,10 +121,6 @@ class SqliteWriter final : public Writer {
 /// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
 /// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           std::vector<LiveFile>& used);
-
-/// Deletes the oldest rows beyond the limits, at most a few thousand a call, and counts them as pruned.
-/// `now` is on the line of the recorded times.
-Result<void> prune(Database& database, std::uint64_t max_bytes, Duration max_age, Time now);
+                                           AccountSums& sums, std::vector<LiveFile>& used);
 
 }  // namespace rtdata::sqlite

@@ -14,6 +14,7 @@ constexpr std::size_t most_rows_per_statement = 16;
 constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
 constexpr std::size_t most_columns = 1990;      // SQLITE_MAX_COLUMN is 2000
 constexpr int fixed_parameters = 3;             // time, origin, sequence
+constexpr int fixed_columns = 4;                // and the run
 
 const char* type_of(const Leaf& leaf) {
   switch (leaf.kind) {
@@ -71,34 +72,72 @@ Result<void> add_columns(Database& database, const std::string& name, const Desc
   return {};
 }
 
-void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value) {
+/// In the order of the table's columns, which is another one when a later run has added some.
+Result<std::vector<const Leaf*>> leaves_in_order(const Database& database, const std::string& name,
+                                                 const Description& description) {
+  auto columns = columns_of(database, name);
+  if (!columns) return std::move(columns).error();
+  std::vector<const Leaf*> leaves;
+  for (const std::string& column : *columns) {
+    for (const Leaf& leaf : description.leaves()) {
+      if (leaf.path == column) leaves.push_back(&leaf);
+    }
+  }
+  return leaves;
+}
+
+/// Binds a value and hashes what SQLite will give back for it.
+void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value, RowHash& hash) {
   struct Binder {
     sqlite3_stmt* statement;
     int index;
     const Leaf& leaf;
-    void operator()(std::monostate) const { sqlite3_bind_null(statement, index); }
-    void operator()(bool v) const { sqlite3_bind_int(statement, index, v ? 1 : 0); }
+    RowHash& hash;
+    void integer(std::int64_t v) const {
+      sqlite3_bind_int64(statement, index, v);
+      hash.integer(v);
+    }
+    void text(std::string_view v) const {
+      sqlite3_bind_text64(statement, index, v.data(), v.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+      hash.text(v);
+    }
+    void operator()(std::monostate) const {
+      sqlite3_bind_null(statement, index);
+      hash.null();
+    }
+    void operator()(bool v) const { integer(v ? 1 : 0); }
     void operator()(char v) const {
       if (v >= ' ' && v <= '~') {
-        sqlite3_bind_text(statement, index, &v, 1, SQLITE_TRANSIENT);
+        text({&v, 1});
       } else {
-        sqlite3_bind_int(statement, index, static_cast<unsigned char>(v));
+        integer(static_cast<unsigned char>(v));
       }
     }
-    void operator()(std::int64_t v) const { sqlite3_bind_int64(statement, index, v); }
-    void operator()(std::uint64_t v) const { sqlite3_bind_int64(statement, index, static_cast<std::int64_t>(v)); }
+    void operator()(std::int64_t v) const { integer(v); }
+    void operator()(std::uint64_t v) const { integer(static_cast<std::int64_t>(v)); }
     void operator()(double v) const {
-      if (std::isnan(v) && leaf.optional != nullptr) {
-        sqlite3_bind_text(statement, index, "NaN", 3, SQLITE_STATIC);
-      } else {
-        sqlite3_bind_double(statement, index, v);  // NaN becomes NULL
-      }
+      if (std::isnan(v) && leaf.optional != nullptr) return text("NaN");
+      sqlite3_bind_double(statement, index, v);  // NaN becomes NULL
+      hash.real(v);
     }
-    void operator()(const std::string& v) const {
-      sqlite3_bind_text64(statement, index, v.data(), v.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
-    }
+    void operator()(const std::string& v) const { text(v); }
   };
-  std::visit(Binder{statement, index, leaf}, value);
+  std::visit(Binder{statement, index, leaf, hash}, value);
+}
+
+enum class Text { plain, escaped };
+/// `text` lives until the statement has run.
+Text bind_text(sqlite3_stmt* statement, int index, std::string_view text, RowHash& hash) {
+  if (!detail::needs_escape(text)) {
+    sqlite3_bind_text64(statement, index, text.data(), text.size(), SQLITE_STATIC, SQLITE_UTF8);
+    hash.text(text);
+    return Text::plain;
+  }
+  std::string escaped;
+  detail::append_escaped(escaped, text);
+  sqlite3_bind_text64(statement, index, escaped.data(), escaped.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+  hash.text(escaped);
+  return Text::escaped;
 }
 
 template <class T>
@@ -117,7 +156,8 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
                "a table has at most " + std::to_string(most_columns) + " columns: split it"};
 }
 
-Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run) {
+Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                                       detail::EscapedTexts& escaped, ValueRanges& ranges) {
   const Description& description = *slot.description;
   if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
   auto known = database.prepare(
@@ -165,14 +205,18 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
 
   TopicTable table;
   table.database_ = &database;
+  table.escaped_ = &escaped;
   table.name_ = name;
+  table.ranges_ = &ranges;
+  auto order = leaves_in_order(database, name, description);
+  if (!order) return std::move(order).error();
   // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
   // In the order of the table's columns it moves no value twice.
   std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
   std::string values = "(" + std::to_string(run) + ",?,?,?";
-  for (const Leaf& leaf : description.leaves()) {
-    table.columns_.push_back({leaf.optional == nullptr ? leaf.kind : Kind::record, leaf.offset, &leaf});
-    into += ", " + quoted(leaf.path);
+  for (const Leaf* leaf : *order) {
+    table.columns_.push_back({leaf->optional == nullptr ? leaf->kind : Kind::record, leaf->offset, leaf});
+    into += ", " + quoted(leaf->path);
     values += ",?";
   }
   into += ") VALUES ";
@@ -196,51 +240,74 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   return table;
 }
 
-void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) const {
-  sqlite3_bind_int64(statement, index++, to_nanoseconds(record.header.time));
-  ++index;  // the origin
-  sqlite3_bind_int64(statement, index++, static_cast<std::int64_t>(record.header.sequence));
+void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) {
+  const auto integer = [&](std::int64_t value) {
+    sqlite3_bind_int64(statement, index, value);
+    hash_.integer(value);
+  };
+  const auto real = [&](double value) {
+    sqlite3_bind_double(statement, index, value);
+    hash_.real(value);
+  };
+  hash_.begin();
+  integer(to_nanoseconds(record.header.time));
+  ++index;
+  hash_.text(record.info->origin);  // bound already
+  ++index;
+  integer(static_cast<std::int64_t>(record.header.sequence));
+  ++index;
   const std::byte* payload = record.payload.data();
   for (const Column& column : columns_) {
     const std::byte* at = payload + column.offset;
     switch (column.kind) {
       case Kind::f64:
-        sqlite3_bind_double(statement, index, load<double>(at));
+        real(load<double>(at));
         break;
       case Kind::f32:
-        sqlite3_bind_double(statement, index, load<float>(at));
+        real(load<float>(at));
         break;
       case Kind::i64:
       case Kind::u64:
-        sqlite3_bind_int64(statement, index, load<std::int64_t>(at));
+        integer(load<std::int64_t>(at));
         break;
       case Kind::i32:
-        sqlite3_bind_int64(statement, index, load<std::int32_t>(at));
+        integer(load<std::int32_t>(at));
         break;
       case Kind::u32:
-        sqlite3_bind_int64(statement, index, load<std::uint32_t>(at));
+        integer(load<std::uint32_t>(at));
         break;
       case Kind::i16:
-        sqlite3_bind_int(statement, index, load<std::int16_t>(at));
+        integer(load<std::int16_t>(at));
         break;
       case Kind::u16:
-        sqlite3_bind_int(statement, index, load<std::uint16_t>(at));
+        integer(load<std::uint16_t>(at));
         break;
       case Kind::i8:
-        sqlite3_bind_int(statement, index, load<std::int8_t>(at));
+        integer(load<std::int8_t>(at));
         break;
       case Kind::u8:
-        sqlite3_bind_int(statement, index, load<std::uint8_t>(at));
+        integer(load<std::uint8_t>(at));
         break;
       case Kind::boolean:
-        sqlite3_bind_int(statement, index, load<bool>(at) ? 1 : 0);
+        integer(load<bool>(at) ? 1 : 0);
         break;
       default:
-        bind_value(statement, index, *column.leaf, read(*column.leaf, payload));
+        if (column.leaf->kind == Kind::text) {
+          const std::byte* value = value_bytes(*column.leaf, payload);
+          if (value == nullptr) {
+            sqlite3_bind_null(statement, index);
+            hash_.null();
+          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::escaped) {
+            escaped_->add(record.slot);
+          }
+          break;
+        }
+        bind_value(statement, index, *column.leaf, read(*column.leaf, payload), hash_);
         break;
     }
     ++index;
   }
+  ranges_->add(record, name_, static_cast<int>(columns_.size()) + fixed_columns, hash_.hash());
 }
 
 Result<void> TopicTable::run(Insert& insert, std::span<const Record> records) {

@@ -8,7 +8,10 @@
 
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/escaped_texts.hpp"
+#include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -19,7 +22,10 @@ class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets the
   /// further columns; otherwise a new table is made. Errors: those of the database, bad-name.
-  static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run);
+  /// Texts that are no UTF-8 are counted in `escaped`, and the checksum of each row goes to `ranges`;
+  /// both outlive the table.
+  static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                                    detail::EscapedTexts& escaped, ValueRanges& ranges);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   Result<void> insert(const Record& record);
@@ -37,13 +43,16 @@ class TopicTable {
     Statement statement;
     std::vector<const SlotInfo*> bound;  // whose origin each row has: bound anew only when it is another
   };
-  /// All but the origin.
-  void bind(sqlite3_stmt* statement, int first, const Record& record) const;
+  /// All but the origin. Hashes the row, the origin too.
+  void bind(sqlite3_stmt* statement, int first, const Record& record);
   Result<void> run(Insert& insert, std::span<const Record> records);
 
   Database* database_ = nullptr;
+  detail::EscapedTexts* escaped_ = nullptr;
   std::string name_;
-  std::vector<Column> columns_;
+  std::vector<Column> columns_;  // in the order of the table's
+  ValueRanges* ranges_ = nullptr;
+  RowHash hash_;
   Insert one_;
   Insert many_;
   std::vector<Record> pending_;

@@ -8,8 +8,10 @@
 #include <set>
 
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/verify_run.hpp"
+#include "sinks/sqlite/verify_sums.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -85,13 +87,20 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
 }
 
 Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
-                       std::vector<std::string>& problems) {
-  auto statement = file.prepare("SELECT t.rowid, t.run, t.time, t.sequence, t.origin FROM " +
+                       Checksums& checksums, std::vector<std::string>& problems) {
+  const bool has_checksums = checksums.values.contains(topic.table);
+  auto statement = file.prepare(std::string("SELECT t.rowid, ") +
+                                (has_checksums ? "t.*" : "t.run, t.time, t.origin, t.sequence") + " FROM " +
                                 sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
-  OriginRows* current = nullptr;
+  struct Origin {
+    OriginRows* rows = nullptr;
+    RangeCheck* ranges = nullptr;
+  };
+  Origin current;
+  sqlite::RowHash hash;
   std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
-  std::unordered_map<std::string, OriginRows*> known;
+  std::unordered_map<std::string, Origin> known;
   std::int64_t known_run = 0;
   std::string name;
   for (;;) {
@@ -99,30 +108,37 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     if (!row) return std::move(row).error();
     if (!*row) break;
     const std::int64_t run = statement->integer(1);
-    const std::string_view origin = statement->text(4);
-    if (current == nullptr || current->run != run || current->origin != origin) {
+    const std::string_view origin = statement->text(3);
+    const auto sequence = static_cast<std::uint64_t>(statement->integer(4));
+    if (current.rows == nullptr || current.rows->run != run || current.rows->origin != origin) {
       if (run != known_run) known.clear();
       known_run = run;
       name.assign(origin);
-      OriginRows*& found = known[name];
-      if (found == nullptr) {
+      Origin& found = known[name];
+      if (found.rows == nullptr) {
         const auto of_run = runs.find(run);
         if (of_run == runs.end()) {
           ++strays[run];
           known.erase(name);
-          current = nullptr;
+          current = {};
           continue;
         }
-        found = &of_run->second[origin_key(topic.topic, name)];
-        if (found->topic.empty()) {  // no account knows it
-          found->topic = topic.topic;
-          found->origin = name;
-          found->run = run;
+        OriginRows& rows = of_run->second[origin_key(topic.topic, name)];
+        if (rows.topic.empty()) {  // no account knows it
+          rows.topic = topic.topic;
+          rows.origin = name;
+          rows.run = run;
         }
+        found = {&rows, checksums.find(topic.table, run, name)};
       }
       current = found;
     }
-    current->add(statement->integer(0), statement->integer(2), static_cast<std::uint64_t>(statement->integer(3)));
+    current.rows->add(statement->integer(0), statement->integer(2), sequence);
+    if (current.ranges != nullptr) {
+      current.ranges->add(statement->raw(), sequence, hash);
+    } else {
+      ++current.rows->not_covered;
+    }
   }
   for (const auto& [run, rows] : strays) {
     problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
@@ -183,8 +199,10 @@ Result<VerifyReport> verify(const Recording& recording) {
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
+  auto checksums = detail::Checksums::load(*recording.file());
+  if (!checksums) return std::move(checksums).error();
   for (const RecordedTopic& topic : *topics) {
-    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, report.problems); !scanned)
+    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, *checksums, report.problems); !scanned)
       return std::move(scanned).error();
   }
   auto version = recording.file()->version();
@@ -198,8 +216,15 @@ Result<VerifyReport> verify(const Recording& recording) {
     if (!*agrees)
       report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
   }
+  std::vector<std::int64_t> numbers;
+  for (const RunReport& run : report.runs) numbers.push_back(run.info.run);
+  if (auto scanned = checksums->scan_accounts(*recording.file(), numbers, report.problems); !scanned)
+    return std::move(scanned).error();
+  if (*version >= sqlite::first_version_with_checksums)
+    detail::check_topics(*checksums, *topics, numbers, report.problems);
   for (RunReport& run : report.runs) {
-    if (auto done = detail::verify_run(recording, rows[run.info.run], run); !done) return std::move(done).error();
+    if (auto done = detail::verify_run(recording, rows[run.info.run], *checksums, run); !done)
+      return std::move(done).error();
   }
   return report;
 }

@@ -9,28 +9,6 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_sentences = 100;
-
-/// Collects what does not agree.
-struct Findings {
-  RunReport& report;
-  bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
-  std::vector<std::string>& open;
-
-  void problem(std::string text) const {
-    if (report.problems.size() < most_sentences) {
-      report.problems.push_back(std::move(text));
-    } else {
-      ++report.more_problems;
-    }
-  }
-  void note(std::string text) const {
-    if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
-  }
-  /// Of what is exact only once the run is closed.
-  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
-};
-
 std::string number(std::uint64_t value) { return std::to_string(value); }
 
 /// Which sequences are not there, at most a few of them: "sequence 417 is missing".
@@ -374,7 +352,8 @@ void note_end(const Findings& found) {
 
 }  // namespace
 
-Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report) {
+Result<void> verify_run(const Recording& recording, const OriginMap& rows, const Checksums& checksums,
+                        RunReport& report) {
   const RunInfo& info = report.info;
   std::vector<std::string> left_open;
   const Findings found{report, info.state == RunState::closed, left_open};
@@ -432,6 +411,7 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunRe
   };
   strays(segments_of, "stretch of schedule");
   strays(gaps_of, "gap");
+  check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
   if (!left_open.empty()) {

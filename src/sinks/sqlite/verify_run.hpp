@@ -30,6 +30,7 @@ struct OriginRows {
   bool may_begin_early = false;   // so may more of them have been, where a tier hung
   std::uint64_t rows = 0;         // up to account_ends
   std::uint64_t rows_after = 0;
+  std::uint64_t not_covered = 0;  // by a checksum, since its origin has none
   std::uint64_t first_sequence = 0, last_sequence = 0;
   std::int64_t last_time = INT64_MIN;
   std::uint64_t missing = 0;  // between first_sequence and last_sequence
@@ -46,12 +47,43 @@ struct OriginRows {
 std::string origin_key(std::string_view topic, std::string_view origin);
 using OriginMap = std::unordered_map<std::string, OriginRows>;
 
-/// What the rows of a table say, into the map of their run.
+struct Checksums;
+
+/// What the rows of a table say, into the map of their run, and their checksums.
 Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
-                       std::vector<std::string>& problems);
+                       Checksums& checksums, std::vector<std::string>& problems);
+
+/// What the checksums say of rtdata_topic, and of tables and runs that are not there.
+void check_topics(const Checksums& checksums, const std::vector<RecordedTopic>& topics,
+                  const std::vector<std::int64_t>& runs, std::vector<std::string>& problems);
+
+/// Collects what does not agree in a run.
+struct Findings {
+  static constexpr std::size_t most_sentences = 100;
+  RunReport& report;
+  bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
+  std::vector<std::string>& open;
+
+  void problem(std::string text) const {
+    if (report.problems.size() < most_sentences) {
+      report.problems.push_back(std::move(text));
+    } else {
+      ++report.more_problems;
+    }
+  }
+  void note(std::string text) const {
+    if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
+  }
+  /// Of what is exact only once the run is closed.
+  void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
+};
+
+/// Compares the checksums of one run with what was found.
+void check_checksums(const Findings& found, const OriginMap& rows, const Checksums& checksums);
 
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
-Result<void> verify_run(const Recording& recording, const OriginMap& rows, RunReport& report);
+Result<void> verify_run(const Recording& recording, const OriginMap& rows, const Checksums& checksums,
+                        RunReport& report);
 
 /// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
 bool is_account_known(const RunInfo& run);

@@ -42,6 +42,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["ended"] = run.info.ended ? nlohmann::ordered_json(to_nanoseconds(*run.info.ended)) : nlohmann::ordered_json();
   json["origins"] = run.origins;
   json["rows"] = run.rows;
+  json["values_checked"] = run.values_checked;
   json["offered"] = run.offered;
   json["stored"] = run.stored;
   json["dropped"] = run.dropped;

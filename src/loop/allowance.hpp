@@ -1,0 +1,35 @@
+// How many changes of one object stand for themselves: some in a row, and one more each minute. The others are joined.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+class Allowance {
+ public:
+  static constexpr unsigned most = 16;
+  static constexpr Duration regained_after = std::chrono::minutes{1};
+
+  /// `now`: since any instant, always the same.
+  bool has_some(Duration now) noexcept {
+    if (left_ < most && now - since_ >= regained_after) {
+      const auto regained = (now - since_) / regained_after;
+      left_ = regained >= most - left_ ? most : left_ + static_cast<unsigned>(regained);
+      since_ += regained * regained_after;
+    }
+    return left_ > 0;
+  }
+  void spend(Duration now) noexcept {
+    if (left_ == most) since_ = now;
+    if (left_ > 0) --left_;
+  }
+
+ private:
+  unsigned left_ = most;
+  Duration since_{0};  // when the last one was regained
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,57 @@
+// Texts of payloads that were no UTF-8, as a writer escapes and counts them. Lane's thread.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <string_view>
+
+#include "data/utf8.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata::detail {
+
+class EscapedTexts {
+ public:
+  void begin_batch() { in_batch_.clear(); }
+  void add(std::uint32_t slot) { ++in_batch_[slot]; }
+  /// Counts those of the payload.
+  void look_at(const Record& record) {
+    for (const Leaf& leaf : record.info->description->leaves()) {
+      if (leaf.kind != Kind::text) continue;
+      const std::byte* at = value_bytes(leaf, record.payload.data());
+      if (at != nullptr && needs_escape(text_at(leaf, at))) add(record.slot);
+    }
+  }
+  /// By slot, since the batch began.
+  const std::map<std::uint32_t, std::uint64_t>& in_batch() const noexcept { return in_batch_; }
+  /// It is stored; before, it may come again.
+  void end_batch(const Batch& batch) {
+    for (const auto& [slot, count] : in_batch_) {
+      total_ += count;
+      if (!known_.insert(slot).second) continue;
+      const SlotInfo& info = batch.slot(slot);
+      if (!warning_) {
+        warning_ = Error{Errc::bad_data, "a text is no UTF-8", "topic " + info.topic + ", origin " + info.origin,
+                         "its wrong bytes are written as \\xHH",
+                         "let the device send UTF-8; of a serial line, check `baud_rate`"};
+      } else {
+        warning_->where += "; topic " + info.topic + ", origin " + info.origin;
+      }
+    }
+    in_batch_.clear();
+  }
+  std::uint64_t total() const noexcept { return total_; }
+  /// Of the origins whose first one was stored since the last call.
+  std::optional<Error> take_warning() { return std::exchange(warning_, std::nullopt); }
+
+ private:
+  std::map<std::uint32_t, std::uint64_t> in_batch_;
+  std::set<std::uint32_t> known_;
+  std::uint64_t total_ = 0;
+  std::optional<Error> warning_;
+};
+
+}  // namespace rtdata::detail

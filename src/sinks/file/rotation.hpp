@@ -1,0 +1,52 @@
+// When a file is full or its time is over, it gets a number and a new one takes its place.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rtdata/sinks/file.hpp"
+#include "sinks/file/output_file.hpp"
+
+namespace rtdata::detail {
+
+/// "run.csv" is always the file that is written; those before it are "run-00000001.csv" and so on, which sort in the order of
+/// their events, before it. Thread: the sink's.
+class Rotation {
+ public:
+  /// SetupError, bad-argument: settings that say nothing.
+  explicit Rotation(const FileConfig& config);
+
+  bool is_on() const noexcept { return config_.rotate.bytes > 0 || config_.rotate.time.count() > 0; }
+  /// The event that has just been encoded, from this place in the file's buffer on, goes into a new file if it does not
+  /// belong into this one. Errors: of writing what is before it.
+  /// `index` counts the files of the sink.
+  Result<void> see_to(OutputFile& file, std::size_t index, std::size_t from, Time time);
+  /// What went wrong and is tried again with the next event, or was left: once, until it goes well.
+  std::string take_trouble() { return std::exchange(trouble_, {}); }
+
+  /// The name that a file gets.
+  static std::string name(const std::string& path, std::uint64_t number);
+  /// What is wrong with the settings; empty: nothing.
+  static std::string mistake(const FileConfig& config);
+
+ private:
+  struct State {
+    std::uint64_t last_number = 0;
+    std::int64_t period = 0;  // in which its events lie
+    bool is_known = false;
+  };
+  /// Numbers of the files that are there, in order.
+  std::map<std::uint64_t, std::string> numbered(const std::string& path) const;
+  void remove_old(const std::string& path);
+  void tell(const Error& error);
+
+  const FileConfig config_;
+  std::vector<State> states_;  // by index
+  std::string trouble_;
+  bool is_in_trouble_ = false;
+};
+
+}  // namespace rtdata::detail

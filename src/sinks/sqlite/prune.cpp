@@ -1,0 +1,206 @@
+#include "sinks/sqlite/prune.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+#include <limits>
+#include <utility>
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr std::int64_t most_rows = 10'000;     // in a step, of all tables together
+constexpr std::int64_t least_rows = 500;       // and of each
+constexpr std::int64_t steps_of_a_span = 128;  // the time that is recorded is deleted in steps of this part of it
+constexpr int most_shift = 8;
+constexpr std::int64_t least_pages = 16;  // that are freed in a transaction, if there are so many
+
+}  // namespace
+
+Pruner::Pruner(std::uint64_t max_bytes, Duration max_age) : max_bytes_(max_bytes), max_age_(max_age) {}
+
+Result<void> Pruner::find_tables(Database& database) {
+  auto count = database.integer("SELECT count(*) FROM rtdata_topic");
+  if (!count) return std::move(count).error();
+  if (!count_pruned_) {
+    auto made = database.prepare(
+        "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
+    if (!made) return std::move(made).error();
+    count_pruned_ = std::move(*made);
+  }
+  if (static_cast<std::int64_t>(tables_.size()) != *count) {
+    tables_.clear();
+    auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
+    if (!query) return std::move(query).error();
+    for (;;) {
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      if (!*row) break;
+      Table table;
+      table.topic = query->text(0);
+      table.name = query->text(1);
+      const std::string name = rtdata::sqlite::quoted(table.name);
+      const std::pair<Statement*, std::string> all[] = {
+          {&table.first, "SELECT rowid, time FROM " + name + " ORDER BY rowid LIMIT 1"},
+          {&table.last, "SELECT max(rowid) FROM " + name},
+          // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
+          {&table.up_to,
+           "SELECT min(CASE WHEN time >= ?2 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time FROM " + name +
+               " ORDER BY rowid LIMIT ?1)"},
+          {&table.remove, "DELETE FROM " + name + " WHERE rowid <= ?"},
+      };
+      for (const auto& [statement, sql] : all) {
+        auto made = database.prepare(sql);
+        if (!made) return std::move(made).error();
+        *statement = std::move(*made);
+      }
+      tables_.push_back(std::move(table));
+    }
+  }
+  for (Table& table : tables_) {
+    if (auto looked = look_at(table); !looked) return looked;
+  }
+  return {};
+}
+
+Result<void> Pruner::look_at(Table& table) {
+  auto first = table.first.step();
+  if (!first) return std::move(first).error();
+  table.first_rowid = *first ? table.first.integer(0) : 0;
+  table.first_time = *first ? table.first.integer(1) : 0;
+  table.first.reset();
+  auto last = table.last.step();
+  if (!last) return std::move(last).error();
+  table.last_rowid = table.last.integer(0);
+  table.last.reset();
+  return {};
+}
+
+Result<Pruner::Pages> Pruner::pages(Database& database) {
+  Pages now;
+  if (!page_count_) {
+    auto count = database.prepare("PRAGMA page_count");
+    if (!count) return std::move(count).error();
+    page_count_ = std::move(*count);
+    auto free = database.prepare("PRAGMA freelist_count");
+    if (!free) return std::move(free).error();
+    free_pages_ = std::move(*free);
+  }
+  auto size = database.integer("PRAGMA page_size");
+  if (!size) return std::move(size).error();
+  now.bytes = *size;
+  for (auto& [statement, number] : {std::pair{&page_count_, &now.all}, std::pair{&free_pages_, &now.free}}) {
+    auto row = statement->step();
+    if (!row) return std::move(row).error();
+    *number = statement->integer(0);
+    statement->reset();
+  }
+  return now;
+}
+
+Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to) {
+  auto sums = sums_before_delete(database, table.name, up_to, ranges);
+  if (!sums) return std::move(sums).error();
+  std::int64_t deleted = 0;
+  for (const DeletedRows& rows : *sums) {
+    const auto count = static_cast<std::int64_t>(rows.rows);
+    deleted += count;
+    count_pruned_.bind(1, count).bind(2, rows.run).bind(3, table.topic).bind(4, rows.origin);
+    if (auto done = count_pruned_.run(); !done) return std::move(done).error();
+  }
+  table.remove.bind(1, up_to);
+  if (auto done = table.remove.run(); !done) return std::move(done).error();
+  if (auto looked = look_at(table); !looked) return std::move(looked).error();
+  return deleted;
+}
+
+Result<std::int64_t> Pruner::delete_before(Database& database, ValueRanges& ranges, std::int64_t time) {
+  std::int64_t deleted = 0;
+  for (Table& table : tables_) {
+    if (!table.has_rows() || table.first_time >= time) continue;
+    table.up_to.bind(1, std::max(least_rows, most_rows / static_cast<std::int64_t>(tables_.size()))).bind(2, time);
+    auto row = table.up_to.step();
+    if (!row) return std::move(row).error();
+    const std::int64_t up_to = std::min(table.up_to.integer(table.up_to.is_null(0) ? 1 : 0), table.last_rowid - 1);
+    table.up_to.reset();
+    auto count = delete_rows(database, ranges, table, up_to);
+    if (!count) return count;
+    deleted += *count;
+  }
+  return deleted;
+}
+
+Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
+  has_more_ = is_exhausted_ = false;
+  const std::int64_t at = to_nanoseconds(now);
+  auto begin = pages(database);
+  if (!begin) return std::move(begin).error();
+  Pages left = *begin;
+  if (used_before_ == 0) used_before_ = left.used();
+  // The log takes a tenth, and the rows of the transactions until the next call some more.
+  const auto of_limit = [&](std::uint64_t part) {
+    return static_cast<std::int64_t>(max_bytes_ / part / static_cast<std::uint64_t>(left.bytes));
+  };
+  const std::int64_t most = max_bytes_ == 0 ? std::numeric_limits<std::int64_t>::max()
+                                            : of_limit(1) - of_limit(10) - of_limit(20);
+  const bool is_too_large = left.used() > most;
+  const bool is_time = max_age_.count() > 0 && at >= next_look_;
+  if (is_too_large || is_time) {
+    if (auto found = find_tables(database); !found) return found;
+  }
+  // About as much as came since, so that one transaction's log stays small: what is left follows.
+  const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
+  if (is_time) {
+    const std::int64_t oldest = at - max_age_.count();
+    auto deleted = delete_before(database, ranges, oldest);
+    if (!deleted) return std::move(deleted).error();
+    has_more_ = std::any_of(tables_.begin(), tables_.end(),
+                            [&](const Table& table) { return table.has_rows() && table.first_time < oldest; });
+    // Not for each row: that would write its page each time.
+    if (!has_more_) next_look_ = at + max_age_.count() / 100;
+  }
+  if (is_too_large) {
+    const std::int64_t goal = most - of_limit(64);
+    int shift = 0;  // of the step: grows while nothing is found to be deleted
+    while (left.used() > goal) {
+      std::int64_t first = std::numeric_limits<std::int64_t>::max();
+      for (const Table& table : tables_) {
+        if (table.has_rows()) first = std::min(first, table.first_time);
+      }
+      is_exhausted_ = first == std::numeric_limits<std::int64_t>::max() || shift == most_shift;
+      if (is_exhausted_) break;
+      const std::int64_t step = std::max<std::int64_t>(1, std::abs(at - first) / steps_of_a_span);
+      auto deleted = delete_before(database, ranges, first + step * (std::int64_t{1} << shift));
+      if (!deleted) return std::move(deleted).error();
+      shift = *deleted > 0 ? 0 : shift + 1;
+      auto after = pages(database);
+      if (!after) return std::move(after).error();
+      left = *after;
+      if (begin->used() - left.used() >= enough && left.used() > goal) {
+        has_more_ = true;
+        break;
+      }
+    }
+  }
+  if (max_bytes_ > 0) {
+    if (auto shrunk = shrink(database, left); !shrunk) return shrunk;
+  }
+  used_before_ = left.used();
+  return {};
+}
+
+/// Free pages are used again by the rows to come; those that make the file larger than it may be are given back.
+Result<void> Pruner::shrink(Database& database, const Pages& now) {
+  const auto most = static_cast<std::int64_t>((max_bytes_ - max_bytes_ / 10) / static_cast<std::uint64_t>(now.bytes));
+  const std::int64_t too_many = std::min(now.all - most, now.free);
+  if (too_many <= 0) return {};
+  const std::int64_t at_once = std::max(least_pages, static_cast<std::int64_t>(max_bytes_ / 40) / now.bytes);
+  auto done = database.execute("PRAGMA incremental_vacuum(" + std::to_string(std::min(too_many, at_once)) + ")");
+  if (!done || too_many <= at_once) return done;
+  auto after = pages(database);
+  if (!after) return std::move(after).error();
+  has_more_ = has_more_ ||
+              after->all < now.all;  // a file that somebody made without auto_vacuum stays as large as it is
+  return {};
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,77 @@
+// Keeps a recording within its limits: deletes the oldest rows, and counts them as pruned.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/time.hpp"
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
+
+namespace rtdata::sqlite {
+
+/// Of all topics alike the rows before one instant are deleted, so that a fast sensor does not take the room of a slow one.
+/// The last row of each table stays, so that row numbers go on ascending. Thread: the writer's.
+class Pruner {
+ public:
+  Pruner() noexcept = default;
+  /// `max_bytes`, `max_age`: 0 is no limit.
+  Pruner(std::uint64_t max_bytes, Duration max_age);
+
+  bool has_limits() const noexcept { return max_bytes_ > 0 || max_age_.count() > 0; }
+  /// What the log may take before it is brought into the database; 0: no limit.
+  std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
+
+  /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the line of
+  /// the recorded times. What is deleted is taken out of the checksums; `ranges`: those that are not written yet.
+  Result<void> make_room(Database& database, ValueRanges& ranges, Time now);
+  /// The last call did not delete all that is beyond the limits.
+  bool has_more() const noexcept { return has_more_; }
+  /// All rows that may be deleted are, and what is left is still too large.
+  bool is_exhausted() const noexcept { return is_exhausted_; }
+  /// The statements are gone; before the database is closed.
+  void close() noexcept {
+    tables_.clear();
+    for (Statement* statement : {&count_pruned_, &page_count_, &free_pages_}) *statement = Statement();
+  }
+
+ private:
+  struct Table {
+    std::string topic;
+    std::string name;
+    Statement first;   // row number and time of its first row
+    Statement last;    // row number of its last row
+    Statement up_to;   // row number of the last of its first rows that are all before a time
+    Statement remove;  // up to a row number
+    std::int64_t first_rowid = 0;
+    std::int64_t first_time = 0;
+    std::int64_t last_rowid = 0;
+    bool has_rows() const noexcept { return last_rowid > first_rowid; }
+  };
+  struct Pages {
+    std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
+    std::int64_t used() const noexcept { return all - free; }
+  };
+  Result<void> find_tables(Database& database);
+  Result<void> look_at(Table& table);
+  Result<Pages> pages(Database& database);
+  /// Deletes what is before the instant, some thousand rows at most. The number of rows.
+  Result<std::int64_t> delete_before(Database& database, ValueRanges& ranges, std::int64_t time);
+  Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);
+  Result<void> shrink(Database& database, const Pages& now);
+
+  std::uint64_t max_bytes_ = 0;
+  Duration max_age_{0};
+  std::vector<Table> tables_;
+  Statement count_pruned_;
+  Statement page_count_;
+  Statement free_pages_;
+  std::int64_t used_before_ = 0;  // pages, after the last call
+  std::int64_t next_look_ = 0;    // at the age
+  bool has_more_ = false;
+  bool is_exhausted_ = false;
+};
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,176 @@
+#include "sinks/sqlite/seal_checksums.hpp"
+
+#include <algorithm>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "sinks/sqlite/value_ranges.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+struct Origin {
+  std::string topic, name;
+  std::int64_t slot = 0;
+  std::int64_t rows = 0;  // that are there
+  std::uint64_t last_sequence = 0;
+  std::string table = {};
+  std::int64_t covered_rows = 0;
+  std::uint64_t covered_up_to = 0;
+};
+
+Result<std::vector<Origin>> origins_of(Database& database, std::int64_t run) {
+  auto query = database.prepare(
+      "SELECT topic, origin, slot, stored - pruned, last_sequence FROM rtdata_ledger WHERE run = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, run);
+  std::vector<Origin> origins;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return origins;
+    if (query->integer(3) > 0)
+      origins.push_back({std::string(query->text(0)), std::string(query->text(1)), query->integer(2), query->integer(3),
+                         static_cast<std::uint64_t>(query->integer(4))});
+  }
+}
+
+/// Which table has the rows of a run's topic: of several, the one that has any.
+Result<std::map<std::string, std::string>> tables_of(Database& database, std::int64_t run) {
+  std::map<std::string, std::vector<std::string>> versions;
+  auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic ORDER BY version DESC");
+  if (!query) return std::move(query).error();
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    versions[std::string(query->text(0))].emplace_back(query->text(1));
+  }
+  std::map<std::string, std::string> tables;
+  for (const auto& [topic, names] : versions) {
+    std::string& table = tables[topic] = names.front();
+    for (const std::string& name : names) {
+      if (names.size() == 1) break;
+      auto rows = database.prepare("SELECT 1 FROM " + quoted(name) + " WHERE run = ? ORDER BY rowid DESC LIMIT 1");
+      if (!rows) return std::move(rows).error();
+      rows->bind(1, run);
+      auto row = rows->step();
+      if (!row) return std::move(row).error();
+      if (*row) table = name;
+      if (*row) break;
+    }
+  }
+  return tables;
+}
+
+/// Whether the last transaction, of which the live file has both what was before it and what comes after it, is there.
+Result<bool> was_committed(Database& database, std::int64_t run, const Origin& origin, const LiveRange& before,
+                           const LiveRange& after) {
+  const auto has_line = [&]() -> Result<bool> {
+    auto line = database.prepare(
+        "SELECT 1 FROM rtdata_checksum WHERE run = ? AND table_name = ? AND origin = ? AND first_sequence = ?");
+    if (!line) return std::move(line).error();
+    line->bind(1, run).bind(2, origin.table).bind(3, origin.name);
+    line->bind(4, static_cast<std::int64_t>(before.first_sequence));
+    return line->step();
+  };
+  const auto has_row = [&](std::uint64_t sequence) -> Result<bool> {
+    auto row = database.prepare("SELECT 1 FROM " + quoted(origin.table) +
+                                " WHERE run = ? AND origin = ? AND sequence = ? ORDER BY rowid DESC LIMIT 1");
+    if (!row) return std::move(row).error();
+    row->bind(1, run).bind(2, origin.name).bind(3, static_cast<std::int64_t>(sequence));
+    return row->step();
+  };
+  if (before.rows > 0) {
+    auto closed = has_line();
+    if (!closed || *closed) return closed;
+  }
+  if (after.rows > 0 && after.last_sequence > before.last_sequence) return has_row(after.last_sequence);
+  if (before.rows == 0 || after.first_sequence <= before.first_sequence) return false;
+  auto kept = has_row(before.first_sequence);  // it was pruned
+  if (!kept) return kept;
+  return !*kept;
+}
+
+Result<LiveRange> range_of(Database& database, std::int64_t run, const Origin& origin, LiveFile& live) {
+  const Kept<LiveRange>& kept = live.slot(static_cast<std::uint32_t>(origin.slot)).range;
+  const LiveRange settled = kept.settled().value_or(LiveRange{});
+  const std::optional<LiveRange> staged = kept.staged();
+  if (!staged) return settled;
+  auto committed = was_committed(database, run, origin, settled, *staged);
+  if (!committed) return std::move(committed).error();
+  return *committed ? *staged : settled;
+}
+
+/// What the lines that there are cover.
+Result<void> add_lines(Database& database, std::int64_t run, std::vector<Origin>& origins) {
+  std::map<std::pair<std::string_view, std::string_view>, Origin*> by_name;
+  for (Origin& origin : origins) by_name[{origin.table, origin.name}] = &origin;
+  auto query = database.prepare("SELECT table_name, origin, last_sequence, rows FROM rtdata_checksum WHERE run = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, run);
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return {};
+    const auto of = by_name.find({query->text(0), query->text(1)});
+    if (of == by_name.end()) continue;
+    of->second->covered_rows += query->integer(3);
+    of->second->covered_up_to = std::max(of->second->covered_up_to, static_cast<std::uint64_t>(query->integer(2)));
+  }
+}
+
+}  // namespace
+
+Result<void> take_over_sums(Database& database, std::int64_t run, LiveFile* live, AccountSums& sums) {
+  auto found = sums_found(database, run);
+  if (!found) return std::move(found).error();
+  RunSums taken = *found;
+  if (live != nullptr) {
+    const auto settled = live->sums().settled(), staged = live->sums().staged();
+    // What is there is neither: then it was changed since, and verify is to see that.
+    if (settled && *settled != *found && (!staged || *staged != *found)) taken = *settled;
+  }
+  sums.set(run, taken);
+  return {};
+}
+
+Result<void> seal_ranges(Database& database, std::int64_t run, LiveFile* live) {
+  auto origins = origins_of(database, run);
+  if (!origins) return std::move(origins).error();
+  auto tables = tables_of(database, run);
+  if (!tables) return std::move(tables).error();
+  std::erase_if(*origins, [&](const Origin& origin) { return !tables->contains(origin.topic); });
+  for (Origin& origin : *origins) origin.table = (*tables)[origin.topic];
+  if (auto added = add_lines(database, run, *origins); !added) return added;
+  for (const Origin& origin : *origins) {
+    auto columns = columns_of(database, origin.table);
+    if (!columns) return std::move(columns).error();
+    ChecksumLine line{
+        .run = run, .table = origin.table, .origin = origin.name, .columns = static_cast<int>(columns->size())};
+    std::int64_t rest = origin.rows - origin.covered_rows;
+    std::uint64_t first = origin.covered_up_to + 1;
+    if (live != nullptr && origin.slot >= 0 && live->has(static_cast<std::uint32_t>(origin.slot))) {
+      auto range = range_of(database, run, origin, *live);
+      if (!range) return std::move(range).error();
+      if (range->rows > 0) {
+        line.first_sequence = range->first_sequence;
+        line.last_sequence = range->last_sequence;
+        line.sum = {range->rows, range->sum};
+        if (auto inserted = insert_line(database, line); !inserted) return inserted;
+        rest -= static_cast<std::int64_t>(range->rows);
+        first = range->last_sequence + 1;
+      }
+    }
+    if (rest <= 0) continue;
+    line.first_sequence = first;
+    line.last_sequence = std::max(first, origin.last_sequence);
+    line.sum = {static_cast<std::uint64_t>(rest), 0};
+    line.is_known = false;
+    if (auto inserted = insert_line(database, line); !inserted) return inserted;
+  }
+  return {};
+}
+
+}  // namespace rtdata::sqlite

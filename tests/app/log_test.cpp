@@ -1,0 +1,113 @@
+#include "app/log.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <filesystem>
+#include <sstream>
+#include <string>
+
+#include "rtdata/app/standard.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace rtdata::app;
+using sinks::content;
+using sinks::Directory;
+
+namespace {
+
+/// Lines that are numbered from `first` on, none of which has to wait so long that it is thrown away.
+void write_lines(Log& log, int first, int count) {
+  for (int i = first; i < first + count; ++i) {
+    log.write(LogLevel::info, "test", "line " + std::to_string(i));
+    if (i % 50 == 0) REQUIRE(log.wait_until_written(std::chrono::seconds{60}));
+  }
+  REQUIRE(log.wait_until_written(std::chrono::seconds{60}));
+}
+
+/// The numbers of the lines are those from `first` on. The number of lines.
+int check_lines(const std::string& text, int first) {
+  std::istringstream lines(text);
+  int count = 0;
+  for (std::string line; std::getline(lines, line); ++count)
+    CHECK(line.ends_with(" info test: line " + std::to_string(first + count)));
+  return count;
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("NFR-7 the log file rotates by size: no line is lost or divided, and so many files are kept") {
+    Directory directory;
+    const std::string path = directory / "run.log";
+    Log log;
+    log.open(path, {.max_bytes = 4096, .keep = 3}).or_throw();
+    write_lines(log, 1000, 60);
+    CHECK(check_lines(content(path), 1000) == 60);
+    write_lines(log, 1060, 100);
+    CHECK(std::filesystem::exists(path + ".1"));
+    CHECK_FALSE(std::filesystem::exists(path + ".3"));
+    CHECK(check_lines(content(path + ".2") + content(path + ".1") + content(path), 1000) == 160);
+    write_lines(log, 1160, 500);
+    CHECK_FALSE(std::filesystem::exists(path + ".4"));
+    std::string all;
+    for (const char* end : {".3", ".2", ".1", ""}) {
+      CHECK(std::filesystem::file_size(path + end) <= 4096);
+      all += content(path + end);
+    }
+    const int first = std::stoi(all.substr(all.find(" line ") + 6));
+    CHECK(check_lines(all, first) == 1660 - first);
+  }
+
+  TEST_CASE("NFR-7 a log file that is taken away is made anew") {
+    Directory directory;
+    const std::string path = directory / "run.log";
+    Log log;
+    log.open(path, {}).or_throw();
+    write_lines(log, 1, 3);
+    std::filesystem::rename(path, path + ".old");
+    write_lines(log, 4, 2);
+    std::filesystem::remove(path);
+    write_lines(log, 6, 1);
+    CHECK(check_lines(content(path + ".old"), 1) == 3);
+    CHECK(check_lines(content(path), 6) == 1);
+  }
+
+  TEST_CASE("NFR-7 a fatal signal is told in the file that is written, after it has rotated too") {
+    Directory directory;
+    const std::string path = directory / "run.log";
+    const pid_t child = ::fork();
+    if (child == 0) {
+      std::signal(SIGABRT, SIG_DFL);
+      Log log;
+      if (!log.open(path, {.max_bytes = 4096, .keep = 3})) ::_exit(1);
+      const FatalSignals fatal(log);
+      for (int i = 0; i < 100; ++i) {
+        log.write(LogLevel::info, "test", "line");
+        log.wait_until_written(std::chrono::seconds{60});
+      }
+      ::raise(SIGABRT);
+      ::_exit(2);
+    }
+    int status = 0;
+    REQUIRE(::waitpid(child, &status, 0) == child);
+    REQUIRE(WIFSIGNALED(status));
+    CHECK(std::filesystem::exists(path + ".1"));
+    const std::string text = content(path);
+    CHECK(text.find("fatal signal " + std::to_string(SIGABRT)) != std::string::npos);
+    CHECK(content(path + ".1").find("fatal signal") == std::string::npos);
+  }
+
+  TEST_CASE("NFR-7 check refuses limits of the log that say nothing") {
+    const auto report = [](const std::string& log) {
+      return plan_system(standard_registry(), parse_config(R"({"log": )" + log + "}")).report();
+    };
+    CHECK(report(R"({"max_bytes": 100000, "keep": 2})").empty());
+    CHECK(report(R"({"max_bytes": 0})").empty());
+    CHECK(report(R"({"max_bytes": 100})").find("out of range") != std::string::npos);
+    CHECK(report(R"({"keep": 0})").find("out of range") != std::string::npos);
+  }
+}

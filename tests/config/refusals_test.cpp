@@ -1,0 +1,265 @@
+// What `run` refuses without touching a device, `check` refuses: for every shipped type, with many mistakes.
+#include <doctest/doctest.h>
+#include <stdlib.h>
+
+#include <filesystem>
+#include <fstream>
+#include <map>
+
+#include "app/process.hpp"
+#include "paths.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+using test::Folder;
+using test::Process;
+
+namespace {
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+/// An item of each type that is right; `FOLDER` stands for a directory of the test.
+const std::map<std::string, std::string> right_sensors{
+    {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
+    {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
+    {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
+const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
+                                                     {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
+                                                     {"console", R"({"type": "console", "descriptor": 2})"}};
+
+std::string in_folder(std::string text, const Folder& folder) {
+  for (auto at = text.find("FOLDER"); at != std::string::npos; at = text.find("FOLDER"))
+    text.replace(at, 6, folder.path());
+  return text;
+}
+
+SystemPlan planned(const std::string& text) { return plan_system(standard_registry(), parse_config(text, "f.json")); }
+
+/// What making the system says; empty: it was made.
+std::string refusal_of_making(const SystemPlan& plan) {
+  try {
+    const Registry registry = standard_registry();
+    Runtime runtime(plan.runtime_config());
+    runtime.on_log([](const LogRecord&) {});
+    Loop loop(runtime, plan.loop_config());
+    const System system(loop, registry, plan);
+    return "";
+  } catch (const SetupError& error) {
+    return error.what();
+  }
+}
+
+/// Values that are wrong for one parameter or another.
+std::vector<ConfigItem> odd_values() {
+  return parse_config(
+             R"([null, true, 0, 1, -1, 0.5, 1e300, 63, 300, 99999999999, "", " ", "x", "a b", "#", "a/b", "/", "$x",
+      ".", "/no/such/folder/x", "nul\u0000here", "0 s", "1 ns", "1 ms", "-1 ms", "1 d", "200 d", "1 Hz", "1 MHz", "2 MHz", "1 GHz",
+      "csv", "json", "raw", "two_point", "disk", "network", "temperature", "fifo", [], [""], ["x"], ["a b"], ["a/#/b"], {},
+      {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}, {"file": "/no/such/file"}, {"env": 3}, {"env": "A", "file": "B"},
+      [{"name": ""}], [{"name": "time"}], [{"name": "x"}, {"name": "X"}], [{"name": "x", "type": "record"}],
+      [{"name": "x", "type": "text", "length": 0}], [{"name": "x", "scale": 2, "type": "int8"}], [{"key": "x"}]])",
+             "values.json")
+      .or_throw()
+      .get<std::vector<ConfigItem>>();
+}
+
+/// A system of this one item in each of its odd kinds: what is not refused can be made.
+void try_all(const TypeRegistryBase& types, const char* list, const std::map<std::string, std::string>& right) {
+  const std::vector<ConfigItem> values = odd_values();
+  std::size_t refused = 0, made = 0;
+  for (const TypeInfo& type : types.types()) {
+    REQUIRE_MESSAGE(right.contains(type.name), "give the test an item of type " << type.name);
+    for (const ParameterInfo& parameter : type.parameters) {
+      for (const ConfigItem& value : values) {
+        const Folder folder;
+        folder.write("adc", "7\n");
+        ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
+        item.set(parameter.key, value);
+        const std::string text = "{\"" + std::string(list) + "\": [" + item.to_json() + "]}";
+        CAPTURE(text);
+        const SystemPlan plan = planned(text);
+        ++(plan.good() ? made : refused);
+        if (!plan.good()) continue;
+        if (parameter.key == "required") continue;  // what it refuses is the device's doing
+        if (parameter.key == "path" && !value.as_string()->starts_with("/")) continue;  // would be made right here
+        const std::string refusal = refusal_of_making(plan);
+        CHECK_MESSAGE(refusal.empty(), refusal);
+      }
+    }
+  }
+  CHECK(refused > 20 * right.size());
+  CHECK(made > 20 * right.size());
+}
+
+}  // namespace
+
+TEST_SUITE("config") {
+  TEST_CASE("NFR-5 what check takes can be made: each parameter of each sensor with each of many odd values") {
+    try_all(standard_registry().sensors(), "sensors", right_sensors);
+  }
+
+  TEST_CASE("NFR-5 what check takes can be made: each parameter of each sink with each of many odd values") {
+    try_all(standard_registry().sinks(), "sinks", right_sinks);
+  }
+
+  TEST_CASE("NFR-5 check and run refuse the same mistakes, with the same words, both with 2") {
+    const Folder folder;
+    std::filesystem::create_directory(folder.path() + "/folder");
+    folder.write("text.txt",
+                 "no recording, and long enough that it cannot be the beginning of one: one hundred bytes and more");
+    folder.write("other.csv", "time,origin,sequence,speed\n");
+    const std::string load = R"({"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"})";
+    const auto serial = [](const std::string& more) {
+      return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "int32"}])" +
+             more + "}]}";
+    };
+    const auto sinks = [&](const std::string& list) {
+      return R"({"sensors": [)" + load + R"(], "sinks": [)" + list + "]}";
+    };
+    struct Mistake {
+      std::string text;
+      std::string words;
+    };
+    const std::vector<Mistake> mistakes{
+        {serial(R"(, "sequence_field": "y")"), "\"y\" is no integer among the fields"},
+        {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x"}], "sequence_field": "x"}]})",
+         "\"x\" is no integer among the fields"},
+        {R"({"sensors": [{"name": "a", "type": "serial", "device": "", "fields": [{"name": "x"}]}]})",
+         "device: it is empty"},
+        {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "format": "json", "fields": [{"name": "x"}, {"type": "int8"}]}]})",
+         "a field of JSON has no name"},
+        {R"({"sensors": [{"name": "a", "type": "host", "quantity": "disk", "rate": "1 Hz"}]})",
+         "it does not say which device"},
+        {R"({"sensors": [{"name": "a", "type": "host", "quantity": "network", "rate": "1 Hz", "device": ""}]})",
+         "set `device`, such as eth0"},
+        {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "span_voltage": 0}]})",
+         "span_voltage: it must not be 0"},
+        {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "span_value_voltage": 0}]})",
+         "the sensor's range has no width"},
+        {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "conversion": "two_point",
+             "zero_value_voltage": 1, "span_value_voltage": 1}]})",
+         "the sensor's range has no width"},
+        {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": ""}]})", "file: it is empty"},
+        {R"({"sensors": [{"name": "a b", "type": "host", "quantity": "load", "rate": "1 Hz"}]})",
+         "\"a b\" is no topic name"},
+        {sinks(R"({"type": "file", "path": "x", "format": "jsnol"})"),
+         "there is no format \"jsnol\" (did you mean \"jsonl\"?)"},
+        {sinks(R"({"type": "file", "path": ""})"), "the path is empty; name a file"},
+        {sinks(R"({"type": "file", "path": "folder"})"), "\"folder\" is a folder"},
+        {sinks(R"({"type": "file", "path": "folder/"})"), "is a folder"},
+        {sinks(R"({"type": "sqlite", "path": "folder"})"), "\"folder\" is a folder"},
+        {sinks(R"({"type": "sqlite", "path": "nowhere/run.db"})"), "there is no folder \"nowhere\": make it first"},
+        {sinks(R"({"type": "sqlite", "path": "/dev/null"})"), "\"/dev/null\" is no regular file"},
+        {sinks(R"({"type": "sqlite", "path": "text.txt"})"), "it is no SQLite file"},
+        {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder stands in the name of a folder"},
+        {sinks(R"({"type": "file", "path": "other.csv", "format": "csv"})"),
+         "its header is \"time,origin,sequence,speed\""},
+        {sinks(R"({"type": "file", "path": "bad.json"})"), "this is the configuration; choose another file"},
+        {sinks(R"({"type": "file", "path": "x"}, {"type": "sqlite", "path": "./folder/../x"})"),
+         "writes \"x\" already"},
+        {R"({"log": {"file": "run.db"}, "sensors": [)" + load +
+             R"(], "sinks": [{"type": "sqlite", "path": "./run.db"}]})",
+         "give the log one of its own"},
+        {sinks(R"({"type": "sqlite", "path": "bad.log"})"), "would write one file, \"bad.log\""},
+        {R"({"log": {"file": "bad.json"}, "sensors": [)" + load + "]}", "this is the configuration"},
+        {sinks(R"({"type": "sqlite", "path": {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}})"),
+         "there is no variable RTDATA_TEST_NO_SUCH_VARIABLE in the environment"},
+        {sinks(R"({"type": "sqlite", "path": {"file": "nothing.txt"}})"), "cannot read the secret from nothing.txt"},
+        {R"({"notes": {"env": "HOME"}, "sensors": [)" + load + "]}", "recordings hold this text"},
+        {sinks(R"({"type": "console", "topics": ["a//b"]})"), "\"a//b\" is no topic or pattern"},
+        {R"({"tiers": {"t": {"policy": "fifo"}}, "sensors": [)" + load + "]}", "needs a `priority` from 1 to 99"},
+    };
+    for (const Mistake& mistake : mistakes) {
+      CAPTURE(mistake.text);
+      folder.write("bad.json", mistake.text);
+      std::filesystem::remove(folder.path() + "/bad.log");
+      Process check(folder, rtdata::test::built("rtdata"), {"check", "bad.json"});
+      CHECK(check.end() == 2);
+      CHECK_MESSAGE(has(check.out, mistake.words), check.out);
+      Process run(folder, rtdata::test::built("rtdata"), {"run", "bad.json", "--for", "1ms"});
+      CHECK(run.end() == 2);
+      CHECK_MESSAGE(has(run.err, mistake.words), run.err);
+      CHECK(folder.read("bad.json") == mistake.text);
+    }
+  }
+
+  TEST_CASE("NFR-5 a log that would go into the configuration or a recording is refused on the command line too") {
+    const Folder folder;
+    const std::string text = R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}],
+                                 "sinks": [{"type": "sqlite", "path": "run.db"}]})";
+    folder.write("good.json", text);
+    for (const char* log : {"run.db", "good.json"}) {
+      Process run(folder, rtdata::test::built("rtdata"), {"run", "good.json", "--for", "1ms", "--log", log});
+      CHECK(run.end() == 2);
+      CHECK(folder.read("good.json") == text);
+      CHECK_FALSE(folder.has("run.db"));
+    }
+  }
+
+  TEST_CASE("NFR-5 warnings say what has no effect, and what is not what it seems") {
+    const auto warnings = [](const std::string& text) {
+      const SystemPlan plan = planned(text);
+      CHECK_MESSAGE(plan.good(), plan.report());
+      return plan.warnings.text();
+    };
+    const std::string sinks = R"(, "sinks": [{"type": "console"}]})";
+    const auto analog = [&](const std::string& more) {
+      return R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x")" + more + "}]" + sinks;
+    };
+    CHECK(warnings(analog(R"(, "unit": "bar")")).empty());
+    CHECK(
+        has(warnings(analog(R"(, "unit": "degC")")), "\"degC\" is no unit of UCUM (ucum.org) (did you mean \"Cel\"?)"));
+    CHECK(has(warnings(analog(R"(, "unit": "m/s^2")")), "(did you mean \"m/s2\"?)"));
+    const auto serial = [&](const std::string& field, const std::string& more) {
+      return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [)" + field + "]" + more +
+             "}]" + sinks;
+    };
+    CHECK(warnings(serial(R"({"name": "x", "unit": "V", "scale": 2})", R"(, "separator": ";")")).empty());
+    CHECK(has(warnings(serial(R"({"name": "x", "unit": "Volts"})", "")),
+              "sensors[0].fields[0].unit: \"Volts\" is no unit"));
+    CHECK(has(warnings(serial(R"({"name": "x", "length": 9})", "")),
+              "sensors[0].fields[0].length: it means nothing with `type` double, only with text"));
+    CHECK(has(warnings(serial(R"({"name": "x"})", R"(, "format": "json", "separator": ";")")),
+              "sensors[0].separator: it means nothing with `format` json, only with csv"));
+    CHECK(has(
+        warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "device": "sda"}])" +
+                 sinks),
+        "sensors[0].device: it means nothing with `quantity` load"));
+    CHECK(has(warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}]})"),
+              "there are no sinks"));
+    const auto file = [&](const std::string& type, const std::string& path) {
+      return R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}], "sinks": [{"type": ")" +
+             type + R"(", "path": "/tmp/)" + path + "\"}]}";
+    };
+    CHECK(warnings(file("file", "a-{topic}.jsonl")).empty());
+    CHECK(has(warnings(file("file", "a-{topci}.jsonl")),
+              "{topci} stands for nothing here, and stays in the file's name"));
+    CHECK(has(warnings(file("file", "a-{topci}.jsonl")), "(did you mean \"{topic}\"?)"));
+    CHECK(has(warnings(file("sqlite", "a-{topic}.db")), "{topic} stands for nothing here"));
+  }
+
+  TEST_CASE("NFR-4 warnings of load are worth reading") {
+    std::string sensors = R"({"name": "fast", "type": "host", "quantity": "process", "rate": "1 kHz"})";
+    for (int i = 0; i < 60; ++i)
+      sensors += R"(, {"name": "adc)" + std::to_string(i) +
+                 R"(", "type": "analog", "rate": "50 Hz", "file": "/sys/none)" + std::to_string(i) +
+                 R"(/in_voltage0_raw"})";
+    const SystemPlan light = planned(R"({"sensors": [)" + sensors + R"(], "sinks": [{"type": "console"}]})");
+    CHECK_MESSAGE(light.warnings.empty(), light.warnings.text());
+    REQUIRE(light.loads().size() == 1);
+    CHECK(light.loads()[0].share() < 0.3);
+    std::string together = R"({"name": "fast", "type": "host", "quantity": "process", "rate": "1 kHz"})";
+    for (int i = 0; i < 60; ++i)
+      together += R"(, {"name": "h)" + std::to_string(i) + R"(", "type": "host", "quantity": "load", "rate": "50 Hz"})";
+    const SystemPlan bursts = planned(R"({"sensors": [)" + together + R"(], "sinks": [{"type": "console"}]})");
+    REQUIRE(bursts.warnings.size() == 1);
+    CHECK(bursts.warnings[0].id == "late-readings");
+    const SystemPlan busy = planned(
+        R"({"sensors": [{"name": "fast", "type": "host", "quantity": "process", "rate": "1 kHz",
+                                        "read_time": "900 us"}], "sinks": [{"type": "console"}]})");
+    REQUIRE(busy.warnings.size() == 1);
+    CHECK(busy.warnings[0].id == "overloaded-loop");
+  }
+}

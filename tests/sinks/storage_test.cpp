@@ -1,0 +1,348 @@
+// What a recording takes on the disk, and what recording writes onto it.
+#include <doctest/doctest.h>
+#include <sqlite3.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <string>
+#include <vector>
+
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "sinks/recordings.hpp"
+#include "sinks/sqlite/prune.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using namespace recordings;
+using sqlite::Database;
+
+namespace {
+
+struct Number {
+  double value = 0;
+  friend constexpr auto describe(type_tag<Number>) { return record("number", field("value", &Number::value, "1")); }
+};
+
+/// Bytes that this process has passed to write and its kin.
+std::uint64_t bytes_written() {
+  std::FILE* file = std::fopen("/proc/self/io", "r");
+  REQUIRE(file != nullptr);
+  unsigned long long bytes = 0;
+  char line[128];
+  while (std::fgets(line, sizeof line, file) != nullptr) {
+    if (std::sscanf(line, "wchar: %llu", &bytes) == 1) break;
+  }
+  std::fclose(file);
+  return bytes;
+}
+
+std::uint64_t written_by(const SqliteConfig& config, unsigned topics, std::chrono::seconds time) {
+  const std::uint64_t before = bytes_written();
+  Loop loop{Loop::Manual{}};
+  SqliteSink sink(loop, config);
+  std::vector<Sensor<Number>> sensors;
+  for (unsigned i = 0; i < topics; ++i) {
+    const std::string name = "sensor" + std::to_string(i);
+    sensors.emplace_back(loop, SensorConfig{.name = name, .topic = "topic/" + name, .rate = 1_Hz},
+                         [] { return Number{1}; });
+  }
+  loop.advance(time);
+  loop.close();
+  return bytes_written() - before;
+}
+
+std::uint64_t size_of(const std::string& path) {
+  std::uint64_t total = 0;
+  for (const char* part : {"", "-wal", "-shm"}) {
+    struct stat status {};
+    if (::stat((path + part).c_str(), &status) == 0) total += static_cast<std::uint64_t>(status.st_size);
+  }
+  return total;
+}
+
+/// All rows that were stored and not pruned are there.
+void check_counts(const std::string& path) {
+  std::int64_t rows = 0;
+  auto database = Database::open(path, Database::Mode::read).or_throw();
+  auto tables = database.prepare("SELECT table_name FROM rtdata_topic").or_throw();
+  while (tables.step().or_throw()) {
+    rows += database.integer("SELECT count(*) FROM " + sqlite::quoted(tables.text(0))).or_throw();
+  }
+  CHECK(number(path, "SELECT sum(stored - pruned) FROM rtdata_ledger") == rows);
+  check_balanced(path);
+}
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("NFR-5 a row a second writes its page and little more, and with the profile card a fifth of that") {
+    Folder folder;
+    constexpr std::uint64_t page = 4096 + 24;  // with its header in the log
+    constexpr std::uint64_t set_up = 400'000;  // tables, views, the first and the last account
+    for (const unsigned topics : {1U, 10U}) {
+      CAPTURE(topics);
+      const std::string name = std::to_string(topics);
+      const std::uint64_t normal = written_by({.path = folder / ("normal" + name)}, topics, 3600s);
+      CHECK(normal < set_up + 3600 * page * topics * 115 / 100);
+      const std::uint64_t card = written_by({.path = folder / ("card" + name), .profile = SqliteProfile::card}, topics,
+                                            3600s);
+      CHECK(card < normal / 5);
+      for (const char* profile : {"normal", "card"}) {
+        CHECK(number(folder / (profile + name), "SELECT sum(stored) FROM rtdata_ledger") == 3601 * topics);
+        check_balanced(folder / (profile + name));
+      }
+    }
+  }
+
+  TEST_CASE("NFR-5 a transaction holds what came within batch_time, however many rows that are") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path, .sink = {.batch_rows = 10}});
+    Sensor<Number> sensor(loop, {.name = "fast", .topic = "a", .rate = 1_kHz}, [] { return Number{1}; });
+    loop.advance(1500ms);
+    CHECK(number(path, "SELECT count(*) FROM a") == 1000);
+    loop.advance(499ms);
+    CHECK(number(path, "SELECT count(*) FROM a") == 1000);
+    loop.advance(1ms);
+    CHECK(number(path, "SELECT count(*) FROM a") == 2000);
+    loop.close();
+    check_balanced(path);
+  }
+
+  TEST_CASE("NFR-1 an account that is old is brought up to date by what survives a kill") {
+    for (const auto profile : {SqliteProfile::normal, SqliteProfile::card, SqliteProfile::fast}) {
+      CAPTURE(static_cast<int>(profile));
+      Folder folder;
+      const std::string path = folder / "run.db";
+      const pid_t child = ::fork();
+      if (child == 0) {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path, .profile = profile});
+        Sensor<Number> sensor(loop, {.name = "slow", .topic = "a", .rate = 1_Hz}, [] { return Number{1}; });
+        loop.advance(95'500ms);
+        ::raise(SIGKILL);
+      }
+      int status = 0;
+      REQUIRE(::waitpid(child, &status, 0) == child);
+      REQUIRE(WIFSIGNALED(status));
+      const std::int64_t stored = number(path, "SELECT count(*) FROM a");
+      CHECK(stored >= 96 - (profile == SqliteProfile::card ? 10 : 1));
+      {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path, .profile = profile});
+        loop.close();
+      }
+      CHECK(number(path, "SELECT offered FROM rtdata_ledger WHERE run = 1") == 96);
+      CHECK(number(path, "SELECT stored FROM rtdata_ledger WHERE run = 1") == stored);
+      CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 96 - stored);
+      CHECK(verified(path).verdict() == Verdict::sealed);
+    }
+  }
+
+  TEST_CASE("US-26 the recording as a whole stays below max_bytes at every rate, and what is pruned is counted") {
+    constexpr std::uint64_t max_bytes = SqliteConfig::least_max_bytes;
+    for (const unsigned per_ms : {1U, 20U, 100U}) {
+      CAPTURE(per_ms);
+      Folder folder;
+      const std::string path = folder / "run.db";
+      std::uint64_t largest = 0;
+      {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path, .max_bytes = max_bytes});
+        Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+        Ticker ticker(loop, 1ms, [&](const Tick&) {
+          for (unsigned i = 0; i < per_ms; ++i) feed.publish({1});
+          largest = std::max(largest, size_of(path));
+        });
+        loop.advance(std::chrono::milliseconds{400'000 / per_ms});
+        CHECK(sink.counts().all_dropped() == 0);
+        ticker.close();
+        feed.close();
+        loop.close();
+      }
+      CHECK(largest < max_bytes * 11 / 10);
+      CHECK(largest > max_bytes * 7 / 10);  // and the room is used
+      CHECK(number(path, "SELECT pruned FROM rtdata_ledger") > 100'000);
+      check_counts(path);
+    }
+  }
+
+  TEST_CASE("US-26 a fast sensor does not take the room of a slow one: both are kept for the same time") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path, .max_bytes = SqliteConfig::least_max_bytes});
+      Sensor<Number> fast(loop, {.name = "fast", .topic = "fast", .rate = 5_kHz}, [] { return Number{1}; });
+      Sensor<Number> slow(loop, {.name = "slow", .topic = "slow", .rate = 1_Hz}, [] { return Number{1}; });
+      loop.advance(60s);
+      loop.close();
+    }
+    const std::int64_t first_fast = number(path, "SELECT min(time) FROM fast");
+    const std::int64_t first_slow = number(path, "SELECT min(time) FROM slow");
+    CHECK(std::abs(first_fast - first_slow) <= 1'500'000'000);
+    CHECK(number(path, "SELECT count(*) FROM slow") > 10);
+    check_counts(path);
+  }
+
+  TEST_CASE("US-26 max_age holds at every rate") {
+    for (const unsigned per_ms : {1U, 20U}) {
+      CAPTURE(per_ms);
+      Folder folder;
+      const std::string path = folder / "run.db";
+      {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path, .max_age = 5s});
+        Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+        Feed<Number> rare(loop, {.name = "rare", .topic = "b"});
+        Ticker ticker(loop, 1ms, [&](const Tick& tick) {
+          for (unsigned i = 0; i < per_ms; ++i) feed.publish({1});
+          if (tick.index % 1000 == 0) rare.publish({2});
+        });
+        loop.advance(20s);
+        const std::int64_t age = number(path, "SELECT max(time) - min(time) FROM a");
+        CHECK(age >= 5'000'000'000);
+        CHECK(age <= 6'500'000'000);  // and a batch
+        CHECK(number(path, "SELECT count(*) FROM b") <= 8);
+        ticker.close();
+        feed.close();
+        rare.close();
+        loop.close();
+      }
+      check_counts(path);
+    }
+  }
+
+  TEST_CASE("US-26 a recording that is larger than its limit is brought below it") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    const auto record = [&](std::uint64_t max_bytes, std::chrono::seconds time, unsigned per_ms) {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path, .max_bytes = max_bytes});
+      Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+      Ticker ticker(loop, 1ms, [&](const Tick&) {
+        for (unsigned i = 0; i < per_ms; ++i) feed.publish({1});
+      });
+      loop.advance(time);
+      ticker.close();
+      feed.close();
+      loop.close();
+    };
+    record(0, 20s, 20);
+    REQUIRE(size_of(path) > 10'000'000);
+    record(SqliteConfig::least_max_bytes, 10s, 1);
+    CHECK(size_of(path) <= SqliteConfig::least_max_bytes);
+    check_counts(path);
+  }
+
+  TEST_CASE("US-26 rows of a run whose clock was behind are not taken for the oldest") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+      Ticker ticker(loop, 1ms, [&](const Tick&) {
+        for (unsigned i = 0; i < 10; ++i) feed.publish({1});
+      });
+      loop.advance(15s);
+      ticker.close();
+      feed.close();
+      loop.close();
+    }
+    // As if the second half came from a run on a board whose clock began at 1970.
+    sql(path, "UPDATE a SET time = time - 1700000000000000000 WHERE rowid > 75000");
+    {
+      auto database = Database::open(path, Database::Mode::write).or_throw();
+      sqlite::Pruner pruner(SqliteConfig::least_max_bytes, Duration{0});
+      sqlite::ValueRanges ranges;
+      do {
+        database.execute("BEGIN IMMEDIATE").or_throw();
+        pruner.make_room(database, ranges, from_nanoseconds(100'000'000'000)).or_throw();
+        database.execute("COMMIT").or_throw();
+      } while (pruner.has_more());
+    }
+    CHECK(number(path, "SELECT count(*) FROM a WHERE rowid > 75000") ==
+          number(path, "SELECT max(rowid) - 75000 FROM a"));
+    CHECK(number(path, "SELECT stored - pruned FROM rtdata_ledger") == number(path, "SELECT count(*) FROM a"));
+    CHECK(number(path, "SELECT count(*) FROM a") > 75'000);
+    CHECK(number(path, "SELECT pruned FROM rtdata_ledger") > 10'000);
+  }
+
+  TEST_CASE("US-26 a reader that holds a transaction open keeps a limit from being held: that is told and recorded") {
+    constexpr std::uint64_t max_bytes = SqliteConfig::least_max_bytes;
+    Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      std::vector<std::string> warnings;
+      loop.runtime().on_log([&](const LogRecord& record) {
+        if (record.text.find("larger than `max_bytes`") != std::string::npos) warnings.emplace_back(record.text);
+      });
+      SqliteSink sink(loop, {.path = path, .max_bytes = max_bytes});
+      Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+      Ticker ticker(loop, 1ms, [&](const Tick&) {
+        for (unsigned i = 0; i < 20; ++i) feed.publish({1});
+      });
+      loop.advance(3s);
+      {
+        auto reader = Database::open(path, Database::Mode::read).or_throw();
+        reader.execute("BEGIN").or_throw();
+        reader.integer("SELECT count(*) FROM a").or_throw();
+        loop.advance(10s);
+        CHECK(size_of(path) > max_bytes * 11 / 10);
+        REQUIRE(warnings.size() == 1);
+        CHECK(warnings[0].find("holds a transaction open") != std::string::npos);
+      }
+      loop.advance(5s);
+      CHECK(size_of(path) <= max_bytes);
+      CHECK(warnings.size() == 1);
+      CHECK(sink.counts().all_dropped() == 0);
+      ticker.close();
+      feed.close();
+      loop.close();
+    }
+    CHECK(number(path, "SELECT count(*) FROM rtdata_error WHERE text LIKE '%larger than%'") == 1);
+    check_counts(path);
+  }
+
+  TEST_CASE("US-26 the profile fast is not held up by a reader") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    Loop loop{Loop::Manual{}};
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.text()); });
+    SqliteSink sink(loop, {.path = path, .profile = SqliteProfile::fast});
+    Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+    feed.publish({1});
+    loop.advance(1s);
+    auto reader = Database::open(path, Database::Mode::read).or_throw();
+    reader.execute("BEGIN").or_throw();
+    CHECK(reader.integer("SELECT count(*) FROM a").or_throw() == 1);
+    feed.publish({2});
+    loop.advance(1s);
+    CHECK(errors.empty());
+    CHECK(sink.counts().stored == 2);
+    CHECK(reader.integer("SELECT count(*) FROM a").or_throw() == 1);  // as it was when its transaction began
+  }
+
+  TEST_CASE("US-30 a limit that is too small is refused by check and by the constructor") {
+    Folder folder;
+    const auto plan = plan_system(standard_registry(),
+                                  parse_config(R"({"sensors": [{"type": "host", "quantity": "cpu", "name": "cpu", "rate": "1 Hz"}], "sinks": [
+        {"type": "sqlite", "path": "run.db", "max_bytes": 1000000, "profile": "card"}]})"));
+    INFO(plan.report());
+    REQUIRE(plan.problems.size() == 1);
+    CHECK(plan.report().find("4 MiB") != std::string::npos);
+    Loop loop{Loop::Manual{}};
+    CHECK_THROWS_AS(SqliteSink(loop, {.path = folder / "run.db", .max_bytes = 1'000'000}), SetupError);
+    CHECK_THROWS_AS(SqliteSink(loop, {.path = folder / "run.db", .max_age = -1s}), SetupError);
+    CHECK(::access((folder / "run.db").c_str(), F_OK) != 0);
+  }
+}
