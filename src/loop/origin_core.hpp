@@ -70,6 +70,8 @@ class OriginCore {
   void close_gap() noexcept;
   /// The same; and what is told of later joins nothing from before.
   void divide_gaps() noexcept;
+  /// Null: none.
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
 
   /// What goes on when another loop takes the name over.
   struct State {
@@ -85,9 +87,12 @@ class OriginCore {
   /// It publishes on another loop from here on.
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
-  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
+  /// `gap`: under way; null: none.
+  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap);
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
+  /// The gap under way of a mirror has closed.
+  void forget_gap() noexcept { gap_is_open_ = false; }
 
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;

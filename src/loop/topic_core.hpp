@@ -21,6 +21,8 @@ class Tap {
   virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
   /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
+  /// Something has become of a tick, or of the schedule, that no event tells of.
+  virtual void note_change(OriginCore& origin) = 0;
 
  protected:
   ~Tap() = default;
@@ -62,6 +64,9 @@ class TopicCore {
   void remove_tap(Tap& tap) noexcept {
     std::erase(taps_, &tap);
     followers_changed();
+  }
+  void tell_taps_of_change(OriginCore& origin) {
+    for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
   }
   // Channels to and from the topic of this name on other loops.
   void add_channel_out(Channel& channel) {

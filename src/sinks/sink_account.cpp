@@ -29,7 +29,10 @@ void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Take
 }
 
 void SinkAccount::end() noexcept {
-  for (const auto& tap : taps_) tap->topic().remove_tap(*tap);
+  for (const auto& tap : taps_) {
+    tap->topic().remove_tap(*tap);
+    tap->end();
+  }
 }
 
 SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
@@ -38,7 +41,10 @@ SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
 }
 
 void SinkAccount::add(OriginCore& origin, const Gap& gap) {
-  if (SinkTap* tap = find_tap(origin)) notes.add(tap->slot_of(origin), gap, queue_->slot_count());
+  SinkTap* tap = find_tap(origin);
+  if (tap == nullptr) return;
+  notes.add(tap->slot_of(origin), gap, queue_->slot_count());
+  tap->note_closed(origin, gap, accounts_);
 }
 
 void SinkAccount::add(OriginCore& origin, const Segment& segment) {
@@ -61,7 +67,7 @@ SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, con
     SinkTap& tap = *taps_[next_topic_];
     for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size() && !has_more; ++next_origin_) {
       OriginCore& origin = *origins[next_origin_];
-      if (is_last) origin.close_gap();
+      if (is_last && !origin.is_mirror) origin.close_gap();  // of another loop, it closes there
       const OriginAccount now = tap.account_of(origin, until);
       if (tap.is_news(origin, now) || is_last) account.origins.push_back(now);
       has_more = !is_last && ++looked_at == origins_at_once;
@@ -70,7 +76,10 @@ SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, con
   }
   notes.move_into(account);
   const bool is_something = !account.is_empty();
-  if (is_something) queue_->hand_over_account();
+  if (is_something) {
+    queue_->hand_over_account();
+    ++accounts_;
+  }
   return {is_something, has_more};
 }
 

@@ -19,6 +19,8 @@ namespace {
 
 constexpr Duration pause_between_parts = std::chrono::milliseconds{1};
 
+constexpr Duration early_after = std::chrono::milliseconds{10};
+
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
 }  // namespace
@@ -34,7 +36,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         job_(std::make_shared<StoreJob>(queue_)),
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
         retry_(loop.face, [this] { try_again(); }),
-        next_part_(loop.face, [this] { account_more(); }) {}
+        next_part_(loop.face, [this] { account_more(); }),
+        early_(loop.face, [this] { tell_early(); }) {}
 
   void attach() {
     RuntimeCore& runtime = loop()->runtime;
@@ -105,7 +108,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void on_gap(OriginCore& origin, const Gap& gap) override { account_.add(origin, gap); }
 
-  void on_segment(OriginCore& origin, const Segment& segment) override { account_.add(origin, segment); }
+  void on_segment(OriginCore& origin, const Segment& segment) override {
+    account_.add(origin, segment);
+    account_is_due();
+  }
 
   void on_clock(const ClockPair& pair) override { account_.notes.add(pair); }
 
@@ -244,6 +250,21 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  /// Sensors that begin, and schedules that change, are told soon: so that a kill in the first second leaves them too.
+  void account_is_due() override {
+    if (closing_ || !is_attached_ || early_.is_running() || loop()->now() < next_early_) return;
+    next_early_ = later(loop()->now(), config_.batch_time);
+    early_.start(early_after);
+  }
+
+  void tell_early() {
+    if (closing_ || retry_.is_running()) {
+      is_account_due_ = true;
+    } else if (begin_account()) {
+      start_storing();
+    }
+  }
+
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }
 
   void start_storing() {
@@ -350,6 +371,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     account_.end();
     if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
     next_part_.stop();
+    early_.stop();
     queue_->hand_over();
     tell(SinkAccount::Part::last);
     queue_->keep_own_counts();
@@ -418,6 +440,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     lane_ = nullptr;
     retry_.close();
     next_part_.close();
+    early_.close();
     deadline_.close();
     auto done = std::move(drained_);
     drained_.clear();
@@ -441,6 +464,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   std::unique_ptr<Lane> lane_;
   Timer retry_;
   Timer next_part_;  // of an account
+  Timer early_;      // the account of what is new
+  MonotonicTime next_early_{};
   Timer deadline_;
   Duration retry_delay_{0};
   std::uint64_t failures_ = 0;

@@ -12,6 +12,7 @@
 namespace rtdata {
 
 LiveCounts* Writer::live_counts(std::uint32_t) { return nullptr; }
+void Writer::keep(const OriginAccount&, const Gap*) {}
 Result<void> Writer::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {

@@ -84,6 +84,13 @@ class SinkQueue {
   /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
   /// there is to tell cannot wait.
   bool has_account() const noexcept;
+  /// None is on its way: all that were handed over are stored.
+  bool has_stored_accounts() const noexcept {
+    for (const AccountBox& box : accounts_) {
+      if (box.after_ticket.load(std::memory_order_acquire) != 0) return false;
+    }
+    return true;
+  }
   Account& next_account() noexcept { return accounts_[next_account_].account; }
   /// Queues it behind all that was handed over before.
   void hand_over_account();

@@ -218,6 +218,19 @@ LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
   return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
 }
 
+void SqliteWriter::keep(const OriginAccount& now, const Gap* closed) {
+  if (!live_.has(now.slot)) return;
+  const auto kept = [](const Gap& gap) {
+    LiveGap live{gap.kind, true, {}, to_nanoseconds(gap.first), to_nanoseconds(gap.last), gap.count};
+    gap.reason.copy(live.reason, sizeof live.reason - 1);
+    return live;
+  };
+  LiveAccount account{now.sensor, now.offered, now.first_sequence, now.segment, {}, {}};
+  if (now.has_gap) account.under_way = kept(now.gap);
+  if (closed != nullptr) account.closed = kept(*closed);
+  live_.slot(now.slot).account.set(account);
+}
+
 void SqliteWriter::tell_of_live_file(const Error& why) {
   has_told_of_live_file_ = true;
   warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
@@ -264,6 +277,9 @@ Result<void> SqliteWriter::prepare_account() {
        "first_sequence, "
        "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
+      {grown_gap_,
+       "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
+       "WHERE rowid = ?"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
@@ -301,12 +317,14 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
+    grown_gaps_ = stored_gaps_;
     rolled_back();
     pruner_.close();
     return done;
   }
   committed();
   known_slots_ = slots;
+  if (batch.account() != nullptr) stored_gaps_ = grown_gaps_;
   escaped_.end_batch(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   rows_in_last_ = batch.size();
@@ -433,16 +451,11 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     }
   }
   for (const Account::GapEntry& entry : account.gaps) {
-    const SlotInfo& slot = batch.slot(entry.slot);
-    gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    gap_.bind(4, name_of(entry.gap.kind)).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last));
-    if (entry.gap.count != 0) {
-      gap_.bind(8, as_integer(entry.gap.count));
-    } else {
-      gap_.bind_null(8);
-    }
-    if (auto done = gap_.run(); !done) return done;
+    if (auto done = write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed); !done) return done;
+  }
+  for (const OriginAccount& origin : account.origins) {  // those that are under way are the last
+    if (!origin.has_gap) continue;
+    if (auto done = write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
     clock_.bind(1, run_)
@@ -482,6 +495,31 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
   run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
   return run_end_.run();
+}
+
+/// One that an account had while it was under way has a row, which grows.
+Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
+  const auto run_with = [&](Statement& statement) {
+    statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
+    statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
+    if (gap.count != 0) {
+      statement.bind(8, as_integer(gap.count));
+    } else {
+      statement.bind_null(8);
+    }
+    return statement.run();
+  };
+  const auto known = grown_gaps_.find(number);
+  // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
+  if (known != grown_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
+    grown_gap_.bind(9, known->second.second);
+    known->second.first = gap.first;
+    if (what == GapIs::closed) grown_gaps_.erase(known);
+    return run_with(grown_gap_);
+  }
+  if (auto done = run_with(gap_); !done) return done;
+  if (what == GapIs::under_way) grown_gaps_[number] = {gap.first, database_.last_rowid()};
+  return {};
 }
 
 Result<void> SqliteWriter::write_checksums(const Account* account) {
@@ -620,7 +658,7 @@ Result<void> SqliteWriter::close() {
   tables_.clear();
   pruner_.close();
   for (Statement* statement :
-       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &clock_, &error_, &health_, &run_end_})
+       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
     *statement = Statement();
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();

@@ -6,6 +6,8 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
@@ -41,6 +43,7 @@ class SqliteWriter final : public Writer {
   Result<void> close() override;
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
+  void keep(const OriginAccount& now, const Gap* closed) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
@@ -59,6 +62,8 @@ class SqliteWriter final : public Writer {
   Result<void> write_account(const Batch& batch, const Account& account);
   /// The file is no longer at its path.
   bool has_moved();
+  enum class GapIs { closed, under_way };
+  Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
   Result<void> write_checksums(const Account* account);
   /// Of the checksums: before a transaction commits, after it has, and after it was given up.
   void stage();
@@ -91,10 +96,15 @@ class SqliteWriter final : public Writer {
   Statement ledger_;
   Statement schedule_;
   Statement gap_;
+  Statement grown_gap_;
   Statement clock_;
   Statement error_;
   Statement health_;
   Statement run_end_;
+  // Gaps under way that the recording has, by slot: when they began, and their rows.
+  using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
+  GrownGaps grown_gaps_;
+  GrownGaps stored_gaps_;  // as committed
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
