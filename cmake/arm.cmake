@@ -1,19 +1,20 @@
 # Toolchain: compiles for ARM, as Raspberry Pis are, against the packages that tests/arm/run.sh unpacks into
 # build/RTDATA_ARM-root. RTDATA_ARM is arm64 or armhf.
 set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES RTDATA_ARM)
+get_filename_component(root "${CMAKE_CURRENT_LIST_DIR}/../build/${RTDATA_ARM}-root" ABSOLUTE)
 set(CMAKE_SYSTEM_NAME Linux)
 if(RTDATA_ARM STREQUAL "armhf")
   set(CMAKE_SYSTEM_PROCESSOR armv7l)
   set(triplet arm-linux-gnueabihf)
-  set(CMAKE_CROSSCOMPILING_EMULATOR qemu-arm -L /usr/${triplet})
+  set(emulator qemu-arm)
 else()
   set(CMAKE_SYSTEM_PROCESSOR aarch64)
   set(triplet aarch64-linux-gnu)
-  set(CMAKE_CROSSCOMPILING_EMULATOR qemu-aarch64 -L /usr/${triplet})
+  set(emulator qemu-aarch64)
 endif()
 set(CMAKE_CXX_COMPILER ${triplet}-g++)
+set(CMAKE_CROSSCOMPILING_EMULATOR ${emulator} -L /usr/${triplet} -E LD_LIBRARY_PATH=${root}/usr/lib/${triplet})
 
-get_filename_component(root "${CMAKE_CURRENT_LIST_DIR}/../build/${RTDATA_ARM}-root" ABSOLUTE)
 set(CMAKE_FIND_ROOT_PATH "${root}")
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)
 set(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)

@@ -9,7 +9,7 @@ using namespace rtdata::literals;
 
 struct Climate {
   double temperature = 0, humidity = 0;
-  RTDATA_FIELDS(Climate, (temperature, "Cel"), (humidity, "%RH"))
+  RTDATA_FIELDS(Climate, (temperature, "Cel"), (humidity, "%"))
 };
 
 int main() {

@@ -64,7 +64,7 @@ Ticks measure_bare_timer(Duration period, Duration duration, Scheduling scheduli
     while (due < end && count < ticks.lateness.size()) {
       const std::int64_t at = due.time_since_epoch().count();
       itimerspec spec{};
-      spec.it_value = {at / 1'000'000'000, at % 1'000'000'000};
+      spec.it_value = {at / 1'000'000'000, static_cast<long>(at % 1'000'000'000)};
       ::timerfd_settime(timer, TFD_TIMER_ABSTIME, &spec, nullptr);
       if (::epoll_wait(poller, &event, 1, 1000) != 1) continue;
       std::uint64_t expired = 0;

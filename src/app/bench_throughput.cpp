@@ -122,9 +122,7 @@ Json measure_sink(const std::string& folder, Duration duration) {
   Loop loop(unwatched);
   std::string failed;
   loop.on_error([](const ErrorReport&) {});  // the sink's health tells it
-  SqliteConfig config{.path = folder + database_name};
-  config.sink.batch_rows = rows_per_commit;
-  SqliteSink sink(loop, config);
+  SqliteSink sink(loop, {.path = folder + database_name});
   const auto topic = loop.topic<BenchSample>("bench");
   const auto publish = [&](std::size_t rows) {
     for (std::size_t i = 0; i < rows; ++i) topic.publish({static_cast<double>(i), 1, 2, 3});
@@ -139,7 +137,7 @@ Json measure_sink(const std::string& folder, Duration duration) {
       loop.run_for(std::chrono::microseconds{100});
     }
   };
-  constexpr std::uint64_t waiting = 20 * rows_per_commit;
+  constexpr std::uint64_t waiting = 160 * rows_per_commit;  // 4 MiB: some transactions
   const auto begin = SteadyClock::now();
   while (SteadyClock::now() - begin < duration * 2 / 3 && is_good()) {
     publish(rows_per_commit);

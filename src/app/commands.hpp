@@ -22,6 +22,8 @@ struct InfoOptions {
   std::string database;
   std::optional<std::int64_t> run = {};  // the last one unless given
   Output output = Output::text;
+  enum class Gaps { counted, listed };
+  Gaps gaps = Gaps::counted;  // listed: --gaps, each with UTC
 };
 /// 0; 1 when there is no such run; 2 unreadable.
 int info(const InfoOptions& options, std::ostream& out, std::ostream& err);

@@ -1,5 +1,6 @@
 #include "rtdata/sinks/export.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <ostream>
 #include <set>
@@ -69,6 +70,14 @@ Result<void> find(const Recording& recording, const RowFilter& filter) {
                  list_of(origins));
 }
 
+/// Rows that are left out are told, and are an error.
+int tell_refused(std::ostream& err, const ExportCount& count) {
+  if (count.refused == 0) return 0;
+  err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")
+      << " left out, the first: " << count.refusal.text() << "\n";
+  return 1;
+}
+
 int fail(std::ostream& err, const Error& error, int code) {
   err << "rtdata: " << error.text() << "\n";
   return code;
@@ -103,13 +112,16 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     auto count = export_rows(*recording, config, out);
     if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
-    return 0;
+    return tell_refused(err, *count);
   }
   auto counts = export_files(*recording, config, options.folder);
   if (!counts) return fail(err, counts.error(), code_of(counts.error()));
-  for (const ExportCount& count : *counts)
+  int status = 0;
+  for (const ExportCount& count : *counts) {
     out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
-  return 0;
+    status = std::max(status, tell_refused(err, count));
+  }
+  return status;
 }
 
 }  // namespace rtdata::app

@@ -141,9 +141,12 @@ struct Content {
   std::vector<TopicSummary> summaries;
   std::vector<RecordedError> errors;
   std::vector<RecordedHealth> health;
+  std::vector<RecordedEscapes> escaped;
+  std::vector<RecordedGap> gaps;
+  UtcLine line{{}};  // of the run that is shown
 };
 
-Result<Content> read(const Recording& recording, std::optional<std::int64_t> wanted) {
+Result<Content> read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
   Content content;
   auto runs = recording.runs();
   if (!runs) return std::move(runs).error();
@@ -168,10 +171,34 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto health = recording.health(content.shown->run);
   if (!health) return std::move(health).error();
   content.health = std::move(*health);
+  auto escaped = recording.escaped(content.shown->run);
+  if (!escaped) return std::move(escaped).error();
+  content.escaped = std::move(*escaped);
+  if (gaps == InfoOptions::Gaps::counted) return content;
+  auto listed = recording.gaps(content.shown->run);
+  if (!listed) return std::move(listed).error();
+  content.gaps = std::move(*listed);
+  auto line = recording.utc_line(content.shown->run);
+  if (!line) return std::move(line).error();
+  content.line = std::move(*line);
   return content;
 }
 
-void print(const Recording& recording, const Content& content, std::ostream& out) {
+void print_gaps(const Content& content, std::ostream& out) {
+  out << "\ngaps of run " << content.shown->run << " (UTC)\n";
+  if (content.gaps.empty()) out << "  none\n";
+  for (const RecordedGap& gap : content.gaps) {
+    const Time from = content.line.utc(gap.first), until = content.line.utc(gap.last);
+    std::string line;
+    detail::wrap(line, "  ",
+                 to_iso8601(from) + (gap.last == gap.first ? "" : " to " + to_iso8601(until)) + " " + gap.origin +
+                     " on " + gap.topic + ": " + gap.kind + (gap.count > 0 ? " " + std::to_string(gap.count) : "") +
+                     (gap.reason.empty() ? "" : ": " + gap.reason));
+    out << line;
+  }
+}
+
+void print(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
   out << recording.path() << "\n\n";
   if (content.runs.empty()) {
     out << "No run was recorded yet.\n";
@@ -188,6 +215,10 @@ void print(const Recording& recording, const Content& content, std::ostream& out
   }
   out << "\nrun " << content.shown->run << "\n";
   print_table(content.summaries, out);
+  for (const RecordedEscapes& of : content.escaped) {
+    out << "  " << of.topic << ", " << of.origin << ": " << of.texts << " texts were no UTF-8, see rtdata_escaped\n";
+  }
+  if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
   if (!content.errors.empty()) {
     constexpr std::size_t most = 10;
     out << "\nerrors of run " << content.shown->run << "\n";
@@ -221,7 +252,7 @@ void print(const Recording& recording, const Content& content, std::ostream& out
   print_fields(content.topics, out);
 }
 
-void print_json(const Recording& recording, const Content& content, std::ostream& out) {
+void print_json(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
   Json json;
   json["path"] = recording.path();
   json["runs"] = Json::array();
@@ -248,6 +279,23 @@ void print_json(const Recording& recording, const Content& content, std::ostream
                                   {"count", change.count},
                                   {"last", to_nanoseconds(change.last)}});
   }
+  json["escaped"] = Json::array();
+  for (const RecordedEscapes& of : content.escaped)
+    json["escaped"].push_back(Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}});
+  if (gaps == InfoOptions::Gaps::listed) {
+    json["gaps"] = Json::array();
+    for (const RecordedGap& gap : content.gaps) {
+      json["gaps"].push_back(Json{{"topic", gap.topic},
+                                  {"origin", gap.origin},
+                                  {"kind", gap.kind},
+                                  {"reason", gap.reason},
+                                  {"first", to_nanoseconds(gap.first)},
+                                  {"last", to_nanoseconds(gap.last)},
+                                  {"first_utc", to_iso8601(content.line.utc(gap.first))},
+                                  {"last_utc", to_iso8601(content.line.utc(gap.last))},
+                                  {"count", gap.count}});
+    }
+  }
   json["descriptions"] = Json::array();
   for (const RecordedTopic& topic : content.topics) {
     json["descriptions"].push_back(Json{{"topic", topic.topic},
@@ -267,12 +315,13 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err) {
     err << "rtdata: " << recording.error().text() << "\n";
     return 2;
   }
-  auto content = read(*recording, options.run);
+  auto content = read(*recording, options.run, options.gaps);
   if (!content) {
     err << "rtdata: " << content.error().text() << "\n";
     return content.error().code == make_error_code(Errc::not_found) ? 1 : 2;
   }
-  options.output == Output::json ? print_json(*recording, *content, out) : print(*recording, *content, out);
+  options.output == Output::json ? print_json(*recording, *content, options.gaps, out)
+                                 : print(*recording, *content, options.gaps, out);
   return 0;
 }
 

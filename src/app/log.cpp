@@ -37,7 +37,7 @@ namespace {
 
 int open_file(const std::string& path) noexcept {
   // Not to wait for the reader of a named pipe.
-  return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, 0644);
+  return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, 0640);
 }
 
 /// Puts a new file behind the descriptor when the one there is full, or is no longer where it was (logrotate). The number of

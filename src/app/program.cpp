@@ -169,6 +169,8 @@ Action prepare_info(CLI::App& command) {
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
   command.add_flag_callback(
+      "--gaps", [options] { options->gaps = app::InfoOptions::Gaps::listed; }, "List the gaps of the run, in UTC");
+  command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   return [options](const Registry&) { return app::info(*options, std::cout, std::cerr); };
 }

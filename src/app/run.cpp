@@ -81,7 +81,10 @@ class Run {
   }
 
   int run(const SystemPlan& plan) {
-    for (const Problem& warning : plan.warnings) say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    for (const Problem& warning : plan.warnings) {
+      if (warning.id == "cannot-write") continue;  // of the log: told when it was opened
+      say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    }
     Runtime runtime(plan.runtime_config());
     runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
     Loop loop(runtime, plan.loop_config());

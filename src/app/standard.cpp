@@ -51,6 +51,7 @@ namespace {
 struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const FileConfig&>(config), item, problems);
     std::vector<std::string> formats = CodecRegistry::standard().names();
     formats.emplace_back("jsonl");
     if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;

@@ -65,7 +65,7 @@ std::string failure(const std::string& why) {
 // Eight steps for each power of two: 0 to 7 ns one by one, then 8, 9 ... 15, 16, 18 ...
 void TimeCounts::add(Duration time) noexcept {
   const auto ns = static_cast<std::uint64_t>(std::max<Duration::rep>(time.count(), 0));
-  std::size_t index = ns;
+  auto index = static_cast<std::size_t>(ns);
   if (ns >= 8) {
     const auto shift = static_cast<std::size_t>(std::bit_width(ns)) - 4;
     index = 8 * (shift + 1) + ((ns >> shift) & 7);

@@ -3,6 +3,8 @@
 #include <algorithm>
 
 #include "config/plan.hpp"
+#include "config/warnings.hpp"
+#include "loop/runtime_core.hpp"
 
 namespace rtdata {
 namespace {
@@ -56,6 +58,13 @@ void note_place(Loop& loop, std::string object, const ConfigItem& item) {
     loop.runtime().note_place(std::move(object), std::move(place));
 }
 
+/// What is made of the item on this loop may meet errors that show them.
+void hide_secrets_of(Loop& loop, const TypeRegistryBase& types, const ConfigItem& item) {
+  const std::string* name = item.is_object() && item.find("type") != nullptr ? item.find("type")->as_string() : nullptr;
+  const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
+  if (type) config_detail::collect_secrets(type->parameters, item, loop.runtime().core().secrets);
+}
+
 }  // namespace
 
 System::System(Loop& loop, const Registry& registry, const SystemPlan& plan) : loop_(loop), registry_(registry) {
@@ -84,6 +93,7 @@ AnySensor& System::make(const SensorPlan& plan) {
   const auto make_there = [&] {
     const auto make_on = [&](Loop& on) {
       note_place(on, "sensor " + plan.name, plan.item);
+      hide_secrets_of(on, registry_.sensors(), plan.item);
       return plan.make(on);
     };
     return plan.tier.empty() ? make_on(loop_) : tier(plan.tier).call(make_on);
@@ -94,6 +104,7 @@ AnySensor& System::make(const SensorPlan& plan) {
 
 Sink& System::make(const SinkPlan& plan) {
   note_place(loop_, "sink " + plan.name, plan.item);
+  hide_secrets_of(loop_, registry_.sinks(), plan.item);
   sinks_.push_back({plan.name, made_at(plan.item, "sink " + plan.name, [&] { return plan.make(loop_); })});
   return *sinks_.back().object;
 }

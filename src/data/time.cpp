@@ -3,6 +3,8 @@
 #include <charconv>
 #include <limits>
 
+#include "data/time_text.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -159,7 +161,7 @@ bool take(std::string_view& text, std::string_view any_of) {
 
 Time wall_clock_now() noexcept { return std::chrono::time_point_cast<Duration>(std::chrono::system_clock::now()); }
 
-std::string to_iso8601(Time time) {
+char* detail::put_iso8601(char* to, Time time) noexcept {
   const std::int64_t total = to_nanoseconds(time);
   constexpr auto per_day = static_cast<std::int64_t>(86400 * second);
   std::int64_t days = total / per_day;
@@ -170,16 +172,24 @@ std::string to_iso8601(Time time) {
   }
   const Date date = date_from_days(days);
   const auto within = static_cast<std::uint64_t>(rest);
-  std::string text;
-  text.reserve(30);
-  append_padded(text, static_cast<std::uint64_t>(date.year), 4);
-  append_padded(text += '-', date.month, 2);
-  append_padded(text += '-', date.day, 2);
-  append_padded(text += 'T', within / (3600 * second), 2);
-  append_padded(text += ':', within / (60 * second) % 60, 2);
-  append_padded(text += ':', within / second % 60, 2);
-  append_padded(text += '.', within % second, 9);
-  return text += 'Z';
+  const auto put = [&to](std::uint64_t number, int digits, char after) {
+    for (int i = digits - 1; i >= 0; --i, number /= 10) to[i] = static_cast<char>('0' + number % 10);
+    to += digits;
+    *to++ = after;
+  };
+  put(static_cast<std::uint64_t>(date.year), 4, '-');
+  put(date.month, 2, '-');
+  put(date.day, 2, 'T');
+  put(within / (3600 * second), 2, ':');
+  put(within / (60 * second) % 60, 2, ':');
+  put(within / second % 60, 2, '.');
+  put(within % second, 9, 'Z');
+  return to;
+}
+
+std::string to_iso8601(Time time) {
+  char text[detail::iso8601_size];
+  return {text, detail::put_iso8601(text, time)};
 }
 
 Result<Time> parse_iso8601(std::string_view text) {

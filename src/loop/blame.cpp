@@ -38,7 +38,7 @@ void LoopCore::report_hold(const std::string& name, Duration took) {
   held_last_ = now();
   if (!calm_.is_listed()) {
     runtime.health_changed("loop", config.name, Health::degraded, name + " " + lasted);
-    calm_.due = held_last_ + calm_after;
+    calm_.due = later(held_last_, calm_after);
     insert(calm_);
   }
   runtime.report(this, name,
@@ -48,7 +48,7 @@ void LoopCore::report_hold(const std::string& name, Duration took) {
 }
 
 void LoopCore::Calm::fire(MonotonicTime now) {
-  if (const MonotonicTime calm_at = core.held_last_ + calm_after; calm_at > now) {
+  if (const MonotonicTime calm_at = later(core.held_last_, calm_after); calm_at > now) {
     due = calm_at;
     core.moved(*this);
     return;

@@ -209,6 +209,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
     told.is_active = sensor->is_active();
     told.health = sensor->health();
   }
+  told.has_gap = origin.gap_under_way() != nullptr;
   if (told == passage.told) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
@@ -216,6 +217,8 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   record->counts = counts;
   record->sequence = origin.sequence;
   record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
+  record->has_gap = origin.gap_under_way() != nullptr;
+  if (record->has_gap) record->gap = *origin.gap_under_way();
   record->has_sensor = told.has_sensor;
   record->period = told.period;
   record->is_active = told.is_active;
@@ -403,6 +406,7 @@ void Bridge::take(const Record& record, Passage& passage) {
     case Sort::event:
       break;  // see above
     case Sort::gap:
+      if (!passage.is_past) mirror.forget_gap();  // it was under way in an account
       for (Listener* listener : to_.runtime.recorders)
         listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
       break;
@@ -415,7 +419,7 @@ void Bridge::take(const Record& record, Passage& passage) {
     case Sort::account: {
       const auto& account = static_cast<const AccountRecord&>(record);
       if (passage.is_past) break;  // the new holder of the name tells more
-      mirror.mirror(account.counts, account.sequence, account.under_way);
+      mirror.mirror(account.counts, account.sequence, account.under_way, account.has_gap ? &account.gap : nullptr);
       passage.period = account.period;
       passage.is_active = account.is_active;
       passage.has_sensor = account.has_sensor;

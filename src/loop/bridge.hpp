@@ -59,6 +59,7 @@ struct Passage {
   struct Told {
     std::uint64_t grown = 0;  // sum of counts, each of which only grows
     Duration period{0};
+    bool has_gap = false;
     bool has_sensor = false;
     bool is_active = false;
     Health health = Health::ok;
@@ -190,6 +191,8 @@ class Bridge final : public Listener {
     SensorCounts counts;
     std::uint64_t sequence;
     Segment under_way;
+    Gap gap;  // under way, if `has_gap`
+    bool has_gap;
     Duration period;
     bool is_active;
     bool has_sensor;

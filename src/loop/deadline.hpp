@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <chrono>
 #include <cstdint>
 #include <vector>
 
@@ -9,9 +10,34 @@
 
 namespace rtdata::detail {
 
-/// `span` after `at`, or as late as can be said.
-inline MonotonicTime later(MonotonicTime at, Duration span) noexcept {
-  return span > MonotonicTime::max() - std::max(at, MonotonicTime{}) ? MonotonicTime::max() : at + span;
+/// `span` after `at`, or as late, or as early, as can be said.
+template <class Clock>
+constexpr std::chrono::time_point<Clock, Duration> later(std::chrono::time_point<Clock, Duration> at,
+                                                         Duration span) noexcept {
+  using Point = std::chrono::time_point<Clock, Duration>;
+  std::int64_t sum = 0;
+  if (__builtin_add_overflow(at.time_since_epoch().count(), span.count(), &sum)) [[unlikely]]
+    return span.count() > 0 ? Point::max() : Point::min();
+  return Point{Duration{sum}};
+}
+
+/// From one instant to another, or as long as can be said.
+constexpr Duration span_between(MonotonicTime from, MonotonicTime to) noexcept {
+  std::int64_t span = 0;
+  if (__builtin_sub_overflow(to.time_since_epoch().count(), from.time_since_epoch().count(), &span)) [[unlikely]]
+    return to > from ? Duration::max() : Duration::min();
+  return Duration{span};
+}
+
+/// So many times a span that is not negative, or as long as can be said.
+constexpr Duration multiple(std::int64_t count, Duration span) noexcept {
+  std::int64_t product = 0;
+  return __builtin_mul_overflow(span.count(), count, &product) ? Duration::max() : Duration{product};
+}
+
+/// The end of time never comes: what is due then is never due.
+constexpr bool has_come(MonotonicTime due, MonotonicTime now) noexcept {
+  return due <= now && due != MonotonicTime::max();
 }
 
 class Deadline {
@@ -34,10 +60,15 @@ class DeadlineHeap {
  public:
   Deadline* top() const noexcept { return entries_.empty() ? nullptr : entries_.front(); }
   std::size_t size() const noexcept { return entries_.size(); }
+  /// So many may be in it from now on without asking for memory.
+  void make_room(std::size_t count) {
+    if (count > entries_.capacity()) entries_.reserve(std::max(count, 2 * entries_.capacity()));
+  }
+  /// When that asks for memory and there is none, nothing has changed.
   void insert(Deadline& deadline) {
-    if (deadline.order == 0) deadline.order = ++last_order_;
-    deadline.heap_index = entries_.size();
     entries_.push_back(&deadline);
+    if (deadline.order == 0) deadline.order = ++last_order_;
+    deadline.heap_index = entries_.size() - 1;
     sift_up(deadline.heap_index);
   }
   void remove(Deadline& deadline) noexcept {

@@ -28,11 +28,22 @@ class Drain : public std::enable_shared_from_this<Drain> {
     }
     runtime_.unknown_end.clear();
     loop_.core().run_due();
-    for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop_schedule(loop_.core().handled_until());
+    for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().handled_until()); });
     drain_tiers();
   }
 
  private:
+  /// Of those that there are now. A device that is closed may close or destroy any of them.
+  template <class Function>
+  void for_each_sensor(const Function& function) {
+    const auto sensors = copy(runtime_.sensors);
+    for (detail::SensorEntry* sensor : sensors) sensor->retain();
+    for (detail::SensorEntry* sensor : sensors) {
+      if (sensor->is_open()) function(*sensor);
+      sensor->release();
+    }
+  }
+
   template <class T>
   static std::vector<T> copy(const std::vector<T>& list) {
     return list;
@@ -42,11 +53,11 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void drain_tiers() {
     if (runtime_.tiers.empty()) return wait_for_reads();
     // The sinks need time too, and a tier that gives up on a read still has to say so.
-    const Duration share = std::max(deadline_ - loop_.now(), Duration{0}) / 2;
+    const Duration share = std::max(detail::span_between(loop_.now(), deadline_), Duration{0}) / 2;
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      tier->drain(share * 3 / 4, [self = shared_from_this(), tier] {
+      tier->drain(share / 4 * 3, [self = shared_from_this(), tier] {
         std::erase(self->draining_, tier);
         if (self->draining_.empty()) self->tiers_done();
       });
@@ -82,7 +93,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
       return;
     }
     loop_.core().deliver_all();  // what stopping would cancel
-    for (detail::SensorEntry* sensor : copy(runtime_.sensors)) sensor->stop();
+    for_each_sensor([](detail::SensorEntry& sensor) { sensor.stop(); });
     runtime_.flush_repeats(detail::RuntimeCore::Repeated::all);
     runtime_.look_at_clock("end");
     pending_ = runtime_.recorders.size() + 1;
@@ -118,6 +129,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
 }  // namespace
 
 void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
+  core_->check_thread("cannot drain", "loop " + config().name);
   std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
 }
 
@@ -126,7 +138,8 @@ std::uint64_t Loop::close(Duration deadline) {
     throw SetupError({Errc::bad_argument, "cannot close", "loop " + config().name,
                       "it is attached: only the program can run it", "use drain(deadline, done)"});
   }
-  if (core_->is_running()) {
+  core_->check_thread("cannot close", "loop " + config().name);
+  if (core_->is_running() || core_->is_in_callback()) {
     throw SetupError({Errc::busy, "cannot close", "loop " + config().name,
                       "it is running, and this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});

@@ -1,9 +1,11 @@
 #include "rtdata/loop/handle.hpp"
 
 #include <mutex>
+#include <utility>
 
 #include "loop/callback_survey.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
 
 namespace rtdata::detail {
 
@@ -27,12 +29,19 @@ void LoopCore::unlink(Node& node) noexcept {
   node.previous_ = node.next_ = nullptr;
 }
 
+void LoopCore::check_not_ending(const char* what) const {
+  if (!is_ending_) return;
+  throw SetupError({Errc::busy, what, "loop " + config.name, "it is being destroyed",
+                    "make nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
+}
+
 Node::Node(LoopCore& loop) : loop_(&loop) {
   if (loop.runs_elsewhere()) {
     throw SetupError({Errc::busy, "cannot make an object", "loop " + loop.config.name, "it runs on a thread of its own",
                       "make it before the tier runs, or with tier.call([](rtdata::Loop& loop) { ... })"});
   }
   loop.check_thread("cannot make an object", "");
+  loop.check_not_ending("cannot make an object");
   loop.link(*this);
 }
 Node::~Node() {
@@ -45,6 +54,7 @@ void Node::dispose() noexcept {
     loop->call_there([this] { dispose(); });
     return;
   }
+  if (loop != nullptr && loop->is_run_by_another_thread()) return loop->dispose_later(*this);
   close();
   release();
 }
@@ -52,10 +62,33 @@ void Node::dispose() noexcept {
 void Node::close() noexcept {
   if (loop_ == nullptr || is_closing_) return;
   is_closing_ = true;  // closing may report, and the handler of the report may close it once more
+  retain();            // or let go of it
   on_close();
   loop_->unlink(*this);
   loop_ = nullptr;
   if (running_ == 0) drop_callbacks();
+  release();
+}
+
+void LoopCore::dispose_later(Node& node) noexcept {
+  struct Owned {
+    explicit Owned(Node& node) noexcept : node_(&node) {}
+    Owned(Owned&& other) noexcept : node_(std::exchange(other.node_, nullptr)) {}
+    ~Owned() {
+      if (node_ == nullptr) return;
+      node_->close();
+      node_->release();
+    }
+    Node* node_;
+  };
+  post([this, owned = Owned(node)] {
+    const std::string name = owned.node_->callback_name();
+    owned.node_->close();
+    runtime.report(this, name.empty() ? "loop " + config.name : name,
+                   {Errc::busy, "was closed where it may not be", "loop " + config.name,
+                    "another thread did it, or a call of a sink's writer; it is closed now, by its loop",
+                    "post a function to the loop that closes it there"});
+  });
 }
 
 }  // namespace rtdata::detail

@@ -17,6 +17,11 @@
 #include "loop/signals_blocked.hpp"
 
 namespace rtdata::detail {
+namespace {
+
+constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the library adds it to the time of now
+
+}  // namespace
 
 /// One thread and the jobs on their way to it. Shared with the thread, which may be left behind.
 struct Lane::Worker {
@@ -121,7 +126,7 @@ Lane::~Lane() {
   if (worker_ != nullptr) {
     worker_->end();
     std::unique_lock lock(worker_->mutex);
-    worker_->ended_signal.wait_for(lock, give_up_after_,
+    worker_->ended_signal.wait_for(lock, std::min(give_up_after_, longest_wait),
                                    [this] { return worker_->ended.load(std::memory_order_relaxed); });
     worker_->loop_wake = nullptr;
   }
@@ -159,15 +164,18 @@ bool Lane::start_worker() noexcept {
 bool Lane::submit(std::shared_ptr<LaneJob> job) {
   if (outstanding_.size() == most_outstanding) return false;
   if (loop_.is_manual()) {
-    job->run();
+    {
+      const LoopCore::OffLimits on_a_lane(loop_);
+      job->run();
+    }
     outstanding_.push_back(std::move(job));
     loop_.ref();
     const MonotonicTime from = delayed_->completions.empty() ? loop_.now()
                                                              : std::max(delayed_->completions.back().at, loop_.now());
     if (loop_.lane_duration > give_up_after_) {
-      delayed_->completions.push_back({from + give_up_after_, LaneJob::Outcome::given_up});
+      delayed_->completions.push_back({later(from, give_up_after_), LaneJob::Outcome::given_up});
     } else {
-      delayed_->completions.push_back({from + loop_.lane_duration, LaneJob::Outcome::finished});
+      delayed_->completions.push_back({later(from, loop_.lane_duration), LaneJob::Outcome::finished});
     }
     if (!delayed_->is_listed()) {
       delayed_->due = delayed_->completions.front().at;
@@ -181,7 +189,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   outstanding_.push_back(std::move(job));
   hand_over();
   if (!watchdog_->is_listed()) {
-    watchdog_->due = loop_.now() + give_up_after_;
+    watchdog_->due = later(loop_.now(), give_up_after_);
     loop_.insert(*watchdog_);
   }
   return true;
@@ -234,7 +242,7 @@ void Lane::wait(Duration at_most) {
   if (worker_ != nullptr) {
     const std::shared_ptr<LaneJob> first = outstanding_.front();
     std::unique_lock lock(worker_->mutex);
-    worker_->job_finished.wait_for(lock, at_most,
+    worker_->job_finished.wait_for(lock, std::min(at_most, longest_wait),
                                    [&] { return first->state_.load(std::memory_order_acquire) == LaneJob::finished; });
   }
   collect();
@@ -253,13 +261,13 @@ void Lane::check_limit() {
   collect();
   if (!*is_alive || outstanding_.empty()) return;
   const LaneJob& first = *outstanding_.front();
-  MonotonicTime due = loop_.now() + give_up_after_;
+  MonotonicTime due = later(loop_.now(), give_up_after_);
   if (first.state_.load(std::memory_order_acquire) == LaneJob::running) {
-    due = MonotonicTime{Duration{first.began_.load(std::memory_order_relaxed)}} + give_up_after_;
+    due = later(MonotonicTime{Duration{first.began_.load(std::memory_order_relaxed)}}, give_up_after_);
     if (due <= loop_.now()) {
       give_up();
       if (!*is_alive) return;
-      due = loop_.now() + give_up_after_;
+      due = later(loop_.now(), give_up_after_);
     }
   }
   if (outstanding_.empty() || watchdog_->is_listed()) return;

@@ -163,6 +163,7 @@ void LoopCore::arm_clock() noexcept {
 }
 
 void LoopCore::close_nodes() noexcept {
+  is_ending_ = true;
   on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
   while (nodes_ != nullptr) {
     nodes_->retain();
@@ -174,18 +175,13 @@ void LoopCore::close_nodes() noexcept {
 
 LoopCore::~LoopCore() {
   close_nodes();
+  drop_posted();
   while (!lanes_.empty()) {  // one by one: a job's `done` may ask for lanes
     const auto last = std::move(lanes_.back().second);
     lanes_.pop_back();
   }
   for (const auto& topic : runtime.topics()) topic->abandon();
-  runtime.own_loop = nullptr;
-  std::vector<Callback<void()>> unrun;
-  {
-    const std::lock_guard lock(posted_mutex_);
-    unrun.swap(posted_);
-  }
-  unrun.clear();  // outside the lock: captures may post
+  runtime.forget(*this);
   remove(flusher_);
   remove(calm_);
   side_->core = nullptr;
@@ -217,9 +213,10 @@ void LoopCore::assert_thread() const noexcept {
 }
 
 void LoopCore::refuse_thread(const char* what, std::string_view object) const {
-  throw SetupError({Errc::busy, what, std::string(object),
-                    "loop " + config.name + ", which it belongs to, runs on another thread",
-                    "post a function to that loop that does it there, or make one on the loop of this thread"});
+  throw SetupError(
+      {Errc::busy, what, std::string(object),
+       "loop " + config.name + ", which it belongs to, runs on another thread, or this is a call on a lane",
+       "post a function to that loop that does it there, or make one on the loop of this thread"});
 }
 
 void LoopCore::ref() noexcept {
@@ -236,9 +233,13 @@ Wake& LoopCore::wake() noexcept { return side_->wake; }
 
 void LoopCore::insert(Deadline& deadline) {
   assert_thread();
+  // All that is listed has its place in both lists: only here may there be no memory, with nothing changed yet.
+  deadlines_.make_room(deadlines_.size() + next_round_.size() + 1);
+  if (deadlines_.size() + next_round_.size() + 1 > next_round_.capacity())
+    next_round_.reserve(2 * (deadlines_.size() + next_round_.size() + 1));
   if (firing_ && deadline.due <= firing_until_) {  // in the next round, so that one round ends
-    deadline.heap_index = Deadline::waiting;
     next_round_.push_back(&deadline);
+    deadline.heap_index = Deadline::waiting;
     return;
   }
   deadlines_.insert(deadline);
@@ -268,7 +269,7 @@ void LoopCore::arm() {
   const Deadline* top = deadlines_.top();
   if (manual_ != nullptr) return;
   const MonotonicTime due = top == nullptr ? MonotonicTime{}
-                                           : std::max(top->due - config.spin, MonotonicTime{Duration{1}});
+                                           : std::max(later(top->due, -config.spin), MonotonicTime{Duration{1}});
   itimerspec spec{};
   spec.it_value.tv_sec = due.time_since_epoch().count() / 1'000'000'000;
   spec.it_value.tv_nsec = static_cast<decltype(spec.it_value.tv_nsec)>(due.time_since_epoch().count() % 1'000'000'000);
@@ -289,7 +290,8 @@ MonotonicTime LoopCore::turn_start() noexcept {
 void LoopCore::spin_until_due() noexcept {
   const Deadline* top = deadlines_.top();
   if (top == nullptr || manual_ != nullptr) return;
-  for (MonotonicTime current = now(); current < top->due && top->due - current <= config.spin; current = now()) {
+  for (MonotonicTime current = now(); current < top->due && span_between(current, top->due) <= config.spin;
+       current = now()) {
   }
 }
 
@@ -301,15 +303,14 @@ void LoopCore::run_due() {
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {
     const MonotonicTime until = now();
-    if (deadlines_.top() == nullptr || deadlines_.top()->due > until) {
+    if (!is_something_due(until)) {
       handled_until_ = std::max(handled_until_, until);
       break;
     }
     firing_until_ = until;
     MonotonicTime begin = until;
-    while (Deadline* top = deadlines_.top()) {
-      if (top->due > until) break;
-      top->fire(begin);
+    while (is_something_due(until)) {
+      deadlines_.top()->fire(begin);
       begin = now();
     }
     for (Deadline* deadline : next_round_) deadlines_.insert(*deadline);
@@ -346,22 +347,24 @@ LoopCore::Left LoopCore::deliver(Budget budget) {
   if (delivering_) return Left::nothing;
   delivering_ = true;
   MonotonicTime current = now();
-  const MonotonicTime end = budget == Budget::limited ? current + config.delivery_budget : MonotonicTime::max();
+  const MonotonicTime end = budget == Budget::limited ? later(current, config.delivery_budget) : MonotonicTime::max();
   Left left = Left::nothing;
-  for (int round = 0; ready_first_ != nullptr && left == Left::nothing; ++round) {
-    left = round < most_rounds ? deliver_round(current, end) : Left::circle;
-  }
+  if (budget == Budget::none || manual_ == nullptr) rounds_ = 0;
+  while (ready_first_ != nullptr && left == Left::nothing)
+    left = rounds_ < most_rounds ? deliver_round(current, end) : Left::circle;
   delivering_ = false;
   runtime.send_now();
   return left;
 }
 
 LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end) {
+  // One that was broken off goes on, so that the rounds of handlers in a circle are counted whatever comes due between.
   std::size_t unfinished = 0;
   for (TopicCore* topic = ready_first_; topic != nullptr; topic = topic->next_ready) {
-    topic->begin_round();
-    ++unfinished;
+    if (!round_is_open_) topic->begin_round();
+    if (topic->is_in_round()) ++unfinished;
   }
+  round_is_open_ = true;
   while (unfinished > 0) {
     TopicCore* topic = ready_first_;
     const bool is_of_round = topic->is_in_round();  // others became ready meanwhile
@@ -378,11 +381,10 @@ LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end
       ready_last_ = topic;
       topic->next_ready = nullptr;
     }
-    if (end != MonotonicTime::max() &&
-        (current >= end || (deadlines_.top() != nullptr && deadlines_.top()->due <= current))) {
-      return Left::later;
-    }
+    if (end != MonotonicTime::max() && (current >= end || is_something_due(current))) return Left::later;
   }
+  round_is_open_ = false;
+  ++rounds_;
   return Left::nothing;
 }
 
@@ -440,7 +442,8 @@ Loop::Loop(Runtime& runtime, Config config)
                                                    ? detail::LoopCore::Time::manual
                                                    : detail::LoopCore::Time::real)) {}
 Loop::~Loop() {
-  if (own_runtime_ != nullptr) own_runtime_->on_log({});  // as for on_error
+  core_->begin_ending();
+  if (own_runtime_ != nullptr) own_runtime_->core().on_log.reset();  // as for on_error
 }
 
 void Loop::run() { core_->run(); }
@@ -454,7 +457,11 @@ Time Loop::time() noexcept { return core_->runtime.event_time(core_->now()); }
 Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
 uv_loop_t* Loop::uv() noexcept { return core_->uv(); }
-void Loop::on_error(Callback<void(const ErrorReport&)> handler) { core_->on_error.set(std::move(handler)); }
+void Loop::on_error(Callback<void(const ErrorReport&)> handler) {
+  core_->check_thread("cannot set on_error", "loop " + config().name);
+  core_->check_not_ending("cannot set on_error");
+  core_->on_error.set(std::move(handler));
+}
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 LoopLoad Loop::load() const { return core_->load(); }
 void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }

@@ -133,6 +133,26 @@ class LoopCore {
     const void* running = thread_.load(std::memory_order_relaxed);
     return running != nullptr && running != this_thread();
   }
+  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile nothing of the loop may be used but what
+  /// any thread may use.
+  class OffLimits {
+   public:
+    explicit OffLimits(LoopCore& core) noexcept : core_(core), before_(core.thread_.exchange(this)) {}
+    OffLimits(const OffLimits&) = delete;
+    OffLimits& operator=(const OffLimits&) = delete;
+    ~OffLimits() { core_.thread_.store(before_, std::memory_order_relaxed); }
+
+   private:
+    LoopCore& core_;
+    const void* const before_;
+  };
+  /// For a handle that is let go of where it may not be.
+  void dispose_later(Node& node) noexcept;
+  /// It is being destroyed.
+  bool is_ending() const noexcept { return is_ending_; }
+  void begin_ending() noexcept { is_ending_ = true; }
+  /// SetupError (busy) while it is being destroyed.
+  void check_not_ending(const char* what) const;
 
   /// Lanes by key: one per physical device; made when first asked for.
   Lane& lane(const std::string& key, Duration give_up_after);
@@ -203,11 +223,16 @@ class LoopCore {
     circle,  // handlers went on publishing for each other
   };
   Left deliver(Budget budget);
-  /// Delivers what is queued now.
+  /// Delivers what was queued when the round began.
   Left deliver_round(MonotonicTime& current, MonotonicTime end);
+  bool is_something_due(MonotonicTime now) const noexcept {
+    return deadlines_.top() != nullptr && has_come(deadlines_.top()->due, now);
+  }
   void arm();
   void spin_until_due() noexcept;
   void run_posted();
+  /// Takes no more, and destroys what was not run.
+  void drop_posted() noexcept;
   /// What other threads have sent.
   void take_news();
   /// The main loop's.
@@ -218,6 +243,9 @@ class LoopCore {
   void start_idle() noexcept;
   void turn_done() noexcept;
   void advance_to(MonotonicTime target);
+  void begin_advancing() noexcept;
+  /// The first deadline, if it ever comes.
+  std::optional<MonotonicTime> next_due() const noexcept;
 
   uv_loop_t* uv_loop_ = nullptr;
   uv_loop_t own_loop_{};
@@ -245,6 +273,9 @@ class LoopCore {
   TopicCore* ready_first_ = nullptr;
   TopicCore* ready_last_ = nullptr;
   bool delivering_ = false;
+  bool round_is_open_ = false;  // a delivery has ended within it
+  int rounds_ = 0;              // of deliveries in this turn; on a manual loop, at this instant
+  int turns_ = 0;               // of a manual loop at this instant
 
   Node* nodes_ = nullptr;
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
@@ -257,6 +288,8 @@ class LoopCore {
   PriorityMutex posted_mutex_;
   std::vector<Callback<void()>> posted_;
   std::vector<Callback<void()>> running_posted_;
+  bool takes_posts_ = true;  // guarded by the mutex
+  bool is_ending_ = false;
   std::atomic<bool> stop_requested_{false};
   /// Another value on each thread; unlike std::this_thread::get_id without a call.
   static const void* this_thread() noexcept {

@@ -5,6 +5,7 @@
 
 #include "loop/bridge.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/topic_core.hpp"
 
 namespace rtdata::detail {
 
@@ -16,10 +17,12 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
   first_due_ = first_due;
   period_ = period;
   scheduled_before_ = counts.scheduled;
+  topic.tell_taps_of_change(*this);
 }
 
 MonotonicTime OriginCore::last_due() const noexcept {
-  return first_due_ + (static_cast<std::int64_t>(counts.scheduled - scheduled_before_) - 1) * period_;
+  const auto ticks = static_cast<std::int64_t>(counts.scheduled - scheduled_before_);
+  return ticks == 0 ? later(first_due_, -period_) : later(first_due_, multiple(ticks - 1, period_));
 }
 
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
@@ -35,9 +38,11 @@ void OriginCore::adopt(const State& state) noexcept {
   counts = state.counts;
   sequence = state.sequence;
   last_time = state.last_time;
+  supply = state.supply;
   first_due_ = state.free_from;
   period_ = Duration{0};
   is_mirror = false;
+  gap_is_open_ = false;  // who had the name has closed it
   if (passage != nullptr) passage->is_past = true;
   passage = nullptr;
 }
@@ -49,21 +54,29 @@ void OriginCore::become_mirror(Passage& from) noexcept {
   from.mirror = this;
 }
 
-void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept {
+void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way,
+                        const Gap* gap) {
   counts = told;
   sequence = last_sequence;
   first_due_ = topic.runtime().monotonic_of(under_way.first_due);
   period_ = under_way.period;
   scheduled_before_ = told.scheduled - under_way.scheduled;
+  gap_is_open_ = gap != nullptr;
+  if (gap_is_open_) {
+    if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
+    gaps_->gap = *gap;
+  }
+  topic.tell_taps_of_change(*this);
 }
 
 void OriginCore::end_segment(MonotonicTime end) {
   if (!has_segment()) return;
   close_gap();
   const Segment ended = segment(end);
-  first_due_ = std::max(end, last_due() + Duration{1});
+  first_due_ = std::max(end, later(last_due(), Duration{1}));
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
+  topic.tell_taps_of_change(*this);
 }
 
 void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
@@ -95,7 +108,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   // A read that was under way when the gaps around it were told of as one.
   if (from <= now.joined_up_to && count != 0) return tell({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
-                       from > now.gap.last;
+                       from == now.gap.last + period_;
   if (gap_is_open_ && !goes_on && !now.is_joining) close_gap();
   if (!gap_is_open_) {
     now.gap = {kind, reason, from, to, 0};
@@ -112,6 +125,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   now.last_kind = kind;
   now.last_reason = reason;
   now.is_interrupted = false;
+  topic.tell_taps_of_change(*this);
 }
 
 void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) {
@@ -135,7 +149,7 @@ void OriginCore::interrupt_gap() noexcept {
 }
 
 void OriginCore::close_gap() noexcept {
-  if (!gap_is_open_) return;
+  if (!gap_is_open_ || is_mirror) return;  // a mirror's closes on its own loop
   if (gaps_->is_absence) {
     RuntimeCore& runtime = topic.runtime();
     gaps_->gap.last = std::max(gaps_->gap.last, runtime.event_time(runtime.clock().monotonic()));

@@ -18,6 +18,9 @@ class TopicCore;
 
 class OriginCore {
  public:
+  /// How it comes to what it publishes; its account has other equations. Once it has one, it keeps it.
+  enum class Supply : std::uint8_t { none, schedule, feed };
+
   OriginCore(std::string_view name, TopicCore& topic, std::uint32_t index);
   OriginCore(const OriginCore&) = delete;
   OriginCore& operator=(const OriginCore&) = delete;
@@ -67,6 +70,8 @@ class OriginCore {
   void close_gap() noexcept;
   /// The same; and what is told of later joins nothing from before.
   void divide_gaps() noexcept;
+  /// Null: none.
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
 
   /// What goes on when another loop takes the name over.
   struct State {
@@ -74,16 +79,20 @@ class OriginCore {
     std::uint64_t sequence = 0;
     Time last_time = Time::min();
     MonotonicTime free_from{};
+    Supply supply = Supply::none;
   };
-  State state() const noexcept { return {counts, sequence, last_time, free_from()}; }
+  State state() const noexcept { return {counts, sequence, last_time, free_from(), supply}; }
   /// It publishes on this loop from here on.
   void adopt(const State& state) noexcept;
   /// It publishes on another loop from here on.
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
-  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way) noexcept;
+  /// `gap`: under way; null: none.
+  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap);
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
+  /// The gap under way of a mirror has closed.
+  void forget_gap() noexcept { gap_is_open_ = false; }
 
   // What publishing touches comes first: of ten thousand origins, each line of cache counts.
   const std::string name;
@@ -91,10 +100,11 @@ class OriginCore {
   std::uint64_t sequence = 0;    ///< of the last event published
   Time last_time = Time::min();  ///< of the last event published
   Duration late_after{0};
-  Passage* only_way = nullptr;  ///< to another loop, when that is all its events go to
-  const std::uint32_t index;    ///< within its topic
-  bool is_claimed = false;      ///< a sensor or feed of this name exists now on this loop
-  bool is_mirror = false;       ///< it publishes on another loop; what is known of it comes over a bridge
+  Passage* only_way = nullptr;   ///< to another loop, when that is all its events go to
+  const std::uint32_t index;     ///< within its topic
+  bool is_claimed = false;       ///< a sensor or feed of this name exists now on this loop
+  bool is_mirror = false;        ///< it publishes on another loop; what is known of it comes over a bridge
+  Supply supply = Supply::none;  ///< of who claimed it first on this loop
 
  private:
   bool gap_is_open_ = false;

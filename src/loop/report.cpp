@@ -31,8 +31,8 @@ void RuntimeCore::tell_hub(Callback<void()> what) {
 
 void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view told,
                       std::string_view error_id) noexcept try {
-  const std::string without = config.secrets.empty() ? std::string() : hide(std::string(told));
-  const std::string_view text = config.secrets.empty() ? told : std::string_view(without);
+  const std::string without = secrets.empty() ? std::string() : hide(std::string(told));
+  const std::string_view text = secrets.empty() ? told : std::string_view(without);
   if (hub != nullptr && !on_log) {
     return tell_hub([hub = hub, level, object = std::string(object), text = std::string(text),
                      id = std::string(error_id)] { hub->log(level, object, text, id); });
@@ -71,6 +71,17 @@ void RuntimeCore::report_all_kept() {
     } else if (std::find(listeners.begin(), listeners.end(), kept.listener) != listeners.end()) {
       kept.listener->on_refusal(kept.error);
     }
+  }
+}
+
+void RuntimeCore::forget(LoopCore& loop) noexcept {
+  for (Kept& kept : kept_) {
+    if (kept.loop == &loop) kept.loop = nullptr;
+  }
+  own_loop = nullptr;
+  try {
+    report_kept();
+  } catch (...) {  // out of memory: nothing is left to tell it to
   }
 }
 
@@ -134,7 +145,7 @@ void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexc
   const auto shown = [&, &met = met] {
     return Error{met.code, hide(met.what), hide(met.where), hide(met.why), hide(met.advice)};
   };
-  const Error error = config.secrets.empty() ? met : shown();
+  const Error error = secrets.empty() ? met : shown();
   for (Listener* listener : listeners)
     listener->on_error(event_time(joined.first), event_time(joined.last), object, error, joined.count);
   if (loop == nullptr) loop = own_loop;

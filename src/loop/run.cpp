@@ -16,9 +16,20 @@ namespace rtdata::detail {
 void LoopCore::post(Callback<void()> function) {
   {
     const std::lock_guard lock(posted_mutex_);
+    if (!takes_posts_) return;  // the function goes when the lock is free again
     posted_.push_back(std::move(function));
   }
   wake().send();
+}
+
+void LoopCore::drop_posted() noexcept {
+  std::vector<Callback<void()>> unrun;
+  {
+    const std::lock_guard lock(posted_mutex_);
+    takes_posts_ = false;
+    unrun.swap(posted_);
+  }
+  unrun.clear();  // outside the lock: captures may post
 }
 
 bool LoopCore::has_posted() noexcept {
@@ -87,7 +98,8 @@ void LoopCore::start_tiers_in_turn() noexcept {
 }
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
-  if (core.is_running_) {
+  core.check_thread(what, "");
+  if (core.is_running_ || core.is_in_callback()) {
     throw SetupError({Errc::busy, what, "loop " + core.config.name, "it is running, and this is one of its callbacks",
                       "return from the callback; use stop(), post() or drain() there"});
   }
@@ -108,8 +120,9 @@ void LoopCore::run() {
   const Running running(*this, "cannot run");
   start_tiers();
   if (manual_ != nullptr) {
+    begin_advancing();
     if (!is_stopping()) settle();
-    while (!is_stopping() && refs_ > 0 && deadlines_.top() != nullptr) advance_to(deadlines_.top()->due);
+    while (!is_stopping() && refs_ > 0 && next_due()) advance_to(*next_due());
   } else {
     const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
@@ -145,12 +158,18 @@ void LoopCore::run_for(Duration duration) {
 
 void LoopCore::poll() {
   if (attached_) {
+    check_thread("cannot poll", "");
+    if (is_in_callback()) {
+      throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
+                        "return from the callback; what is due follows by itself"});
+    }
     run_due();
     deliver_all();
     return;
   }
   const Running running(*this, "cannot poll");
   if (manual_ != nullptr) {
+    begin_advancing();
     settle();
     return;
   }
@@ -167,15 +186,31 @@ void LoopCore::advance(Duration duration) {
   }
   const Running running(*this, "cannot advance");
   const MonotonicTime target = later(now(), duration);
+  begin_advancing();
   if (!is_stopping()) settle();
-  while (!is_stopping() && deadlines_.top() != nullptr && deadlines_.top()->due <= target)
-    advance_to(deadlines_.top()->due);
+  while (!is_stopping() && next_due() && *next_due() <= target) advance_to(*next_due());
   if (!is_stopping()) advance_to(target);
   forget_stop();
 }
 
+void LoopCore::begin_advancing() noexcept { rounds_ = turns_ = 0; }
+
+std::optional<MonotonicTime> LoopCore::next_due() const noexcept {
+  if (deadlines_.top() == nullptr || deadlines_.top()->due == MonotonicTime::max()) return std::nullopt;
+  return deadlines_.top()->due;
+}
+
 void LoopCore::advance_to(MonotonicTime target) {
-  if (target > now()) manual_->pass(target - now());
+  // What brings itself on again at one instant (a timer of zero that starts itself) would keep time from going on.
+  constexpr int most_turns = 1000;
+  constexpr Duration turn = std::chrono::microseconds{1};
+  const MonotonicTime from = now();
+  if (target > from) {
+    manual_->pass(target - from);
+  } else if (++turns_ > most_turns) {
+    manual_->pass(turn);
+  }
+  if (now() > from) begin_advancing();
   settle();
 }
 

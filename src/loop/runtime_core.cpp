@@ -71,7 +71,8 @@ Error cannot_cross(const TopicCore& topic) {
           "use text<N> for strings, arrays for vectors; or subscribe on the loop that publishes it"};
 }
 
-RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_) : face(face_), config(std::move(config_)) {
+RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_)
+    : face(face_), config(std::move(config_)), secrets(config.secrets) {
   use_clock(config.clock != nullptr ? *config.clock : system_clock_);
 }
 
@@ -133,7 +134,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
   return made;
 }
 
-OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
+OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic, OriginCore::Supply supply) {
   if (!is_name(name)) {
     throw SetupError({Errc::bad_name, "cannot make sensor", quoted_name(name), name_rule, "give it another `name`"});
   }
@@ -148,6 +149,13 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
   const auto refuse_topic = [&](const std::string& earlier) {
     refuse("earlier in this run it published on topic " + earlier, "choose another name or that topic");
   };
+  const auto check_supply = [&](OriginCore::Supply earlier, const SensorCounts& counts) {
+    const bool is_unused = !counts.has_schedule && counts.received == 0;
+    if (is_unused || earlier == OriginCore::Supply::none || earlier == supply) return;
+    refuse(earlier == OriginCore::Supply::feed ? "earlier in this run it was fed, here it is to have a schedule"
+                                               : "earlier in this run it had a schedule, here it is to be fed",
+           "choose another name: the two are accounted for in different ways");
+  };
   RuntimeCore& all = hub != nullptr ? *hub : *this;
   bool is_new = false;
   OriginCore* origin = nullptr;
@@ -155,6 +163,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     origin = find_origin(name);
     if (origin != nullptr && origin->is_claimed) refuse_holder(*this);
     if (origin != nullptr && &origin->topic != &topic) refuse_topic(origin->topic.name);
+    if (origin != nullptr) check_supply(origin->supply, origin->counts);
     is_new = origin == nullptr;
     if (is_new) origin = &find_or_make_origin(name, topic);
   } else {
@@ -163,6 +172,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     if (claim.holder != nullptr) refuse_holder(*claim.holder);
     receive_all();  // also what the last holder published since then, before it let go
     if (claim.left != nullptr && claim.left->topic != topic.name) refuse_topic(claim.left->topic);
+    if (claim.left != nullptr) check_supply(claim.left->state.supply, claim.left->state.counts);
     const OriginCore* known = find_origin(name);
     is_new = known == nullptr || known->is_mirror;
     origin = &find_or_make_origin(name, topic);
@@ -170,6 +180,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic) {
     claim.holder = this;
   }
   origin->is_claimed = true;
+  origin->supply = supply;
   if (is_new) {
     for (Listener* listener : listeners) listener->on_origin(*origin);
   }
@@ -231,7 +242,7 @@ OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
   // One for each topic and loop: a sequence belongs to one topic.
   if (topic.program_origin == nullptr) {
     const std::string of_tier = hub != nullptr ? "@" + own_loop->config.name : "";
-    topic.program_origin = &claim_origin("program:" + topic.name + of_tier, topic);
+    topic.program_origin = &claim_origin("program:" + topic.name + of_tier, topic, OriginCore::Supply::feed);
   }
   return *topic.program_origin;
 }
@@ -340,7 +351,13 @@ Runtime::Runtime(Config config) : core_(std::make_unique<detail::RuntimeCore>(*t
 Runtime::~Runtime() = default;
 
 const Runtime::Config& Runtime::config() const noexcept { return core_->config; }
-void Runtime::on_log(Callback<void(const LogRecord&)> handler) { core_->on_log.set(std::move(handler)); }
+void Runtime::on_log(Callback<void(const LogRecord&)> handler) {
+  if (core_->own_loop != nullptr) {
+    core_->own_loop->check_thread("cannot set on_log", "runtime");
+    core_->own_loop->check_not_ending("cannot set on_log");
+  }
+  core_->on_log.set(std::move(handler));
+}
 
 Result<void> Runtime::note_wall_clock(const ClockPair& pair) { return core_->note_wall_clock(pair); }
 

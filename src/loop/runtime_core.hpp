@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "data/hidden.hpp"
+#include "loop/deadline.hpp"
 #include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
 #include "loop/priority_mutex.hpp"
@@ -115,8 +116,10 @@ class RuntimeCore {
   void use_manual_clock() { use_clock(manual_clock_); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
 
-  Time event_time(MonotonicTime at) const noexcept { return Time{at.time_since_epoch() + offset_}; }
-  MonotonicTime monotonic_of(Time time) const noexcept { return MonotonicTime{time.time_since_epoch() - offset_}; }
+  Time event_time(MonotonicTime at) const noexcept { return later(Time{offset_}, at.time_since_epoch()); }
+  MonotonicTime monotonic_of(Time time) const noexcept {
+    return later(MonotonicTime{time.time_since_epoch()}, -offset_);
+  }
   const ClockPair& start() const noexcept { return start_; }
   /// Records the time of day when it was set (moved against the monotonic line by more than 1 ms), when its accuracy is
   /// another, once in a while as long as that is known, or always when an occasion is given. Returns whether it did.
@@ -139,8 +142,8 @@ class RuntimeCore {
   TopicCore* find_topic(std::string_view name) noexcept;
   const std::vector<std::unique_ptr<TopicCore>>& topics() const noexcept { return topics_; }
   /// Claims the origin for one sensor or feed of this loop. One that another loop has given up goes on here. SetupError
-  /// (bad-name, busy): the name is taken, on this loop or another, or was on another topic.
-  OriginCore& claim_origin(std::string_view name, TopicCore& topic);
+  /// (bad-name, busy): the name is taken, on this loop or another, or was on another topic, or of another kind.
+  OriginCore& claim_origin(std::string_view name, TopicCore& topic, OriginCore::Supply supply);
   /// Gives up the claim.
   void release(OriginCore& origin) noexcept;
   /// The main loop's gets a tier: from here on names are kept for all loops.
@@ -156,6 +159,7 @@ class RuntimeCore {
   std::vector<Listener*> listeners;
   std::vector<Recorder*> recorders;  ///< those of the listeners that are sinks
   void attach(Recorder& recorder) {
+    recorders.reserve(recorders.size() + 1);
     listeners.push_back(&recorder);
     recorders.push_back(&recorder);
   }
@@ -167,6 +171,8 @@ class RuntimeCore {
   std::string unknown_end;               ///< why recordings that close now are not complete; empty: they are
   std::vector<SensorEntry*> sensors;
   LoopCore* own_loop = nullptr;  ///< while it has one
+  /// The loop is gone: what is kept for it is told to the log.
+  void forget(LoopCore& loop) noexcept;
 
   // Tiers: each has a runtime core of its own, of which this thread touches none but its own; what one publishes comes to
   // the others through bridges.
@@ -249,7 +255,8 @@ class RuntimeCore {
   }
   /// Something does better or worse: to the recordings, and to the topic `$rtdata/health`.
   /// The text without the secrets of the configuration.
-  std::string hide(std::string text) const { return hidden(std::move(text), config.secrets); }
+  std::string hide(std::string text) const { return hidden(std::move(text), secrets); }
+  std::vector<std::string> secrets;  ///< at first those of the configuration; of what is made later, too
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
  private:

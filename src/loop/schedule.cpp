@@ -30,7 +30,7 @@ MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
   for (std::size_t i = position_; i < members_.size(); ++i) {
     if (members_[i] == &member) return std::max(first_missed_, member.first_due_);
   }
-  return std::max(firing_due_ + period_, member.first_due_);
+  return std::max(later(firing_due_, period_), member.first_due_);
 }
 
 void RateGroup::fire(MonotonicTime now) {
@@ -38,7 +38,7 @@ void RateGroup::fire(MonotonicTime now) {
   const auto behind = (now - due) / period_;
   first_missed_ = due;
   firing_due_ = due + behind * period_;
-  due = firing_due_ + period_;
+  due = later(firing_due_, period_);
   loop_.moved(*this);
   firing_ = true;
   const std::size_t end = members_.size();  // what joins meanwhile is first due later
@@ -85,13 +85,16 @@ void Schedule::add(RateMember& member) {
 }
 
 void Schedule::begin_waiting() {
-  while (!waiting_.empty()) {
-    auto begun = std::exchange(waiting_, {});
-    for (RateMember* member : begun) {
-      member->is_waiting_ = false;
-      place(*member);
+  if (waiting_.empty()) return;
+  std::size_t begun = 0;
+  try {
+    for (; begun < waiting_.size(); ++begun) {
+      place(*waiting_[begun]);
+      waiting_[begun]->is_waiting_ = false;
     }
+  } catch (...) {  // out of memory: the others wait for the next turn
   }
+  waiting_.erase(waiting_.begin(), waiting_.begin() + static_cast<std::ptrdiff_t>(begun));
 }
 
 void Schedule::place(RateMember& member) {
@@ -100,28 +103,41 @@ void Schedule::place(RateMember& member) {
   Duration first = std::max(loop_.turn_start(), member.not_before()).time_since_epoch();
   // The kernel's own ticks lie on whole milliseconds: they would take the processor from what spins until then.
   const Duration beside = loop_.config.spin.count() > 0 ? grid / 3 : Duration{0};
-  if (grid.count() > 0) first = (first - beside + grid - Duration{1}) / grid * grid + beside;
-  first += member.phase_;
-  if (&member == ticking_) first += period;
+  if (grid.count() > 0 && first <= Duration::max() - grid)
+    first = (first - beside + grid - Duration{1}) / grid * grid + beside;
+  first = later(MonotonicTime{first}, member.first_phase()).time_since_epoch();
+  if (&member == ticking_) first = later(MonotonicTime{first}, period).time_since_epoch();
   const Key key{period, first % period};
-  member.first_due_ = MonotonicTime{first};
+  const MonotonicTime first_due{first};
   RateGroup* group = nullptr;
   const auto [begin, end] = groups_.equal_range(key);
   for (auto at = begin; at != end && group == nullptr; ++at) {
-    if (at->second->firing_due_ < member.first_due_) group = at->second.get();
+    if (at->second->firing_due_ < first_due) group = at->second.get();
   }
   if (group == nullptr) {
     // A group that has had this tick already cannot have it again for the newcomer.
-    group = groups_.emplace(key, std::make_unique<RateGroup>(loop_, period))->second.get();
-    group->due = member.first_due_;
-    loop_.insert(*group);
-  } else if (member.first_due_ < group->due) {  // its members all start later
-    group->due = member.first_due_;
-    loop_.moved(*group);
+    auto made = std::make_unique<RateGroup>(loop_, period);
+    made->members_.reserve(1);
+    const auto at = groups_.emplace(key, std::move(made));
+    group = at->second.get();
+    group->due = first_due;
+    try {
+      loop_.insert(*group);
+    } catch (...) {
+      groups_.erase(at);
+      throw;
+    }
+    group->members_.push_back(&member);
+  } else {
+    group->members_.push_back(&member);  // throws: nothing has changed
+    if (first_due < group->due) {        // its members all start later
+      group->due = first_due;
+      loop_.moved(*group);
+    }
   }
-  member.group_ = group;
-  group->members_.push_back(&member);
   ++group->live_;
+  member.group_ = group;
+  member.first_due_ = first_due;
   member.schedule_began();
 }
 

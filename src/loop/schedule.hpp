@@ -43,7 +43,7 @@ class RateMember {
   /// Within its period, as it is placed or will be; nothing while it is not scheduled.
   std::optional<Duration> phase() const noexcept {
     if (group_ != nullptr) return first_due_.time_since_epoch() % period_;
-    return is_waiting_ ? std::optional(phase_ % period_) : std::nullopt;
+    return is_waiting_ ? std::optional(first_phase() % period_) : std::nullopt;
   }
 
  protected:
@@ -55,6 +55,12 @@ class RateMember {
  private:
   friend class RateGroup;
   friend class Schedule;
+  /// One before the start is that within the first period: no tick was due before a schedule began.
+  Duration first_phase() const noexcept {
+    if (phase_.count() >= 0) return phase_;
+    const Duration within = phase_ % period_;
+    return within.count() < 0 ? within + period_ : within;
+  }
   RateGroup* group_ = nullptr;
   Duration period_;
   Duration phase_;

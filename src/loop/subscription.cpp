@@ -168,6 +168,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
 }
 
 TopicCore& find_or_make_topic(Loop& loop, std::string_view name, PayloadType type) {
+  loop.core().check_thread("cannot make topic", name);
   return loop.core().runtime.topic(name, std::move(type));
 }
 
@@ -191,7 +192,9 @@ CallbackTimes Subscription::times() const noexcept {
   return is_open() ? static_cast<detail::SubscriptionNode*>(node())->times : CallbackTimes{};
 }
 void Subscription::set_name(std::string name) {
-  if (is_open()) node()->loop()->rename(static_cast<detail::SubscriptionNode*>(node())->name, std::move(name));
+  if (!is_open()) return;
+  node()->loop()->check_thread("cannot name", name);
+  node()->loop()->rename(static_cast<detail::SubscriptionNode*>(node())->name, std::move(name));
 }
 
 Subscription Loop::subscribe(std::string_view pattern, Callback<void(const EventView&)> handler) {

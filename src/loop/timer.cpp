@@ -12,13 +12,13 @@ class TimerNode final : public Node, public Deadline {
 
   void start_at(MonotonicTime at) {
     if (!is_open()) return;
+    loop()->check_thread("cannot start timer", config_.name);
+    due = at;
     if (is_listed()) {
-      due = at;
       loop()->moved(*this);
     } else {
-      due = at;
-      loop()->ref();
       loop()->insert(*this);
+      loop()->ref();
     }
   }
   bool tell_times(CallbackStatus& status) const override {
@@ -29,6 +29,7 @@ class TimerNode final : public Node, public Deadline {
   std::string callback_name() const override { return config_.name; }
   void stop() {
     if (!is_open() || !is_listed()) return;
+    loop()->check_thread("cannot stop timer", config_.name);
     loop()->remove(*this);
     loop()->unref();
   }
@@ -64,12 +65,14 @@ class TickerNode final : public Node, public RateMember {
 
   void start() {
     if (!is_open() || is_scheduled()) return;
+    loop()->check_thread("cannot start ticker", config_.name);
     index_ = 0;
-    loop()->ref();
     loop()->schedule().add(*this);
+    loop()->ref();
   }
   void stop() {
     if (!is_open() || !is_scheduled()) return;
+    loop()->check_thread("cannot stop ticker", config_.name);
     loop()->schedule().remove(*this);
     loop()->unref();
   }
@@ -78,6 +81,7 @@ class TickerNode final : public Node, public RateMember {
       throw SetupError({Errc::bad_argument, "cannot change ticker", config_.name, "the period is " + to_string(period),
                         "use at least 1 us"});
     }
+    loop()->check_thread("cannot change ticker", config_.name);
     if (period == this->period()) return;
     const bool was_running = is_scheduled();
     stop();

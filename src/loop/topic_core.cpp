@@ -17,6 +17,9 @@ namespace {
 constexpr std::uint64_t most_in_group = 128;
 constexpr Duration group_aim = std::chrono::microseconds{5};
 
+// So that there is always a time after the last event's.
+constexpr Time latest_time = Time::max() - std::chrono::hours{24};
+
 }  // namespace
 
 TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
@@ -27,12 +30,13 @@ TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
       is_short_(type.move_construct == nullptr && type.size <= few_bytes) {}
 
 TopicCore::~TopicCore() {
-  drop_slots(tail_, head_);
+  drop_slots(head_);
   ::operator delete (slots_, std::align_val_t{64});
 }
 
 void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
-  if (time <= origin.last_time) time = origin.last_time + Duration{1};
+  if (time <= origin.last_time || time > latest_time) [[unlikely]]
+    time = std::max(std::min(time, latest_time), origin.last_time + Duration{1});
   origin.last_time = time;
   const std::uint64_t sequence = ++origin.sequence;
   if (followers_ == Followers::none) return;
@@ -65,8 +69,8 @@ void TopicCore::enqueue(const OriginCore& origin, Time time, std::uint64_t seque
   ::new (to) EventHeader{time, sequence, origin.name};
   if (type.move_construct == nullptr) [[likely]] {
     copy_short(to + payload_offset, payload, type.size);
-  } else {
-    move_payload(to + payload_offset, payload);
+  } else if (!move_payload(origin, to + payload_offset, payload)) {
+    return;
   }
   ++head_;
   if (!is_ready) runtime_.own_loop->add_ready(*this);
@@ -90,7 +94,7 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
                          size = type.size](auto copy) {
     std::byte* to = slot(head_);
     const std::uint64_t to_ring_end = all - (head_ & mask_);
-    for (std::uint64_t i = 0; i < taken; ++i, to += slot_bytes) {
+    for (std::size_t i = 0; i < taken; ++i, to += slot_bytes) {
       if (i == to_ring_end) [[unlikely]]
         to = slots_;
       const Arrival* from = arrival(i);
@@ -130,13 +134,29 @@ void TopicCore::find_way(OriginCore& origin) noexcept {
   origin.only_way = followers_ == Followers::one_channel ? channels_out_.front()->passage_of(origin) : nullptr;
 }
 
-void TopicCore::move_payload(std::byte* to, void* payload) {
+bool TopicCore::move_payload(const OriginCore& origin, std::byte* to, void* payload) {
+  // The payload's constructor is the user's: it may publish here, stop its sensor, and throw.
+  if (moving_ != nullptr) {  // the place is being filled
+    ++dropped_;
+    return false;
+  }
+  moving_ = &origin;
+  is_moving_cancelled_ = false;
   try {
     type.move_construct(to, payload);
   } catch (...) {
+    moving_ = nullptr;
     ++dropped_;
     throw;
   }
+  moving_ = nullptr;
+  if (is_moving_cancelled_) {
+    const auto index = [&](std::uint64_t i) { return static_cast<std::size_t>(i & mask_); };
+    for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[index(i)] = 0;
+    is_cancelled_[index(head_)] = 1;
+    cancelled_until_ = head_ + 1;
+  }
+  return true;
 }
 
 void TopicCore::make_ring(std::size_t capacity) {
@@ -193,10 +213,12 @@ void TopicCore::unlink(SubscriptionNode& node) noexcept {
 }
 
 void TopicCore::cancel(const OriginCore& origin) noexcept {
-  for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[i & mask_] = 0;
+  if (moving_ == &origin) is_moving_cancelled_ = true;
+  const auto index = [&](std::uint64_t i) { return static_cast<std::size_t>(i & mask_); };
+  for (std::uint64_t i = std::max(tail_, cancelled_until_); i < head_; ++i) is_cancelled_[index(i)] = 0;
   for (std::uint64_t i = tail_; i != head_; ++i) {
     const auto& header = *reinterpret_cast<const EventHeader*>(slot(i));
-    if (header.origin.data() == origin.name.data()) is_cancelled_[i & mask_] = 1;
+    if (header.origin.data() == origin.name.data()) is_cancelled_[index(i)] = 1;
   }
   cancelled_until_ = head_;
 }
@@ -233,28 +255,27 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
   } else if (from - begin < group_aim / 2 && group_ < most_in_group) {
     group_ *= 2;
   }
-  if (type.destroy != nullptr) drop_slots(tail_, end);
-  tail_ = end;
+  drop_slots(end);
   if (needs_sweep_) {
     std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
     needs_sweep_ = false;
     followers_changed();
-    if (links_.empty()) {
-      drop_slots(tail_, head_);
-      tail_ = head_;
-    }
+    if (links_.empty()) drop_slots(head_);
   }
   return from;
 }
 
-void TopicCore::drop_slots(std::uint64_t first, std::uint64_t last) noexcept {
-  if (type.destroy == nullptr) return;
-  for (std::uint64_t i = first; i != last; ++i) type.destroy(slot(i) + payload_offset);
+void TopicCore::drop_slots(std::uint64_t last) noexcept {
+  if (type.destroy == nullptr) {
+    tail_ = last;
+    return;
+  }
+  // Destructors are the user's, and may publish: a slot is free when its payload is gone.
+  for (; tail_ != last; ++tail_) type.destroy(slot(tail_) + payload_offset);
 }
 
 void TopicCore::abandon() noexcept {
-  drop_slots(tail_, head_);
-  tail_ = head_;
+  drop_slots(head_);
   is_ready = false;
   next_ready = nullptr;
 }

@@ -21,6 +21,8 @@ class Tap {
   virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
   /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
+  /// Something has become of a tick, or of the schedule, that no event tells of.
+  virtual void note_change(OriginCore& origin) = 0;
 
  protected:
   ~Tap() = default;
@@ -62,6 +64,9 @@ class TopicCore {
   void remove_tap(Tap& tap) noexcept {
     std::erase(taps_, &tap);
     followers_changed();
+  }
+  void tell_taps_of_change(OriginCore& origin) {
+    for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
   }
   // Channels to and from the topic of this name on other loops.
   void add_channel_out(Channel& channel) {
@@ -116,12 +121,14 @@ class TopicCore {
   };
   void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
-  void move_payload(std::byte* to, void* payload);
+  /// False: dropped, since one is being moved.
+  bool move_payload(const OriginCore& origin, std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
-  void drop_slots(std::uint64_t first, std::uint64_t last) noexcept;
+  /// Destroys what is queued up to this position.
+  void drop_slots(std::uint64_t last) noexcept;
 
   RuntimeCore& runtime_;
   const bool is_short_;  // bytes to copy, and few
@@ -144,6 +151,8 @@ class TopicCore {
   std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
+  bool is_moving_cancelled_ = false;
+  const OriginCore* moving_ = nullptr;  // whose payload is being moved into the ring
   SubscriptionCounts retired_;
 };
 

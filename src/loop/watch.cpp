@@ -143,7 +143,10 @@ FdWatch::FdWatch(Loop& loop, int fd, Events events, std::string name, Callback<v
 }
 
 void FdWatch::set_events(Events events) {
-  if (is_open()) static_cast<detail::FdWatchNode*>(node())->set_events(events);
+  if (!is_open()) return;
+  auto& watch = *static_cast<detail::FdWatchNode*>(node());
+  watch.loop()->check_thread("cannot change", watch.callback_name());
+  watch.set_events(events);
 }
 
 SignalWatch::SignalWatch(Loop& loop, int signal_number, Callback<void()> callback)

@@ -10,7 +10,7 @@ namespace detail {
 class FeedNode final : public SourceNode {
  public:
   FeedNode(LoopCore& loop, const FeedConfig& config, PayloadType type)
-      : SourceNode(loop, config.name, config.topic, std::move(type)) {}
+      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed) {}
 
   void start() override { is_running_ = is_open(); }
   void stop() override {

@@ -23,7 +23,7 @@ void check_rate(Rate rate, const std::string& name) {
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type,
                        std::unique_ptr<SensorDevice> device)
-    : SourceNode(loop, config.name, config.topic, std::move(type)),
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
       RateMember(config.rate.period(), config.phase),
       device_(std::move(device)) {
   if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get()))
@@ -86,8 +86,8 @@ void SensorNode::begin_schedule() {
   const Duration late_after = settings().late_after;
   origin_.late_after = late_after.count() >= 0 ? late_after
                                                : std::max(Duration{std::chrono::milliseconds{1}}, period() / 10);
-  loop()->ref();
   loop()->schedule().add(*this);
+  loop()->ref();
 }
 
 void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period()); }
@@ -111,12 +111,12 @@ void SensorNode::end_schedule(EndOf what) {
   // Ticks that came due and are overdue by more than the tolerance were missed; one that is due just now has not begun.
   const MonotonicTime now = loop()->now();
   MonotonicTime next = next_due();
-  if (now - next > origin_.late_after) {
+  if (span_between(next, now) > origin_.late_after) {
     const auto count = (now - origin_.late_after - next) / period() + 1;
     origin_.miss(static_cast<std::uint64_t>(count), loop_held, next);
     next += count * period();
   }
-  stop_schedule(std::min(now, next - Duration{1}));
+  stop_schedule(std::min(now, later(next, Duration{-1})));
 }
 
 void SensorNode::stop_schedule(MonotonicTime end) {
@@ -128,6 +128,7 @@ void SensorNode::stop_schedule(MonotonicTime end) {
 
 void SensorNode::stop() {
   if (!is_open()) return;
+  Call call(*this);  // the device's close() may do so to this
   cancel_transaction();
   end_schedule(EndOf::activity);
   if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
@@ -178,7 +179,7 @@ void SensorNode::held(Duration took) {
   }
   if (rare_->wanted_period.count() == 0) rare_->wanted_period = period();
   const Duration wanted = rare_->wanted_period;
-  const Duration next = std::min(2 * period(), slowest * wanted);
+  const Duration next = std::min(multiple(2, period()), multiple(slowest, wanted));
   if (next == period()) return;
   change_period(next);
   report({Errc::held_too_long, "slowed down to one in " + to_string(next), object_name(), lasted,
@@ -301,6 +302,16 @@ Sampled SamplePort::unreadable(Error error) {
   return fail(std::move(error));
 }
 
+void SensorNode::publish(void* payload, Time time) {
+  ++origin_.counts.received;
+  ++origin_.counts.published;
+  try {
+    origin_.topic.publish(origin_, time, payload);
+  } catch (...) {  // published, and dropped for those who subscribe
+    report(thrown("moving its payload threw"));
+  }
+}
+
 inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
   if (sampled == Sampled::nothing_new) count_repeated();
   if (port.error_) [[unlikely]]
@@ -358,9 +369,11 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
-                                                       : std::min(2 * state.retry_delay, state.retry_longest);
-    state.retry_at = now + with_jitter(state.retry_delay, origin_.name, failures_);
-    if (std::exchange(device_is_open_, false)) close_device(*loop());
+                                                       : doubled(state.retry_delay, state.retry_longest);
+    state.retry_at = later(now, with_jitter(state.retry_delay, origin_.name, failures_));
+    LoopCore& on = *loop();
+    if (std::exchange(device_is_open_, false)) close_device(on);
+    if (!is_open()) return on.runtime.report(&on, object_name(), error);  // closed by its own device
   }
   report(error);
   if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);
@@ -469,19 +482,28 @@ void with(detail::Node* node, const Function& function) {
   });
 }
 
+/// For what is refused where the loop may not be used.
+template <class Function>
+void change(detail::Node* node, const char* what, const Function& function) {
+  with(node, [&](detail::SourceNode& source) {
+    source.loop()->check_thread(what, source.origin().name);
+    function(source);
+  });
+}
+
 }  // namespace
 
 void AnySensor::start() {
-  with(node(), [](auto& source) { source.start(); });
+  change(node(), "cannot start sensor", [](auto& source) { source.start(); });
 }
 void AnySensor::stop() {
-  with(node(), [](auto& source) { source.stop(); });
+  change(node(), "cannot stop sensor", [](auto& source) { source.stop(); });
 }
 bool AnySensor::is_running() const noexcept {
   return with(node(), false, [](const auto& source) { return source.is_running(); });
 }
 void AnySensor::set_rate(Rate rate) {
-  with(node(), [&](auto& source) { source.set_rate(rate); });
+  change(node(), "cannot change sensor", [&](auto& source) { source.set_rate(rate); });
 }
 Rate AnySensor::rate() const noexcept {
   return with(node(), Rate{}, [](const auto& source) { return source.rate(); });
@@ -499,7 +521,7 @@ CallbackTimes AnySensor::times() const noexcept {
   return with(node(), CallbackTimes{}, [](const auto& source) { return source.callback_times(); });
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  with(node(), [&](auto& source) { source.set_on_error(std::move(handler)); });
+  change(node(), "cannot set on_error of sensor", [&](auto& source) { source.set_on_error(std::move(handler)); });
 }
 
 }  // namespace rtdata

@@ -34,11 +34,7 @@ class SensorNode final : public SourceNode, public RateMember {
   bool tell_times(CallbackStatus& status) const override;
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
-  void publish(void* payload, Time time) {
-    ++origin_.counts.received;
-    ++origin_.counts.published;
-    origin_.topic.publish(origin_, time, payload);
-  }
+  void publish(void* payload, Time time);
   void count_repeated() noexcept {
     ++origin_.counts.received;
     ++origin_.counts.repeated;

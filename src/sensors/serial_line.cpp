@@ -8,6 +8,7 @@
 
 #include "data/utf8.hpp"
 #include "io/tty.hpp"
+#include "loop/retry.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "sensors/line_decoder.hpp"
@@ -27,7 +28,7 @@ constexpr std::size_t least_unended = 4096;
 class SerialLineNode final : public SourceNode {
  public:
   SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config, std::unique_ptr<LineDecoder> decoder)
-      : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description())),
+      : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description()), OriginCore::Supply::feed),
         config_(std::move(config)),
         decoder_(std::move(decoder)),
         retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }),
@@ -111,7 +112,7 @@ class SerialLineNode final : public SourceNode {
     origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
     retry_delay_ = retry_delay_ == Duration{0}
                        ? config_.retry_first
-                       : std::min(2 * retry_delay_, std::max(config_.retry_longest, config_.retry_first));
+                       : doubled(retry_delay_, std::max(config_.retry_longest, config_.retry_first));
     retry_.start(retry_delay_);
     Call call(*this);
     report(error);

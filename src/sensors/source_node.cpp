@@ -13,10 +13,17 @@ PayloadType described_type(std::shared_ptr<const Description> description) {
   return type;
 }
 
-SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type)
+SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
+                       OriginCore::Supply supply)
     : SensorEntry(loop),
-      origin_(loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)))) {
-  loop.runtime.sensors.push_back(this);
+      origin_(
+          loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)), supply)) {
+  try {
+    loop.runtime.sensors.push_back(this);
+  } catch (...) {
+    loop.runtime.release(origin_);
+    throw;
+  }
   origin_.sensor = this;
 }
 
@@ -42,9 +49,11 @@ void SourceNode::report(const Error& error) noexcept {
 void SourceNode::set_health(Health health, const Error* reason) {
   if (reason != nullptr) rare().reason = loop()->runtime.hide(reason->text());
   if (health == health_) return;
+  Call call(*this);  // who is told may close this
+  LoopCore& on = *loop();
   health_ = health;
   if (health == Health::ok && rare_ != nullptr) rare_->reason.clear();
-  RuntimeCore& runtime = loop()->runtime;
+  RuntimeCore& runtime = on.runtime;
   runtime.health_changed("sensor", origin_.name, health, this->reason());
   if (health == Health::ok) {
     runtime.log(LogLevel::info, object_name(), "ok again");

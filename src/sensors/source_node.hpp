@@ -16,7 +16,8 @@ PayloadType described_type(std::shared_ptr<const Description> description);
 
 class SourceNode : public SensorEntry {
  public:
-  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type);
+  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
+             OriginCore::Supply supply);
 
   virtual void start() = 0;
   virtual void set_rate(Rate rate) = 0;

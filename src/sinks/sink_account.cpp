@@ -1,5 +1,8 @@
 #include "sinks/sink_account.hpp"
 
+#include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
+
 namespace rtdata::detail {
 namespace {
 
@@ -10,7 +13,10 @@ constexpr std::size_t origins_at_once = 500;
 
 Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
   const auto number = static_cast<std::uint32_t>(taps_.size());
-  if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+  {
+    const LoopCore::OffLimits off_limits(*topic.runtime().own_loop);
+    if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+  }
   add_tap(topic, owner, SinkTap::Takes::all);
   return {};
 }
@@ -23,7 +29,10 @@ void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Take
 }
 
 void SinkAccount::end() noexcept {
-  for (const auto& tap : taps_) tap->topic().remove_tap(*tap);
+  for (const auto& tap : taps_) {
+    tap->topic().remove_tap(*tap);
+    tap->end();
+  }
 }
 
 SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
@@ -32,7 +41,10 @@ SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
 }
 
 void SinkAccount::add(OriginCore& origin, const Gap& gap) {
-  if (SinkTap* tap = find_tap(origin)) notes.add(tap->slot_of(origin), gap, queue_->slot_count());
+  SinkTap* tap = find_tap(origin);
+  if (tap == nullptr) return;
+  notes.add(tap->slot_of(origin), gap, queue_->slot_count());
+  tap->note_closed(origin, gap, accounts_);
 }
 
 void SinkAccount::add(OriginCore& origin, const Segment& segment) {
@@ -55,7 +67,7 @@ SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, con
     SinkTap& tap = *taps_[next_topic_];
     for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size() && !has_more; ++next_origin_) {
       OriginCore& origin = *origins[next_origin_];
-      if (is_last) origin.close_gap();
+      if (is_last && !origin.is_mirror) origin.close_gap();  // of another loop, it closes there
       const OriginAccount now = tap.account_of(origin, until);
       if (tap.is_news(origin, now) || is_last) account.origins.push_back(now);
       has_more = !is_last && ++looked_at == origins_at_once;
@@ -64,7 +76,10 @@ SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, con
   }
   notes.move_into(account);
   const bool is_something = !account.is_empty();
-  if (is_something) queue_->hand_over_account();
+  if (is_something) {
+    queue_->hand_over_account();
+    ++accounts_;
+  }
   return {is_something, has_more};
 }
 

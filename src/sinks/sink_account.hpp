@@ -46,6 +46,7 @@ class SinkAccount {
   const std::shared_ptr<SinkQueue> queue_;
   std::vector<std::unique_ptr<SinkTap>> taps_;
   std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
+  std::uint64_t accounts_ = 0;  // handed over
   std::size_t next_topic_ = 0;  // where the next part begins
   std::size_t next_origin_ = 0;
 };

@@ -19,6 +19,8 @@ namespace {
 
 constexpr Duration pause_between_parts = std::chrono::milliseconds{1};
 
+constexpr Duration early_after = std::chrono::milliseconds{10};
+
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
 }  // namespace
@@ -33,8 +35,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         account_(queue_),
         job_(std::make_shared<StoreJob>(queue_)),
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
-        retry_(loop.face, [this] { start_storing(); }),
-        next_part_(loop.face, [this] { account_more(); }) {}
+        retry_(loop.face, [this] { try_again(); }),
+        next_part_(loop.face, [this] { account_more(); }),
+        early_(loop.face, [this] { tell_early(); }) {}
 
   void attach() {
     RuntimeCore& runtime = loop()->runtime;
@@ -105,7 +108,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
 
   void on_gap(OriginCore& origin, const Gap& gap) override { account_.add(origin, gap); }
 
-  void on_segment(OriginCore& origin, const Segment& segment) override { account_.add(origin, segment); }
+  void on_segment(OriginCore& origin, const Segment& segment) override {
+    account_.add(origin, segment);
+    account_is_due();
+  }
 
   void on_clock(const ClockPair& pair) override { account_.notes.add(pair); }
 
@@ -148,36 +154,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     return true;
   }
 
-  void stored(StoreJob& job) {
-    if (!is_attached_) return;  // too late: counted as lost
-    if (!job.topic_fault.empty()) fault_for_good(job.topic_fault);
-    if (job.refused != 0 && !job.has_ended) {
-      Error error = job.refusal;
-      if (job.refused > 1) error.where += " (the first of " + std::to_string(job.refused) + ")";
-      report(error, job.refused);
-      if (!is_open()) return;
-    }
-    if (job.warning) {
-      report(*job.warning, 1);
-      if (!is_open()) return;
-    }
-    if (!job.result) {
-      failed(job.result.error());
-      if (!is_open() || !job.has_ended) return;
-    } else if (job.has_ended) {
+  /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
+  void go_on_after(const StoreResult& stored) {
+    if (!stored.topic_fault.empty()) fault_for_good(stored.topic_fault);
+    if (!stored.result) {
+      health_ = Health::faulted;
+      reason_ = loop()->runtime.hide(stored.result.error().text());
+      if (!stored.has_ended) return retry_.start(next_delay());
+    } else if (stored.has_ended) {
       // stays faulted
     } else if (!fault_.empty()) {
       health_ = Health::faulted;
       reason_ = fault_;
-    } else if (health_ != Health::ok) {
+    } else {
       health_ = Health::ok;
       reason_.clear();
-      loop()->runtime.log(LogLevel::info, object_name(), "ok again");
     }
     retry_delay_ = Duration{0};
-    if (job.closing && (job.result || job.has_ended)) {
+    if (stored.has_closed()) {
       closed_ = true;
-      finish_drain();
     } else if (closing_) {
       start_storing();
     } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
@@ -188,11 +183,32 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  /// Who is told may do anything to this sink, its closing included.
+  void tell_of(const StoreResult& stored, Health before) {
+    if (const auto error = queue_->take_set_up_error()) report(*error, 1);
+    if (!is_open()) return;
+    if (stored.refused != 0 && !stored.has_ended) {
+      Error error = stored.refusal;
+      if (stored.refused > 1) error.where += " (the first of " + std::to_string(stored.refused) + ")";
+      report(error, stored.refused);
+    }
+    if (is_open() && stored.warning) report(*stored.warning, 1);
+    if (is_open() && !stored.result) report(stored.result.error(), 1);
+    if (is_open() && stored.result && before != Health::ok && health_ == Health::ok)
+      loop()->runtime.log(LogLevel::info, object_name(), "ok again");
+  }
+
   void job_done(LaneJob::Outcome outcome) {
     Call call(*this);
     is_storing_ = false;
-    if (outcome == LaneJob::Outcome::finished) stored(*job_);
-    tell_health();  // when nothing here is under way, since this sink may take the event itself
+    if (outcome == LaneJob::Outcome::finished && is_attached_) {  // else too late: counted as lost
+      const StoreResult stored = std::exchange(job_->came_of_it, {});
+      const Health before = health_;
+      go_on_after(stored);
+      tell_of(stored, before);
+      if (is_open() && stored.has_closed()) finish_drain();
+    }
+    tell_health();  // at the end, since this sink may take the event itself
   }
 
   void flush() { hand_over(Hand::rows_and_account); }
@@ -215,6 +231,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Handler<ErrorReport> on_error_;
+  const std::string& name() const noexcept { return config_.name; }
   SinkCounts counts() const noexcept { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
 
@@ -233,13 +250,44 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  /// Sensors that begin, and schedules that change, are told soon: so that a kill in the first second leaves them too.
+  void account_is_due() override {
+    if (closing_ || !is_attached_ || early_.is_running() || loop()->now() < next_early_) return;
+    next_early_ = later(loop()->now(), config_.batch_time);
+    early_.start(early_after);
+  }
+
+  void tell_early() {
+    if (closing_ || retry_.is_running()) {
+      is_account_due_ = true;
+    } else if (begin_account()) {
+      start_storing();
+    }
+  }
+
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }
 
   void start_storing() {
     if (is_busy() || closed_ || !is_attached_) return;
     job_->closing = closing_;
     is_storing_ = lane_->submit(job_);
-    if (!is_storing_) retry_.start(next_delay());  // the system gives no thread
+    if (is_storing_) return;
+    has_no_thread_ = true;  // told by the timer, since this may be within a publish
+    health_ = Health::faulted;
+    reason_ = no_thread().text();
+    retry_.start(next_delay());
+  }
+
+  void try_again() {
+    Call call(*this);
+    if (std::exchange(has_no_thread_, false)) report(no_thread(), 1);
+    tell_health();
+    if (is_open()) start_storing();
+  }
+
+  Error no_thread() const {
+    return {Errc::io_failed, "cannot store", config_.name, "the system gives no thread",
+            "look at the limits of threads (ulimit -u); events wait in the queue"};
   }
 
   /// What will not get better: the first reason stays.
@@ -256,7 +304,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Duration next_delay() noexcept {
-    retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : std::min(2 * retry_delay_, config_.retry_longest);
+    retry_delay_ = retry_delay_.count() == 0 ? config_.retry_first : doubled(retry_delay_, config_.retry_longest);
     return with_jitter(retry_delay_, config_.name, ++failures_);
   }
 
@@ -270,20 +318,13 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
-  void failed(const Error& error) {
-    health_ = Health::faulted;
-    reason_ = loop()->runtime.hide(error.text());
-    if (!job_->has_ended && is_attached_) retry_.start(next_delay());
-    report(error, 1);
-  }
-
   /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
   bool is_account_worth_it() const noexcept {
     constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
     const StorePace& pace = queue_->pace();
     const std::uint64_t slots = queue_->slot_count();
     return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
-           loop()->now() - account_at_ >= pace.account_time ||
+           span_between(account_at_, loop()->now()) >= pace.account_time ||
            queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
   }
 
@@ -323,12 +364,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.
     std::string unknown = runtime.unknown_end;
-    if (unknown.empty()) unknown = runtime.hear_tiers_out(std::max(deadline - loop()->now(), Duration{0}) / 2);
+    if (unknown.empty())
+      unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
     closing_ = true;
     account_.end();
     if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
     next_part_.stop();
+    early_.stop();
     queue_->hand_over();
     tell(SinkAccount::Part::last);
     queue_->keep_own_counts();
@@ -391,12 +434,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       lost = leave();
     }
     account_.end();
+    loop()->runtime.detach(*this);
     if (is_scheduled()) loop()->schedule().remove(*this);
     job_->owner = nullptr;
     if (is_storing_) lane_->leave_behind();
     lane_ = nullptr;
     retry_.close();
     next_part_.close();
+    early_.close();
     deadline_.close();
     auto done = std::move(drained_);
     drained_.clear();
@@ -420,6 +465,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   std::unique_ptr<Lane> lane_;
   Timer retry_;
   Timer next_part_;  // of an account
+  Timer early_;      // the account of what is new
+  MonotonicTime next_early_{};
   Timer deadline_;
   Duration retry_delay_{0};
   std::uint64_t failures_ = 0;
@@ -431,7 +478,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   std::string fault_;  // for good: it wants a topic that it cannot take
   bool is_attached_ = false;
   bool is_storing_ = false;
-  bool is_due_ = false;  // to be handed over as soon as the lane is free
+  bool has_no_thread_ = false;  // and that is still to be told
+  bool is_due_ = false;         // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
   MonotonicTime account_at_{};    // when the last one was begun
   std::uint64_t slots_told_ = 0;  // that it had
@@ -454,6 +502,11 @@ Node* make_sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer) {
   if (config.batch_rows == 0 || config.batch_time < std::chrono::milliseconds{1}) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name, "a batch has at least one row and 1 ms",
                       "leave the defaults"});
+  }
+  if (config.retry_first <= Duration{0} || config.retry_longest <= Duration{0}) {
+    throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
+                      "it would try again and again without any delay",
+                      "give retry_first and retry_longest 1 ms or more"});
   }
   if (loop.core().runtime.hub != nullptr) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
@@ -489,10 +542,16 @@ SinkStatus Sink::status() const {
   return s != nullptr ? s->status() : SinkStatus{};
 }
 void Sink::on_error(Callback<void(const ErrorReport&)> handler) {
-  if (auto* s = detail::sink(node())) s->on_error_.set(std::move(handler));
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot set on_error of", s->name());
+  s->on_error_.set(std::move(handler));
 }
 void Sink::flush() {
-  if (auto* s = detail::sink(node())) s->flush();
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot flush", s->name());
+  s->flush();
 }
 
 }  // namespace rtdata

@@ -12,6 +12,7 @@
 namespace rtdata {
 
 LiveCounts* Writer::live_counts(std::uint32_t) { return nullptr; }
+void Writer::keep(const OriginAccount&, const Gap*) {}
 Result<void> Writer::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {
@@ -83,9 +84,24 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   stored_of.index = index;
   if (made.info.description != nullptr)  // else no event of it ever comes
     stored_of.payload_bytes = static_cast<std::uint32_t>(made.info.description->size());
-  if (LiveCounts* live = writer_->live_counts(index)) made.live = live;
+  if (LiveCounts* live = live_counts_of(index)) made.live = live;
   slot_count_.store(index + 1, std::memory_order_release);
   return index;
+}
+
+LiveCounts* SinkQueue::live_counts_of(std::uint32_t index) noexcept {
+  const auto threw = [&](const char* what) {
+    set_up_error_ = {Errc::handler_threw, "the writer threw", "live_counts", what,
+                     "the sink keeps these counts itself"};
+    return nullptr;
+  };
+  try {
+    return writer_->live_counts(index);
+  } catch (const std::exception& e) {
+    return threw(e.what());
+  } catch (...) {
+    return threw("an exception that is no std::exception");
+  }
 }
 
 ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {

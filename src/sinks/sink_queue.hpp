@@ -9,7 +9,9 @@
 #include <cstddef>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rtdata/sinks/sink.hpp"
@@ -82,6 +84,13 @@ class SinkQueue {
   /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
   /// there is to tell cannot wait.
   bool has_account() const noexcept;
+  /// None is on its way: all that were handed over are stored.
+  bool has_stored_accounts() const noexcept {
+    for (const AccountBox& box : accounts_) {
+      if (box.after_ticket.load(std::memory_order_acquire) != 0) return false;
+    }
+    return true;
+  }
   Account& next_account() noexcept { return accounts_[next_account_].account; }
   /// Queues it behind all that was handed over before.
   void hand_over_account();
@@ -104,6 +113,8 @@ class SinkQueue {
   bool is_idle() const noexcept;
   /// For the calls that are made on the loop.
   Writer& writer() noexcept { return *writer_; }
+  /// What went wrong in one of these and was not told yet.
+  std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
   /// From here on the counts of the loop lie here, not with the writer, which may be closed.
   void keep_own_counts() noexcept;
   /// Whatever the lane still does: no batch is begun or counted after this returns.
@@ -144,6 +155,7 @@ class SinkQueue {
     Account account;
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
+  LiveCounts* live_counts_of(std::uint32_t index) noexcept;
   ChunkHeader* take_chunk(std::uint32_t slot);
   void queue_filling();
   SinkCounts sum() const noexcept;
@@ -171,6 +183,7 @@ class SinkQueue {
   std::array<AccountBox, account_count> accounts_;
 
   // loop
+  std::optional<Error> set_up_error_;
   ChunkHeader* filling_ = nullptr;
   std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -27,6 +28,13 @@ SensorCounts since(const SensorCounts& before, SensorCounts now) {
   return now;
 }
 
+/// The same at each event, as long as nothing but such events happens: a read that was in time, with one sample.
+std::uint64_t course_of(const SensorCounts& c) noexcept {
+  constexpr std::uint64_t apart = (std::uint64_t{1} << 32) + 1;
+  const std::uint64_t others = c.late + c.missed + c.failed + c.repeated + c.filtered + c.unreadable + c.lost;
+  return (c.has_schedule ? c.scheduled - c.published : 0) + others * apart;
+}
+
 }  // namespace
 
 SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes)
@@ -46,9 +54,13 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
 
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   Place& place = place_of(origin);
+  const std::uint64_t course = course_of(origin.counts);
+  if (place.first_sequence == 0 || (course != place.course && !origin.is_mirror)) [[unlikely]] {
+    if (place.first_sequence == 0) place.first_sequence = sequence;
+    place.course = course;
+    keep(origin, origin.is_mirror ? Now::between_events : Now::at_an_event);
+  }
   ++place.live->offered;
-  if (place.first_sequence == 0) [[unlikely]]
-    place.first_sequence = sequence;
   place.last_sequence = sequence;
   if (takes_ == Takes::none) [[unlikely]] {  // the lane never has an event of this slot: the count is the loop's
     place.stored->refused.store(place.stored->refused.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
@@ -77,27 +89,69 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
 
 void SinkTap::make_place(OriginCore& origin) {
   assert(takes_ == Takes::none || topic_.type.description->size() == payload_bytes_);
+  const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
   const std::uint32_t slot = queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   if (places_.size() <= origin.index) {
     const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
     places_.resize(count);
     accounted_.resize(count);
   }
-  places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, slot};
+  places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, 0, slot};
+  owner_.account_is_due();
+}
+
+void SinkTap::keep(OriginCore& origin, Now when) {
+  if (is_ended_) return;
+  OriginAccount now = account_of(origin, MonotonicTime::min());
+  if (when == Now::at_an_event) {  // which is counted already by who publishes, and not yet offered
+    --now.sensor.received;
+    --now.sensor.published;
+  }
+  const Closed* closed = origin.index < closed_.size() ? closed_[origin.index].get() : nullptr;
+  queue_->writer().keep(now, closed != nullptr ? &closed->gap : nullptr);
+}
+
+void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) {
+  if (origin.index >= closed_.size()) closed_.resize(origin.index + 1);
+  std::unique_ptr<Closed>& closed = closed_[origin.index];
+  if (closed == nullptr) closed = std::make_unique<Closed>();
+  Gap& all = closed->gap;
+  if (all.first == Time{} || (closed->accounts != accounts && queue_->has_stored_accounts())) {
+    all = gap;
+  } else {
+    if (all.count == 0) all.count = 1;  // without a schedule, how many
+    all.count += std::max<std::uint64_t>(gap.count, 1);
+    all.kind = Gap::Kind::joined;
+    all.last = gap.last;
+    if (all.reason != gap.reason) all.reason = "several";
+  }
+  closed->accounts = accounts;
+  keep(origin, Now::between_events);
 }
 
 OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {
   const Place& place = place_of(origin);
   const Slot& slot = queue_->slot(place.slot);
-  OriginAccount now{place.slot,           origin.counts,       0,
-                    slot.live->offered,   slot.dropped_newest, slot.dropped_oldest,
-                    place.first_sequence, place.last_sequence, {}};
+  OriginAccount now{place.slot,
+                    origin.counts,
+                    0,
+                    slot.live->offered,
+                    slot.dropped_newest,
+                    slot.dropped_oldest,
+                    place.first_sequence,
+                    place.last_sequence,
+                    {},
+                    {}};
   if (origin.index < before_.size()) {
     const SensorCounts& before = before_[origin.index].counts;
     now.sensor = since(before, now.sensor);
     now.carried = before.in_flight;
   }
   if (origin.has_segment()) now.segment = since_attached(origin, origin.segment(until));
+  if (const Gap* gap = origin.gap_under_way()) {
+    now.gap = *gap;
+    now.has_gap = true;
+  }
   return now;
 }
 
@@ -105,7 +159,7 @@ Segment SinkTap::since_attached(const OriginCore& origin, Segment segment) const
   if (origin.index >= before_.size()) return segment;
   const Segment& before = before_[origin.index].segment;
   if (before.scheduled == 0 || segment.first_due != before.first_due) return segment;
-  segment.first_due += static_cast<std::int64_t>(before.scheduled) * before.period;
+  segment.first_due = later(segment.first_due, multiple(static_cast<std::int64_t>(before.scheduled), before.period));
   segment.scheduled -= before.scheduled;
   return segment;
 }
@@ -115,7 +169,8 @@ bool SinkTap::is_news(const OriginCore& origin, const OriginAccount& now) {
   if (now.offered == before.offered && now.dropped_oldest == before.dropped_oldest &&
       now.sensor.lost == before.sensor.lost && now.sensor.scheduled == before.sensor.scheduled &&
       now.sensor.received == before.sensor.received && now.segment.period == before.segment.period &&
-      now.sensor.in_flight == before.sensor.in_flight) {
+      now.sensor.in_flight == before.sensor.in_flight && now.has_gap == before.has_gap &&
+      (!now.has_gap || (now.gap.first == before.gap.first && now.gap.kind == before.gap.kind))) {
     return false;
   }
   before = now;

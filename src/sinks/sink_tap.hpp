@@ -18,6 +18,8 @@ class SinkTap final : public Tap {
    public:
     virtual void queue_is_full() = 0;
     virtual void batch_is_due() = 0;
+    /// An origin that no account knows yet.
+    virtual void account_is_due() = 0;
 
    protected:
     ~Owner() = default;
@@ -29,6 +31,11 @@ class SinkTap final : public Tap {
 
   void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
+  void note_change(OriginCore& origin) override { keep(origin, Now::between_events); }
+  /// A gap of it has closed. `accounts`: how many have been handed over.
+  void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts);
+  /// What is kept of an origin is changed no more.
+  void end() noexcept { is_ended_ = true; }
 
   TopicCore& topic() const noexcept { return topic_; }
   std::uint32_t slot_of(OriginCore& origin) { return place_of(origin).slot; }
@@ -46,6 +53,7 @@ class SinkTap final : public Tap {
     SlotStored* stored = nullptr;
     std::uint64_t first_sequence = 0;
     std::uint64_t last_sequence = 0;
+    std::uint64_t course = 0;  // of its counts at the last event
     std::uint32_t slot = 0;
   };
   Place& place_of(OriginCore& origin) {
@@ -59,6 +67,13 @@ class SinkTap final : public Tap {
     Segment segment;  // under way
   };
   void make_place(OriginCore& origin);
+  /// Gaps that have closed, as one, since the first of them may be in no account that is stored.
+  struct Closed {
+    Gap gap;
+    std::uint64_t accounts = 0;  // that were handed over when the last of them closed
+  };
+  enum class Now { at_an_event, between_events };
+  void keep(OriginCore& origin, Now now);
 
   Owner& owner_;
   const std::shared_ptr<SinkQueue> queue_;
@@ -70,6 +85,8 @@ class SinkTap final : public Tap {
   std::vector<Place> places_;             // by the origin's index within the topic, as the next
   std::vector<OriginAccount> accounted_;  // as last handed over
   std::vector<Before> before_;            // of those that were there
+  std::vector<std::unique_ptr<Closed>> closed_;
+  bool is_ended_ = false;
 };
 
 }  // namespace rtdata::detail

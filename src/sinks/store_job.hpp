@@ -12,33 +12,46 @@ namespace rtdata::detail {
 
 class SinkNode;
 
+/// What the lane tells of one turn of work.
+struct StoreResult {
+  Result<void> result;
+  bool has_ended = false;    ///< the writer said that it has: nothing is tried again
+  bool was_closing = false;  ///< the writer was closed, if the result is good
+  std::uint64_t refused = 0;
+  Error refusal;            ///< the first of them
+  std::string topic_fault;  ///< why a topic can never be stored; empty: all can
+  std::optional<Error> warning;
+
+  bool has_closed() const noexcept { return was_closing && (result || has_ended); }
+};
+
 class StoreJob final : public LaneJob {
  public:
   explicit StoreJob(std::shared_ptr<SinkQueue> queue_) : queue(std::move(queue_)) {}
   void run() noexcept override {
     if (pause.count() > 0) queue->pause(std::exchange(pause, Duration{0}));
-    result = queue->process();
-    if (result && closing) result = queue->close_writer();
-    has_ended = queue->has_ended();
-    refused = queue->take_refusals(refusal);
+    StoreResult now;
+    now.was_closing = closing;
+    now.result = queue->process();
+    if (now.result && closing) now.result = queue->close_writer();
+    now.has_ended = queue->has_ended();
+    now.refused = queue->take_refusals(now.refusal);
     try {
-      topic_fault = queue->topic_fault();
-      warning = queue->writer().take_warning();
+      now.topic_fault = queue->topic_fault();
+      now.warning = queue->writer().take_warning();
     } catch (...) {  // a warning less
     }
+    came_of_it = std::move(now);
   }
   void done(Outcome outcome) override;
 
   std::shared_ptr<SinkQueue> queue;
   SinkNode* owner = nullptr;  // null once the sink is gone
-  bool closing = false;
-  Duration pause{0};  // before the work
-  bool has_ended = false;
-  Result<void> result;
-  std::uint64_t refused = 0;
-  Error refusal;
-  std::string topic_fault;  // why a topic can never be stored; empty: all can
-  std::optional<Error> warning;
+  bool closing = false;       // the writer is closed when all is stored
+  Duration pause{0};          // before the work
+
+  /// What came of it. The lane's from submission until `done`, which takes it: from then on the job may be at work again.
+  StoreResult came_of_it;
 };
 
 }  // namespace rtdata::detail

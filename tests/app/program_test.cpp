@@ -395,6 +395,9 @@ TEST_SUITE("app") {
     const Folder folder;
     Process init(folder, shipped, {"init", "first.json"});
     CHECK(init.end() == 0);
+    CHECK(has(folder.read("first.json"), "\"$schema\": \"rtdata.schema.json\""));
+    const auto schema = nlohmann::json::parse(folder.read("rtdata.schema.json"));
+    CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"].size() >= 3);
     const std::string text = folder.read("first.json");
     CHECK(has(text, "\"1 kHz\""));
     CHECK(has(text, "\"first.jsonl\""));

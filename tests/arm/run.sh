@@ -57,4 +57,21 @@ cmake --preset "$arch"
 cmake --build --preset "$arch" -j "$(nproc)"
 cd "build/$arch"
 # What is not about real time, which an emulator does not have, and starts no other program.
-ctest --output-on-failure --timeout 600 -R '^(data|config|contract)$'
+ctest --output-on-failure --timeout 900 -R '^(data|loop|sensors|config|contract)$'
+
+# What the program records there, it and this machine's read alike.
+emulated() { $qemu -L "/usr/$triplet" -E "LD_LIBRARY_PATH=$root/usr/lib/$triplet" ../rtdata "$@"; }
+rm -rf recording
+mkdir recording
+cd recording
+emulated run ../../../examples/host.json --for 1s --quiet
+emulated verify host.db
+here=../../release/rtdata
+[ -x "$here" ] || { echo "skipped: there is no build/release/rtdata to read its recording with"; exit 0; }
+"$here" verify host.db
+for format in csv json; do
+    emulated export host.db --topic host/process --format $format >there.txt
+    "$here" export host.db --topic host/process --format $format >here.txt
+    [ -s here.txt ]
+    cmp here.txt there.txt
+done

@@ -198,6 +198,8 @@ int run(int count, char** arguments) {
   bench_loop(report);
   bench_sinks(report);
   bench_disk(report);
+  bench_export(report);
+  bench_verify(report);
   bench_program(report);
   bench_real_time(report);
   if (report.write_json()) return 0;

@@ -88,6 +88,8 @@ void bench_loop(Report& report);
 void bench_publish(Report& report);
 void bench_sinks(Report& report);
 void bench_disk(Report& report);
+void bench_export(Report& report);
+void bench_verify(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
 void bench_real_time(Report& report);

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #ifdef RTDATA_BENCH_SQLITE
@@ -63,10 +64,24 @@ class Producer {
   rtdata::Feed<Eight> feed_;
 };
 
+/// Whether all rows are there. The last of them do not wait for their time.
+class WhenStored {
+ public:
+  explicit WhenStored(rtdata::Sink& sink) : sink_(sink) {}
+  bool operator()() {
+    if (!std::exchange(is_flushed_, true)) sink_.flush();
+    return sink_.counts().stored == rows;
+  }
+
+ private:
+  rtdata::Sink& sink_;
+  bool is_flushed_ = false;
+};
+
 /// Process CPU time a row, from the first publish until the last is stored.
 double stored_cpu(Producer& producer, rtdata::Sink& sink) {
   const std::int64_t begin = process_cpu_ns();
-  producer.run([&] { return sink.counts().stored == rows; });
+  producer.run(WhenStored(sink));
   return static_cast<double>(process_cpu_ns() - begin) / rows;
 }
 
@@ -82,7 +97,7 @@ class Rhythm {
  public:
   void wait() {
     due_ += std::chrono::nanoseconds{batch_period}.count();
-    const timespec until{due_ / 1'000'000'000, due_ % 1'000'000'000};
+    const timespec until{due_ / 1'000'000'000, static_cast<long>(due_ % 1'000'000'000)};
     ::clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr);
   }
 
@@ -193,7 +208,7 @@ double sqlite_loop_row(const std::string& folder) {
   const Scratch file(folder, "loop.db");
   Producer producer;
   rtdata::SqliteSink sink(producer.loop(), {.path = file.path()});
-  const std::int64_t with = producer.run([&] { return sink.counts().stored == rows; });
+  const std::int64_t with = producer.run(WhenStored(sink));
   return static_cast<double>(with - without) / rows;
 }
 

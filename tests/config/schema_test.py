@@ -35,7 +35,7 @@ BEYOND_A_SCHEMA = [
     "a name has 1 to 200", "is no topic name", "topics that begin with",  # lengths, and names that stand for topics
     "it does not say which device", "has no width", "no field has a name", "among the fields", "is there twice",
     "every event has a", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
-    "there is no format", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
+    "there is no format", "without `rotate` there is one", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice
 ]
 
@@ -118,7 +118,8 @@ def main():
                     if item["type"] != case["if"]["properties"]["type"]["const"]:
                         continue
                     for key, value in case["then"]["properties"].items():
-                        if key not in item and "default" in value:
+                        # What is off by default, in an object of its own, may have no value to write for it.
+                        if key not in item and "default" in value and not isinstance(value["default"], dict):
                             item[key] = value["default"]
         originals.append(("every parameter", full))
         path = os.path.join(folder, "mutated.json")

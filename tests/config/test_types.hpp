@@ -53,7 +53,7 @@ struct Counter {
       for (;;) ::pause();
     }
     if (config.hold.count() > 0) {
-      timespec wait{config.hold.count() / 1'000'000'000, config.hold.count() % 1'000'000'000};
+      timespec wait{config.hold.count() / 1'000'000'000, static_cast<long>(config.hold.count() % 1'000'000'000)};
       ::nanosleep(&wait, nullptr);  // the tests that ask for it want a loop that is held
     }
     if (config.fail_every != 0 && count % config.fail_every == 0) {

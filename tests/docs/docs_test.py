@@ -4,7 +4,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: configuration -->   `rtdata check` finds no mistake in it
   <!-- test: compile -->         it compiles
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
-  <!-- test: python -->          it runs in that folder, and prints something
+  <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
@@ -27,6 +27,14 @@ def problem(where, what):
 
 def run(command, **options):
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
+
+
+def python_with(modules):
+    """This Python, or the system's, for which packages of the distribution are; None when neither has them."""
+    for python in (sys.executable, "/usr/bin/python3"):
+        if not modules or (Path(python).exists() and run([python, "-c", f"import {', '.join(modules)}"]).returncode == 0):
+            return python
+    return None
 
 
 def pages(source):
@@ -63,8 +71,10 @@ def check_blocks(source, build, compiler, program):
                     done = run([program, "check", file])
                     if done.returncode != 0:
                         problem(where, "is no good configuration:\n" + done.stdout + done.stderr)
+                elif kind == "python" and (python := python_with(argument.split())) is None:
+                    print(f"skipped: {where}, since not all of {argument} is installed (script/bootstrap --all)")
                 elif kind == "python":
-                    done = run([sys.executable, "-c", block["text"]], cwd=folder)
+                    done = run([python, "-c", block["text"]], cwd=folder)
                     if done.returncode != 0 or not done.stdout:
                         problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
                 else:

@@ -20,7 +20,7 @@ class TimeOfDay {
 
   static void set(Time time) {
     const std::int64_t ns = time.time_since_epoch().count();
-    const timespec spec{ns / 1'000'000'000, ns % 1'000'000'000};
+    const timespec spec{ns / 1'000'000'000, static_cast<long>(ns % 1'000'000'000)};
     CHECK(::clock_settime(CLOCK_REALTIME, &spec) == 0);
   }
   static void move(Duration by) { set(SystemClock().realtime() + by); }

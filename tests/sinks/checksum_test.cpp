@@ -154,9 +154,13 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     bool is_old = false;
+    Rate rate = 200_Hz;
     SqliteConfig config{.path = path};
     SUBCASE("by age, in the range that is not written yet too") { config.max_age = 20s; }
-    SUBCASE("by size") { config.max_bytes = 300'000; }
+    SUBCASE("by size") {
+      config.max_bytes = SqliteConfig::least_max_bytes;
+      rate = 2_kHz;
+    }
     SUBCASE("a run that has ended") {
       config.max_age = 20s;
       is_old = true;
@@ -164,7 +168,7 @@ TEST_SUITE("sinks") {
     const auto record = [&](Duration time) {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, config);
-      Sensor<Climate> a(loop, {.name = "a", .topic = "t", .rate = 200_Hz}, [n = 0]() mutable {
+      Sensor<Climate> a(loop, {.name = "a", .topic = "t", .rate = rate}, [n = 0]() mutable {
         return Climate{1.0 * n++, 0};
       });
       Sensor<Climate> b(loop, {.name = "b", .topic = "t", .rate = 70_Hz}, [n = 0]() mutable {

@@ -124,7 +124,7 @@ TEST_CASE("FW-5 --utc gives rows from before the clock was set the right time") 
                               out, err) == 0);
   const auto lines = lines_of(out.str());
   REQUIRE(lines.size() == 9);
-  CHECK(lines[0] == "time [ns],origin,sequence,temperature [Cel],humidity [%RH]");
+  CHECK(lines[0] == "utc,origin,sequence,temperature [Cel],humidity [%RH]");
   CHECK(lines[1].starts_with("2027-01-15T08:00:00.000000000Z,room,1,"));
   CHECK(lines[8].starts_with("2027-01-15T08:00:07.000000000Z,room,8,"));
 }
@@ -138,6 +138,94 @@ TEST_CASE("FW-5 the subcommand export takes filters and says what is wrong with 
   CHECK(app::export_recording({.database = path, .from = "yesterday"}, out, err) == 1);
   CHECK(app::export_recording({.database = path, .topic = "room/#/x"}, out, err) == 1);
   CHECK(app::export_recording({.database = folder / "none"}, out, err) == 2);
+}
+
+TEST_CASE("the head of a CSV says what its times are, also when no rows follow") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder)).or_throw();
+  const auto head = [&](ExportConfig config) {
+    config.filter = {.topic = "room/climate", .until = Time{1ns}};
+    std::ostringstream out;
+    CHECK(export_rows(recording, config, out).or_throw().rows == 0);
+    return out.str();
+  };
+  using Header = ExportConfig::Header;
+  using TimeText = ExportConfig::TimeText;
+  CHECK(head({}) == "time,origin,sequence,temperature,humidity\n");
+  CHECK(head({.header = Header::names_and_units}) == "time [ns],origin,sequence,temperature [Cel],humidity [%RH]\n");
+  CHECK(head({.time = ExportTime::utc, .time_text = TimeText::iso8601}) ==
+        "utc,origin,sequence,temperature,humidity\n");
+  CHECK(head({.time = ExportTime::utc, .header = Header::names_and_units}) ==
+        "utc [ns],origin,sequence,temperature [Cel],humidity [%RH]\n");
+  CHECK(head({.time_text = TimeText::iso8601, .header = Header::names_and_units}) ==
+        "time,origin,sequence,temperature [Cel],humidity [%RH]\n");
+  // A run without rows, and a topic that never had any.
+  std::ostringstream out;
+  CHECK(export_rows(recording, {.filter = {.topic = "room/climate", .run = 7}}, out).or_throw().rows == 0);
+  CHECK(out.str() == "time,origin,sequence,temperature,humidity\n");
+  out.str("");
+  CHECK(export_rows(recording, {.filter = {.topic = "nothing"}}, out).or_throw().rows == 0);
+  CHECK(out.str() == "time,origin,sequence\n");
+  const auto files = export_files(recording, {.filter = {.topic = "room/#", .run = 7}}, folder / "out").or_throw();
+  REQUIRE(files.size() == 1);
+  CHECK(lines_of(content_of(folder / "out/room/climate.csv")).size() == 1);
+}
+
+TEST_CASE("CSV straight from the columns is that of the codec") {
+  const Folder folder;
+  const std::string path = make(folder, [](Feed<Everything>& feed) {
+    std::uint32_t seed = 1;
+    const auto random = [&] { return seed = seed * 1664525 + 1013904223, seed >> 8; };
+    for (int i = 0; i < 500; ++i) {
+      Everything e = random() % 3 == 0 ? full() : Everything{};
+      e.letter = static_cast<char>(random());
+      e.f64 = random() % 2 == 0 ? static_cast<double>(random() % 100000) / 1000 : static_cast<double>(random()) * 1e-30;
+      e.f32 = random() % 5 == 0 ? std::numeric_limits<float>::quiet_NaN() : static_cast<float>(random()) / 7;
+      e.u64 = std::uint64_t{random()} << 40 | random();
+      const char* const names[] = {"", "plain", " a", "b\t", "x,y", "\"", "\xc3\xa4", "\xff", "\\x5c", "a\nb", "\\"};
+      e.name = names[random() % std::size(names)];
+      e.maybe_name = rtdata::text<5>(names[random() % std::size(names)]);
+      if (random() % 2 == 0) e.maybe = std::numeric_limits<double>::quiet_NaN();
+      e.state = random() % 4 == 0 ? static_cast<payloads::State>(100) : e.state;
+      feed.publish(e);
+    }
+  });
+  sql(path, "UPDATE \"every/thing\" SET i32 = NULL WHERE sequence % 7 = 0");  // as fields of a later run are
+  const auto recording = Recording::open(path).or_throw();
+  for (const auto time : {ExportTime::recorded, ExportTime::utc}) {
+    const ExportConfig config{
+        .filter = {.topic = "every/thing"}, .time = time, .time_text = ExportConfig::TimeText::iso8601};
+    std::ostringstream out;
+    CHECK(export_rows(recording, config, out).or_throw().rows == 500);
+    const auto codec = make_csv_codec({CsvConfig::TimeFormat::iso8601});
+    std::vector<std::byte> bytes;
+    auto rows = recording.rows(config.filter).or_throw();
+    while (const RecordedRow* row = rows.next().or_throw()) {
+      EventHeader header = row->header();
+      if (time == ExportTime::utc) header.time = recording.utc_line(row->run()).or_throw().utc(header.time);
+      codec->encode(EventView("every/thing", header, row->event().description(), row->event().payload()), bytes)
+          .or_throw();
+    }
+    const std::string text = out.str();
+    CHECK(text.substr(text.find('\n') + 1) == std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size()));
+  }
+}
+
+TEST_CASE("raw bytes of rows that do not fit the format are left out one by one, and told") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .topic = "every/thing", .format = "raw"}, out, err) == 1);
+  CHECK(err.str().find("rtdata: 2 rows were left out, the first: ") == 0);
+  CHECK(err.str().find("sequence 1") != std::string::npos);
+  std::ostringstream all, told;
+  CHECK(app::export_recording({.database = path, .format = "raw"}, all, told) == 1);
+  const auto codec = make_raw_codec();
+  const std::string text = all.str();
+  std::size_t events = 0;
+  for (auto left = std::as_bytes(std::span(text)); !left.empty(); ++events)
+    left = left.subspan(codec->first_event(left));
+  CHECK(events == 999);
 }
 
 TEST_CASE("export of what there is not says what there is, and makes nothing") {
@@ -166,7 +254,8 @@ TEST_CASE("export of what there is not says what there is, and makes nothing") {
   // What is there, without rows in that time.
   std::ostringstream out, err;
   CHECK(app::export_recording({.database = path, .topic = "room/climate", .until = "1"}, out, err) == 0);
-  CHECK(out.str() + err.str() == "");
+  CHECK(out.str() + err.str() == "time,origin,sequence,temperature,humidity\n");
+  out.str("");
   // Rows that no account tells of yet.
   sql(path, "DELETE FROM rtdata_ledger");
   CHECK(app::export_recording({.database = path, .topic = "room/climate", .origin = "room", .limit = 1}, out, err) ==

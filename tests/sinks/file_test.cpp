@@ -337,6 +337,31 @@ TEST_SUITE("sinks") {
     CHECK(values(config.path, "csv") == std::vector<double>{2});
   }
 
+  TEST_CASE("a file that somebody moves is made anew, and that is reported; nothing is lost") {
+    Bench bench;
+    const FileConfig config{.path = bench.directory / "run.csv", .format = "csv"};
+    const std::string moved = bench.directory / "moved.csv";
+    {
+      Loop loop{Loop::Manual{}};
+      std::vector<std::string> errors, health;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+      const Subscription changes = loop.subscribe<HealthChange>(
+          "$rtdata/health", [&](const Event<HealthChange>& event) { health.emplace_back(name_of(event->state)); });
+      FileSink sink(loop, config);
+      loop.topic<Number>("a").publish({1});
+      loop.advance(2s);
+      std::filesystem::rename(config.path, moved);
+      loop.topic<Number>("a").publish({2});
+      loop.advance(3s);
+      CHECK(errors == std::vector<std::string>{"the file was moved"});
+      CHECK(health == std::vector<std::string>{"faulted", "ok"});
+      CHECK(sink.counts().stored == 2);
+      CHECK(sink.counts().balances());
+    }
+    CHECK(values(moved, "csv") == std::vector<double>{1});
+    CHECK(values(config.path, "csv") == std::vector<double>{2});
+  }
+
   TEST_CASE("US-30 formats of the program's own") {
     class Bare final : public Codec {
       std::string_view name() const noexcept override { return "bare"; }

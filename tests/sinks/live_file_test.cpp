@@ -370,4 +370,31 @@ TEST_SUITE("sinks") {
       CHECK(recordings::verified(path).verdict() == Verdict::sealed);
     }
   }
+
+  TEST_CASE("a recording holds the configuration: only its user and group may read it") {
+    const mode_t before = ::umask(022);
+    Directory directory;
+    const std::string path = directory / "run.db";
+    record_some({.path = path}, 10, [&] {
+      CHECK(mode_of(path) == 0640);
+      CHECK(mode_of(path + "-wal") == 0640);
+      CHECK(mode_of(path + "-shm") == 0640);
+    });
+    REQUIRE(::chmod(path.c_str(), 0644) == 0);  // as its owner wants it
+    record_some({.path = path}, 10, [&] {
+      CHECK(mode_of(path) == 0644);
+      CHECK(mode_of(path + "-wal") == 0644);
+    });
+    ::umask(before);
+  }
+
+  TEST_CASE("SQLite that has no memory for a handle is an error") {
+    Directory directory;
+    sqlite3_hard_heap_limit64(1);
+    auto opened = sqlite::Database::open(directory / "run.db", sqlite::Database::Mode::write);
+    sqlite3_hard_heap_limit64(0);
+    sqlite3_soft_heap_limit64(0);
+    REQUIRE(!opened);
+    CHECK(opened.error().text().find("Cannot allocate memory") != std::string::npos);
+  }
 }

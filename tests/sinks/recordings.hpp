@@ -65,6 +65,9 @@ inline VerifyReport verified(const std::string& path) { return verify(Recording:
 /// Makes it one of an older format, without what that one had not.
 inline void make_older(const std::string& path, int format) {
   sql(path,
+      "DROP VIEW \"rtdata_gap~utc\"; DROP VIEW \"rtdata_health~utc\"; DROP VIEW \"rtdata_error~utc\"; DROP VIEW "
+      "rtdata_field;"
+      "DROP TABLE rtdata_escaped;"
       "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
       "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
       "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; DROP TABLE rtdata_checksum; UPDATE rtdata_run SET format = " +

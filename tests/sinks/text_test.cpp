@@ -140,6 +140,7 @@ TEST_SUITE("sinks") {
       CHECK(detail::is_readable(out.str()));
       const auto codec = CodecRegistry::standard().make(format == std::string("csv") ? "csv" : "json").or_throw();
       const std::string text = out.str();
+      CAPTURE(text);
       auto left = std::as_bytes(std::span(text));
       if (format == std::string("csv")) left = left.subspan(codec->first_event(left));
       for (const Note& note : notes) {
@@ -184,8 +185,10 @@ TEST_SUITE("sinks") {
       feed.publish(notes.front());
       loop.advance(2s);
       for (std::size_t i = 1; i < notes.size(); ++i) feed.publish(notes[i]);
+      loop.advance(2s);
       feed.close();
-      loop.close();
+      sink.close();
+      loop.poll();
       CHECK(detail::is_readable(bytes_of(path)));
       REQUIRE(told.size() == 2);
       CHECK(told[0].find("a text is no UTF-8: topic note, origin pen: ") == 0);

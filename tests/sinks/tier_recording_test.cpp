@@ -483,8 +483,9 @@ TEST_SUITE("sinks") {
     std::array<Feed<Climate>, 50> feeds;  // their accounts have no room in the ring all at once
     for (std::size_t i = 0; i < feeds.size(); ++i)
       feeds[i] = Feed<Climate>(other.loop(), {.name = "f" + std::to_string(i)});
-    Ticker publishes(other.loop(), 5ms,
-                     [&](const Tick& tick) { feeds[tick.due.time_since_epoch() / 5ms % 50].publish({}); });
+    Ticker publishes(other.loop(), 5ms, [&](const Tick& tick) {
+      feeds[static_cast<std::size_t>(tick.due.time_since_epoch() / 5ms % 50)].publish({});
+    });
     Sensor<Climate> there(other.loop(), {.name = "there", .rate = 1_kHz}, [] { return Climate{}; });
     Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
       hangs = true;

@@ -2,6 +2,7 @@
 #include <doctest/doctest.h>
 #include <sqlite3.h>
 
+#include <filesystem>
 #include <fstream>
 
 #include "rtdata/app/standard.hpp"
@@ -126,6 +127,49 @@ TEST_SUITE("sinks") {
     CHECK_MESSAGE(report.exit_code() == 0, report.text());
     CHECK(report.runs.back().rows == 6);
     CHECK(report.runs.back().dropped == 5);
+  }
+
+  TEST_CASE(
+      "a recording that is deleted or moved while it is written is told at the next commit, and what comes is "
+      "refused") {
+    for (const bool is_moved : {false, true}) {
+      CAPTURE(is_moved);
+      const Directory directory;
+      const std::string path = directory / "run.db";
+      const std::string other = directory / "moved.db";
+      Loop loop{Loop::Manual{}};
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+      SqliteSink sink(loop, {.path = path});
+      publish(loop, "a", 3);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 3);
+      if (is_moved) {
+        std::filesystem::rename(path, other);
+      } else {
+        std::filesystem::remove(path);
+      }
+      publish(loop, "a", 4);
+      loop.advance(2s);
+      CHECK(sink.health() == Health::faulted);
+      CHECK(refused(sink) == 4);
+      publish(loop, "a", 1);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 3);
+      CHECK(refused(sink) == 5);
+      CHECK(sink.counts().balances());
+      REQUIRE(errors.size() == 1);
+      CHECK(has(errors[0], "recording has ended: " + path + ": the file was deleted or moved"));
+      CHECK(loop.close(1s) == 0);
+      CHECK(loop.runtime().has_loss());
+      CHECK_FALSE(std::filesystem::exists(path));
+      if (!is_moved) continue;
+      const Recording recording = Recording::open(other).or_throw();  // with what was in the log
+      Rows rows = recording.rows({}).or_throw();
+      int count = 0;
+      while (rows.next().or_throw() != nullptr) ++count;
+      CHECK(count == 3);
+    }
   }
 
   TEST_CASE("what a sink cannot take is a mistake in the configuration") {

@@ -45,12 +45,14 @@ class Callback<R(Args...)> {
   Callback(Callback&& other) noexcept { take(other); }
   Callback& operator=(Callback&& other) noexcept {
     if (this != &other) {
-      reset();
+      const Callback old(std::move(*this));  // goes last: its captures' destructors may use this object
       take(other);
     }
     return *this;
   }
-  ~Callback() { reset(); }
+  ~Callback() {
+    if (call_ != nullptr) operations_(storage_, nullptr);
+  }
 
   explicit operator bool() const noexcept { return call_ != nullptr; }
   R operator()(Args... args) {
@@ -59,9 +61,7 @@ class Callback<R(Args...)> {
   }
   /// Destroys the function object.
   void reset() noexcept {
-    if (call_ == nullptr) return;
-    call_ = nullptr;
-    operations_(storage_, nullptr);
+    if (call_ != nullptr) const Callback old(std::move(*this));  // its captures' destructors may use this object
   }
 
  private:

@@ -45,8 +45,11 @@ class ManualClock : public Clock {
 
   /// Lets time pass on both lines. Within a callback of a manual loop: that callback took this long.
   void pass(Duration duration) noexcept {
-    monotonic_ += duration;
-    realtime_ += duration;
+    const auto moved = [duration](auto at) {  // to the end of time at most
+      return duration.count() > 0 && at > at.max() - duration ? at.max() : at + duration;
+    };
+    monotonic_ = moved(monotonic_);
+    realtime_ = moved(realtime_);
   }
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }

@@ -8,6 +8,14 @@
 ///  5. A moved-from handle is closed and harmless; a default-made one too.
 ///  6. Closing twice is the same as closing once.
 ///  7. On an attached loop nothing of the host is closed, stopped, walked or given data, whatever a handle does.
+///  8. A callback may use every verb of its own and of other handles, move and assign them, and throw. Assigning closes
+///     what the handle stood for after it has taken the new: when the old one's callbacks assign to it again, the last
+///     one assigned is kept. What a callback may not do is refused with SetupError (busy): running, polling or advancing
+///     its loop, and closing it with `Loop::close`; making anything on a loop that is being destroyed.
+///
+/// What runs on a lane (every call of a sink's Writer) may use `Loop::post` and `Loop::stop` alone: all else is refused
+/// with SetupError (busy). A handle that is closed or destroyed there is closed by its loop in its next turn, and that
+/// is reported.
 ///
 /// Thread: the loop's, for every member. A handle of a tier may also be closed or destroyed, and a sensor of a tier
 /// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A handle
@@ -93,13 +101,13 @@ class Handle {
   Handle() noexcept = default;
   Handle(Handle&& other) noexcept : node_(std::exchange(other.node_, nullptr)) {}
   Handle& operator=(Handle&& other) noexcept {
-    if (this != &other) {
-      close();
-      node_ = std::exchange(other.node_, nullptr);
-    }
+    // Closing the old one runs the user's code, which may use this handle or end its life: it comes last.
+    if (this != &other) const Handle old(std::exchange(node_, std::exchange(other.node_, nullptr)));
     return *this;
   }
-  ~Handle() { close(); }
+  ~Handle() {
+    while (node_ != nullptr) close();  // its callbacks may have assigned another
+  }
 
   /// Rule 2. Harmless on a closed handle.
   void close() noexcept {

@@ -12,9 +12,12 @@
 /// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us together;
 /// slower ones: one).
 ///
+/// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its end,
+/// which never comes, so that Duration::max() means never, or without limit.
+///
 /// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Must not be destroyed
-/// from one of its own callbacks.
-/// Thread: the one that runs it. From other threads: `post` and `stop` only.
+/// from one of its own callbacks. While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
+/// Thread: the one that runs it. From other threads, and from a sink's Writer: `post` and `stop` only.
 #pragma once
 
 #include <memory>
@@ -89,7 +92,9 @@ class Loop {
   void poll();
   /// Ends `run`. Thread-safe. On an attached loop: nothing.
   void stop() noexcept;
-  /// Manual loops: lets time pass, doing what comes due, in order of time, then of start.
+  /// Manual loops: lets time pass, doing what comes due, in order of time, then of start. What brings itself on again at
+  /// one instant does not keep time from going on: handlers that publish for each other get 100 rounds an instant, and
+  /// after 1000 turns at one instant (a timer of zero that starts itself) each takes 1 us.
   void advance(Duration duration);
   /// Manual loops: the clock, to let a callback "take" time or to set the time of day. SetupError on others.
   ManualClock& manual_clock();
@@ -97,8 +102,8 @@ class Loop {
   void script_lane_duration(Duration duration);
 
   /// Runs the function on this loop, after what is queued. Thread-safe; allocates; never blocks for long (a short lock).
-  /// What waits is not bounded: whoever posts again and again should look whether it was run. After the loop is gone, the
-  /// function is destroyed unrun.
+  /// What waits is not bounded: whoever posts again and again should look whether it was run. Once the loop is being
+  /// destroyed, the function is destroyed unrun.
   void post(Callback<void()> function);
 
   MonotonicTime now() noexcept;

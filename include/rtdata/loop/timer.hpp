@@ -29,7 +29,7 @@ class Timer : public Handle {
   /// Started: fires `delay` from now. A delay of zero or less fires in the next turn.
   Timer(Loop& loop, Duration delay, Callback<void()> callback);
 
-  /// (Re)starts: fires `delay` from now, once.
+  /// (Re)starts: fires `delay` from now, once; Duration::max(): never.
   void start(Duration delay);
   /// At an instant of the monotonic line.
   void start_at(MonotonicTime due);
@@ -54,7 +54,7 @@ class Ticker : public Handle {
  public:
   struct Config {
     Duration period{0};           ///< at least 1 us
-    Duration phase{0};            ///< added to the start
+    Duration phase{0};            ///< added to the start; a negative one is taken within the first period
     std::string name = "ticker";  ///< in reports
   };
   Ticker() noexcept = default;

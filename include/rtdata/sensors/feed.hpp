@@ -16,7 +16,7 @@
 namespace rtdata {
 
 struct FeedConfig {
-  std::string name;        ///< unique in the runtime; the origin of its events
+  std::string name;        ///< unique in the runtime, and not of one that had a schedule; the origin of its events
   std::string topic = {};  ///< empty: as the name
 };
 
@@ -63,7 +63,8 @@ class Feed : public AnyFeed {
   Feed(Loop& loop, FeedConfig config)
       : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
-  /// With the time of now, or the given one; a time not after the last event's is moved to just after it.
+  /// With the time of now, or the given one; a time not after the last event's is moved to just after it, one in the last
+  /// day that can be said to the beginning of that.
   void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload); }
   void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, time); }
 };

@@ -13,6 +13,8 @@
 ///     };
 ///     rtdata::Sensor<Pressure> barometer(loop, {.name = "barometer", .rate = 50_Hz}, Barometer{});
 ///
+/// All calls of a device may use any handle, its own sensor's too, and may throw, which is a failure.
+///
 /// Reading must not block: what can (bus transfers, slow kernel files) belongs on a lane, as `AnalogSensor` does it.
 ///
 /// The life of a sensor:
@@ -83,10 +85,10 @@ enum class OnOverrun : std::uint8_t {
 };
 
 struct SensorConfig {
-  std::string name;                         ///< unique in the runtime; the origin of its events
-  std::string topic = {};                   ///< empty: as the name
-  Rate rate = {};                           ///< ticks a second, up to 1 MHz
-  Duration phase{0};                        ///< added to the start of its schedule
+  std::string name;        ///< unique in the runtime; the origin of its events
+  std::string topic = {};  ///< empty: as the name
+  Rate rate = {};          ///< ticks a second, up to 1 MHz
+  Duration phase{0};       ///< added to the start of its schedule; a negative one: within the first period
   std::optional<Duration> late_after = {};  ///< late beyond this; unset: the larger of 1 ms and 10 % of the period
   std::optional<Duration> read_time = {};   ///< holds the loop or lane for at most this; unset: as the device says
   unsigned faulted_after = 3;               ///< failures in a row that make it faulted

@@ -33,9 +33,11 @@ struct ExportConfig {
 struct ExportCount {
   std::string path;  ///< empty for a stream
   std::uint64_t rows = 0;
+  std::uint64_t refused = 0;  ///< rows that do not fit the format; they are left out
+  Error refusal = {};         ///< why the first of them does not fit
 };
 
-/// All rows to one stream. A format that does not name topics (CSV) takes the rows of one description only: otherwise
+/// All rows to one stream; CSV has its header also when there are none. A format that does not name topics (CSV) takes the rows of one description only: otherwise
 /// bad-argument, before anything is written.
 Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
 

@@ -132,6 +132,11 @@ struct RecordedError {
   Time last{};  ///< of those that are joined; `time` is that of the first
 };
 
+struct RecordedEscapes {
+  std::string topic, origin;
+  std::uint64_t texts = 0;
+};
+
 /// See health.hpp.
 struct RecordedHealth {
   Time time{};
@@ -208,6 +213,8 @@ class Recording {
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
   /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
+  /// Those of whom texts were stored with escapes, since they were no UTF-8. Formats before 5 have none.
+  Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
   /// Every change of health, in order of time. Formats before 3 have none.
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;

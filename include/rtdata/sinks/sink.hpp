@@ -59,8 +59,8 @@ struct SinkConfig {
   std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
   WhenFull when_full = WhenFull::drop_newest;
   Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
-  Duration retry_longest = std::chrono::seconds{10};
-  Duration close_deadline = std::chrono::seconds{10};  ///< how long closing waits for what is queued
+  Duration retry_longest = std::chrono::seconds{10};      ///< both above 0; Duration::max(): not before it closes
+  Duration close_deadline = std::chrono::seconds{10};     ///< how long closing waits for what is queued
 
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
@@ -112,6 +112,8 @@ struct OriginAccount {
   std::uint64_t first_sequence = 0;  ///< of the first event offered to this sink; 0: none yet
   std::uint64_t last_sequence = 0;
   Segment segment;  ///< under way, from the first tick since then; `scheduled` 0: none
+  Gap gap;          ///< under way, if `has_gap`
+  bool has_gap = false;
 };
 
 /// All that a recording holds besides events. A writer that keeps no account ignores it.
@@ -223,7 +225,8 @@ struct TopicToRecord {
   const Description* description;  ///< null: not known yet
 };
 
-/// Stores records. Called on the sink's lane, one call at a time.
+/// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop it
+/// may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp).
 class Writer {
  public:
   virtual ~Writer() = default;
@@ -247,6 +250,10 @@ class Writer {
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
   /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
   virtual LiveCounts* live_counts(std::uint32_t slot);
+  /// On the loop's thread, until the last account is handed over: an origin's account as it stands, when something has
+  /// happened that an event does not tell: a tick without one, a change of its schedule. A writer may keep it where it
+  /// survives a kill. `closed`: the gaps that have closed and may be in no account that is stored, as one; null: none.
+  virtual void keep(const OriginAccount& now, const Gap* closed);
 };
 
 class Sink : public Handle {

@@ -10,6 +10,9 @@
 /// (another process records into it: its pid is named), storage-full. A run that ended without closing is sealed by the
 /// next start: what it lost is written down. While running, a failed commit is kept and tried again.
 ///
+/// A recording that somebody deletes or moves while it is written ends: that is reported at the next commit, the sink is
+/// faulted, and what comes is refused and counted. What was committed is in the file, wherever it is, if it is anywhere.
+///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; all SQL runs on the sink's lane.
 #pragma once
 

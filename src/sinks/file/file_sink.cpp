@@ -86,9 +86,16 @@ class FileWriter final : public Writer {
 
   Result<void> write(Batch& batch) override {
     for (OutputFile& file : files_) {
-      if (!file.close_if_deleted()) continue;
-      return Error{Errc::not_found, "the file was deleted", file.path(),
-                   "what had been written into it is gone with it", "a new one is made"};
+      switch (file.close_if_gone()) {
+        case OutputFile::Gone::no:
+          continue;
+        case OutputFile::Gone::deleted:
+          return Error{Errc::not_found, "the file was deleted", file.path(),
+                       "what had been written into it is gone with it", "a new one is made"};
+        case OutputFile::Gone::moved:
+          return Error{Errc::not_found, "the file was moved", file.path(),
+                       "what had been written into it is where it was moved to", "a new one is made"};
+      }
     }
     for (OutputFile& file : files_) file.begin_batch();
     escaped_.begin_batch();
@@ -140,6 +147,15 @@ class FileWriter final : public Writer {
     if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
     warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
     return warning;
+  }
+
+  Result<void> close() override {
+    Result<void> done;
+    if (config_.sync != FileSync::never) done = sync();
+    if (!done) return done;
+    for (OutputFile& file : files_) file.close();
+    is_closed_ = true;
+    return {};
   }
 
   /// What was found at the ends of the files since the last call: an error that tells, when there was something.

@@ -73,7 +73,7 @@ Result<void> OutputFile::open(const std::string& path) {
   if (fd_ >= 0) return {};
   path_ = path;
   // Non-blocking for the sake of a pipe without a reader, which is refused below.
-  fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, 0644);
+  fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, 0640);
   if (fd_ < 0) {
     const int reason = errno;
     Error error = failed(reason, "cannot open the file");
@@ -163,7 +163,7 @@ Result<void> OutputFile::repair_lines(std::string& what) {
 Result<void> OutputFile::move_aside(std::span<const std::byte> tail) {
   OutputFile aside;
   aside.path_ = path_ + ".half";
-  aside.fd_ = ::open(aside.path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0644);
+  aside.fd_ = ::open(aside.path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0640);
   if (aside.fd_ < 0) return aside.failed(errno, "cannot move half an event aside");
   for (std::size_t written = 0; written < tail.size();) {
     if (auto done = aside.append(tail.data() + written, tail.size() - written, written); !done) return done;
@@ -288,11 +288,15 @@ Result<void> OutputFile::sync() {
   return {};
 }
 
-bool OutputFile::close_if_deleted() {
+OutputFile::Gone OutputFile::close_if_gone() {
   struct stat about {};
-  if (fd_ < 0 || ::fstat(fd_, &about) != 0 || about.st_nlink > 0) return false;
+  if (fd_ < 0 || ::fstat(fd_, &about) != 0) return Gone::no;
+  struct stat there {};
+  const bool is_there = ::stat(path_.c_str(), &there) == 0 && there.st_dev == about.st_dev &&
+                        there.st_ino == about.st_ino;
+  if (about.st_nlink > 0 && is_there) return Gone::no;
   close();
-  return true;
+  return about.st_nlink == 0 ? Gone::deleted : Gone::moved;
 }
 
 }  // namespace rtdata::detail

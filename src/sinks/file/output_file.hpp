@@ -51,8 +51,9 @@ class OutputFile {
   /// When it was changed last.
   std::int64_t changed_at() const noexcept;
   Result<void> sync();
-  /// The file is no longer where it was: closes it. True when it was so.
-  bool close_if_deleted();
+  enum class Gone { no, deleted, moved };
+  /// A file that is no longer where it was is closed.
+  Gone close_if_gone();
   void close() noexcept;
 
  private:

@@ -1,6 +1,8 @@
 #include "sinks/sqlite/database.hpp"
 
+#include <fcntl.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <cerrno>
 
@@ -153,6 +155,10 @@ Result<Database> Database::open(const std::string& path, Mode mode) {
   const char* doing = is_read ? "cannot read the recording" : "cannot open the recording";
   if (is_there && S_ISDIR(status.st_mode)) return system_error(EISDIR, doing, path, "name a file");
   if (!is_there && is_read) return system_error(errno, doing, path, "check the path");
+  if (!is_there) {  // SQLite would let everybody read it; its log and its index of that follow
+    const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
+    if (fd >= 0) ::close(fd);
+  }
   Database made;
   made.path_ = path;
   sqlite3* raw = nullptr;
@@ -162,6 +168,7 @@ Result<Database> Database::open(const std::string& path, Mode mode) {
       is_read ? uri_of(path, mode == Mode::read_at_rest ? "?immutable=1" : "").c_str() : path.c_str(), &raw, flags,
       nullptr);
   made.database_.reset(raw);
+  if (raw == nullptr) return system_error(ENOMEM, doing, path, "free memory");  // there is none for the handle either
   if (status_code != SQLITE_OK) {
     Error error = error_of(raw, doing);
     error.where = path;

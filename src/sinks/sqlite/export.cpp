@@ -8,25 +8,48 @@
 #include <ostream>
 
 #include "rtdata/loop/topic.hpp"
+#include "sinks/sqlite/csv_rows.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
 namespace rtdata {
 namespace {
 
-constexpr std::size_t flush_bytes = std::size_t{1} << 16;
+constexpr std::size_t flush_bytes = std::size_t{1} << 18;
+
+bool is_csv(const ExportConfig& config) { return config.format == "csv"; }
 
 Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecRegistry& registry) {
-  if (config.format == "csv") {
+  if (is_csv(config)) {
     return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601
                                                                                : CsvConfig::TimeFormat::nanoseconds});
   }
   return registry.make(config.format == "jsonl" ? "json" : config.format);
 }
 
-std::string header_of(const ExportConfig& config, const Codec& codec, const Description& description) {
-  if (config.format == "csv" && config.header == ExportConfig::Header::names_and_units)
-    return csv_header_with_units(description);
-  return codec.header(description);
+std::string cell(const std::string& text) {
+  if (text.find_first_of("\",\r\n") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) quoted.append(c == '"' ? 2 : 1, c);
+  return quoted + '"';
+}
+
+/// Of CSV: what the times are stands above them. `fields`: null when there are none.
+std::string csv_head(const ExportConfig& config, const Description* fields) {
+  const bool is_utc = config.time == ExportTime::utc;
+  const bool has_units = config.header == ExportConfig::Header::names_and_units;
+  std::string head = is_utc ? "utc" : "time";
+  if (has_units && config.time_text == ExportConfig::TimeText::nanoseconds) head += " [ns]";
+  head += ",origin,sequence";
+  if (fields == nullptr) return head + "\n";
+  for (const Leaf& leaf : fields->leaves()) {
+    std::string name = leaf.path;
+    std::transform(name.begin(), name.end(), name.begin(),
+                   [](char c) { return c >= 'A' && c <= 'Z' ? c - 'A' + 'a' : c; });
+    name = leaf.path + (is_utc && name == "utc" ? "~" : "");  // as in the view
+    if (has_units && !leaf.unit.empty()) name += " [" + leaf.unit + "]";
+    head += ',' + cell(name);
+  }
+  return head + "\n";
 }
 
 /// The UTC lines of the runs, read when they are first needed.
@@ -53,22 +76,48 @@ Error cannot_write(const std::string& path) {
                       "check the folder, its permissions and the room left");
 }
 
-/// Writes the rows; a header first, unless there are none.
-Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter,
-                                 std::int64_t version, Codec& codec, std::ostream& out, const std::string& path) {
+Result<void> put(std::ostream& out, std::string_view text, const std::string& path) {
+  errno = 0;
+  if (!out.write(text.data(), static_cast<std::streamsize>(text.size()))) return cannot_write(path);
+  return {};
+}
+
+/// One description's rows, under a header.
+Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& config, const RecordedTopic& topic,
+                              std::ostream& out, const std::string& path) {
+  auto rows = detail::CsvRows::make(recording, topic, config);
+  if (!rows) return std::move(rows).error();
+  ExportCount count;
+  std::string text = csv_head(config, topic.description.get());
+  for (std::uint64_t added = 1; added > 0;) {
+    auto more = rows->append(text, flush_bytes);
+    if (!more) return std::move(more).error();
+    added = *more;
+    count.rows += added;
+    if (auto done = put(out, text, path); !done) return std::move(done).error();
+    text.clear();
+  }
+  if (!out.flush()) return cannot_write(path);
+  return count;
+}
+
+/// Writes the rows in a format other than CSV. One that does not fit it is left out.
+Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter,
+                               std::int64_t version, Codec& codec, std::ostream& out, const std::string& path) {
   RowFilter unlimited = filter;  // rows of another description do not count
   unlimited.limit = 0;
   auto rows = recording.rows(unlimited);
   if (!rows) return std::move(rows).error();
   UtcLines lines(recording);
   std::vector<std::byte> bytes;
-  std::uint64_t written = 0;
+  ExportCount count;
   const auto flush = [&] {
-    out.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    auto done = put(out, {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
     bytes.clear();
-    return out.good();
+    return done;
   };
-  while (filter.limit == 0 || written < filter.limit) {
+  const Description* headed = nullptr;
+  while (filter.limit == 0 || count.rows + count.refused < filter.limit) {
     auto row = rows->next();
     if (!row) return std::move(row).error();
     if (*row == nullptr) break;
@@ -80,31 +129,32 @@ Result<std::uint64_t> write_rows(const Recording& recording, const ExportConfig&
       if (!utc) return std::move(utc).error();
       header.time = *utc;
     }
-    if (written == 0) {
-      const std::string text = header_of(config, codec, *given.topic().description);
+    if (std::exchange(headed, given.topic().description.get()) == nullptr) {
+      const std::string text = codec.header(*headed);
       const auto* begin = reinterpret_cast<const std::byte*>(text.data());
       bytes.insert(bytes.end(), begin, begin + text.size());
     }
     const EventView event = given.event();
     if (auto encoded = codec.encode(EventView(event.topic(), header, event.description(), event.payload()), bytes);
         !encoded) {
-      Error error = std::move(encoded).error();
-      error.where = "topic " + given.topic().topic + ", origin " + std::string(header.origin) + ", sequence " +
-                    std::to_string(header.sequence) + ", " + error.where;
-      return error;
+      if (count.refused++ > 0) continue;
+      count.refusal = std::move(encoded).error();
+      count.refusal.where = "topic " + given.topic().topic + ", origin " + std::string(header.origin) + ", sequence " +
+                            std::to_string(header.sequence) + ", " + count.refusal.where;
+      continue;
     }
     // JSON objects are lines of their own.
     if (codec.name() == "json" && (bytes.empty() || bytes.back() != std::byte{'\n'})) bytes.push_back(std::byte{'\n'});
-    ++written;
-    errno = 0;
-    if (bytes.size() >= flush_bytes && !flush()) return cannot_write(path);
+    ++count.rows;
+    if (bytes.size() < flush_bytes) continue;
+    if (auto done = flush(); !done) return std::move(done).error();
   }
-  errno = 0;
-  if (!flush() || !out.flush()) return cannot_write(path);
-  return written;
+  if (auto done = flush(); !done) return std::move(done).error();
+  if (!out.flush()) return cannot_write(path);
+  return count;
 }
 
-/// The topics and descriptions that a filter takes and that have rows.
+/// The topics and descriptions that a filter takes and that have rows; when none has, those that it takes.
 Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, const RowFilter& filter) {
   if (!is_topic_pattern(filter.topic)) {
     return Error{Errc::bad_name, "cannot export", "topic " + filter.topic, "it is neither a topic nor a pattern",
@@ -112,7 +162,7 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
-  std::vector<RecordedTopic> taken;
+  std::vector<RecordedTopic> taken, empty;
   for (RecordedTopic& topic : *topics) {
     if (!topic_matches(filter.topic, topic.topic)) continue;
     auto statement = recording.file()->prepare("SELECT 1 FROM " + sqlite::quoted(topic.table) + " t WHERE " +
@@ -121,9 +171,14 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
     if (!statement) return std::move(statement).error();
     auto row = statement->step();
     if (!row) return std::move(row).error();
-    if (*row) taken.push_back(std::move(topic));
+    if (*row) {
+      taken.push_back(std::move(topic));
+    } else {
+      if (!empty.empty() && empty.back().topic == topic.topic) empty.pop_back();  // the last description is the one
+      empty.push_back(std::move(topic));
+    }
   }
-  return taken;
+  return taken.empty() ? empty : taken;
 }
 
 }  // namespace
@@ -145,9 +200,11 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
                               : "it holds one topic, and there are " + std::to_string(topics->size()) + ": " + names,
                  is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"};
   }
-  auto written = write_rows(recording, config, config.filter, 0, **codec, out, "standard output");
-  if (!written) return std::move(written).error();
-  return ExportCount{"", *written};
+  const std::string path = "standard output";
+  if (!is_csv(config)) return write_rows(recording, config, config.filter, 0, **codec, out, path);
+  if (!topics->empty()) return write_csv(recording, config, topics->front(), out, path);
+  if (auto done = put(out, csv_head(config, nullptr), path); !done) return std::move(done).error();
+  return ExportCount{};
 }
 
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
@@ -180,9 +237,11 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     if (!file) return cannot_write(path.string());
     RowFilter filter = config.filter;
     filter.topic = topic.topic;
-    auto written = write_rows(recording, config, filter, topic.version, **codec, file, path.string());
+    auto written = is_csv(config) ? write_csv(recording, config, topic, file, path.string())
+                                  : write_rows(recording, config, filter, topic.version, **codec, file, path.string());
     if (!written) return std::move(written).error();
-    counts.push_back({path.string(), *written});
+    written->path = path.string();
+    counts.push_back(std::move(*written));
   }
   return counts;
 }

@@ -20,14 +20,16 @@
 namespace rtdata::sqlite {
 
 struct LiveFile::Header {
+  // The same in all versions, up to the recording.
   char magic[8];
   std::uint64_t layout;  // files of another version of the program are not read
   char uuid[48];
   std::uint64_t device;  // of the recording's file
   std::uint64_t inode;
-  std::atomic<std::uint64_t> is_incomplete;
-  Kept<RunSums> sums;
   char recording[PATH_MAX];
+  std::atomic<std::uint64_t> is_incomplete;
+  std::atomic<std::uint64_t> slots;
+  Kept<RunSums> sums;
 };
 
 namespace {
@@ -187,10 +189,10 @@ void LiveFile::remove_left(const std::string& recording) {
       auto found = open(place + "/" + name, is_held);
       if (!found || is_held) continue;
       const Header* header = found->header_;
-      const bool is_ours = header != nullptr && header->inode == ours.st_ino && header->device == ours.st_dev;
-      if (header == nullptr || std::memcmp(header->magic, magic, sizeof magic) != 0 || header->layout != layout ||
-          is_ours || is_gone(header->recording, header->device, header->inode))
-        found->remove();
+      if (header == nullptr) continue;  // another version's
+      const bool is_half_made = std::memcmp(header->magic, magic, sizeof magic) != 0;
+      const bool is_ours = header->inode == ours.st_ino && header->device == ours.st_dev;
+      if (is_half_made || is_ours || is_gone(header->recording, header->device, header->inode)) found->remove();
     }
   }
 }
@@ -220,9 +222,10 @@ LiveFile::~LiveFile() {
 
 Result<void> LiveFile::reserve(std::uint32_t slot) {
   const std::uint32_t block = block_of(slot);
-  if (has(slot)) return {};
   Result<void> done;
-  if (fd_ < 0 || !is_complete() || block >= most_blocks) {
+  if (has(slot)) {
+    // is set aside with those before it
+  } else if (fd_ < 0 || !is_complete() || block >= most_blocks) {
     done = no_room();
   } else {
     std::size_t from = 0;
@@ -230,12 +233,21 @@ Result<void> LiveFile::reserve(std::uint32_t slot) {
     const int reason = reserve_bytes(fd_, from, bytes_of(block));
     done = reason == 0 ? map_block(block) : failed(reason, path_);
   }
-  if (!done && header_ != nullptr) header_->is_incomplete.store(1, std::memory_order_release);
+  if (header_ == nullptr) return done;
+  if (done) {
+    if (slot >= slots()) header_->slots.store(slot + 1, std::memory_order_release);
+  } else {
+    header_->is_incomplete.store(1, std::memory_order_release);
+  }
   return done;
 }
 
 Error LiveFile::no_room() const {
   return {Errc::storage_full, "cannot keep counts in", path_, "there is no room for all sensors", "make room there"};
+}
+
+std::uint32_t LiveFile::slots() const noexcept {
+  return header_ == nullptr ? 0 : static_cast<std::uint32_t>(header_->slots.load(std::memory_order_acquire));
 }
 
 bool LiveFile::is_complete() const noexcept {

@@ -78,9 +78,30 @@ struct LiveRange {
   std::uint64_t sum;
 };
 
+struct LiveGap {
+  Gap::Kind kind;
+  bool is_there;
+  char reason[54];
+  std::int64_t first;
+  std::int64_t last;
+  std::uint64_t count;
+};
+
+/// An origin's account as it stood when something happened that an event does not tell. Each event after it is one read
+/// in time with one sample, as far as the origin has a schedule.
+struct LiveAccount {
+  SensorCounts sensor;
+  std::uint64_t offered;         ///< when this was written
+  std::uint64_t first_sequence;  ///< 0: none
+  Segment segment;               ///< under way; period 0: none
+  LiveGap under_way;
+  LiveGap closed;  ///< those that may be in no account of the recording, as one
+};
+
 /// What lies apart from the counts of each event, because it is touched less often.
 struct alignas(64) LiveSlot {
-  Kept<LiveRange> range;  ///< the lane's
+  Kept<LiveRange> range;      ///< the lane's
+  Kept<LiveAccount> account;  ///< the loop's
 };
 
 class LiveFile {
@@ -112,6 +133,8 @@ class LiveFile {
   bool has(std::uint32_t slot) const noexcept { return block_of(slot) < most_blocks && blocks_[block_of(slot)].counts; }
   /// Why there is no place for a slot.
   Error no_room() const;
+  /// How many slots were reserved.
+  std::uint32_t slots() const noexcept;
   /// Whether each slot of the run has its place here.
   bool is_complete() const noexcept;
 

@@ -1,7 +1,6 @@
 #include "sinks/sqlite/prune.hpp"
 
 #include <algorithm>
-#include <cstdlib>
 #include <limits>
 #include <utility>
 
@@ -129,6 +128,19 @@ Result<std::int64_t> Pruner::delete_before(Database& database, ValueRanges& rang
   return deleted;
 }
 
+Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now) {
+  std::int64_t deleted = 0;
+  for (Table& table : tables_) {
+    if (!table.has_rows() || table.first_time < now) continue;
+    const std::int64_t part = (table.last_rowid - table.first_rowid) / steps_of_a_span;
+    auto count = delete_rows(database, ranges, table,
+                             std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid - 1));
+    if (!count) return count;
+    deleted += *count;
+  }
+  return deleted;
+}
+
 Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
@@ -168,10 +180,17 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
       }
       is_exhausted_ = first == std::numeric_limits<std::int64_t>::max() || shift == most_shift;
       if (is_exhausted_) break;
-      const std::int64_t step = std::max<std::int64_t>(1, std::abs(at - first) / steps_of_a_span);
-      auto deleted = delete_before(database, ranges, first + step * (std::int64_t{1} << shift));
-      if (!deleted) return std::move(deleted).error();
-      shift = *deleted > 0 ? 0 : shift + 1;
+      std::int64_t deleted = 0;
+      if (first < at) {
+        const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
+        auto old = delete_before(database, ranges, first + step * (std::int64_t{1} << shift));
+        if (!old) return std::move(old).error();
+        deleted += *old;
+      }
+      auto ahead = delete_part_of_future(database, ranges, at);
+      if (!ahead) return std::move(ahead).error();
+      deleted += *ahead;
+      shift = deleted > 0 ? 0 : shift + 1;
       auto after = pages(database);
       if (!after) return std::move(after).error();
       left = *after;

@@ -59,6 +59,10 @@ class Pruner {
   Result<Pages> pages(Database& database);
   /// Deletes what is before the instant, some thousand rows at most. The number of rows.
   Result<std::int64_t> delete_before(Database& database, ValueRanges& ranges, std::int64_t time);
+  /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of them as
+  /// of the time that the others span.
+  Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
+  /// The only place where rows are deleted.
   Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);
   Result<void> shrink(Database& database, const Pages& now);
 

@@ -294,6 +294,17 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
       });
 }
 
+Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const {
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  if (*version < sqlite::first_version_of_escapes) return std::vector<RecordedEscapes>{};
+  return all<RecordedEscapes>(*file_,
+                              "SELECT topic, origin, texts FROM rtdata_escaped WHERE run = ? ORDER BY topic, origin",
+                              run, [](const Statement& row) {
+                                return RecordedEscapes{string_of(row, 0), string_of(row, 1), count_of(row, 2)};
+                              });
+}
+
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();

@@ -34,6 +34,14 @@ class Snapshot {
   std::shared_ptr<RecordingFile> file_;
 };
 
+/// Columns of `rows_in_order`, before those of the fields.
+enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
+/// A statement that gives the rows of a topic's table, run by run, each in order of time.
+Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter);
+/// An error with the row that it is of.
+Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
+             std::uint64_t sequence, Error error);
+
 /// Reads the columns of a topic's rows into payloads.
 class RowReader {
  public:

@@ -7,8 +7,6 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
-
 /// The rows of one table in order of run and time, the next one at hand.
 struct TableCursor {
   RecordedTopic topic;
@@ -40,14 +38,54 @@ std::string conditions(const RowFilter& filter) {
 void bind(sqlite::Statement& statement, const RowFilter& filter) {
   const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
   if (filter.run) statement.bind(index(":run"), *filter.run);
-  if (filter.origin) statement.bind(index(":origin"), std::string_view(*filter.origin));
+  if (filter.origin) {  // a copy of it: the filter may go or move
+    sqlite3_bind_text64(statement.raw(), index(":origin"), filter.origin->data(), filter.origin->size(),
+                        SQLITE_TRANSIENT, SQLITE_UTF8);
+  }
   if (filter.from) statement.bind(index(":from"), to_nanoseconds(*filter.from));
   if (filter.until) statement.bind(index(":until"), to_nanoseconds(*filter.until));
   if (filter.every > 1)
     statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
 }
 
+/// Whether the rows lie in the order of time. They are written in the order in which they were published. That is the order
+/// of time unless several origins share the table and one of them measures long: then SQLite sorts, which takes longer.
+Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
+  auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) +
+                                " ORDER BY t.rowid");
+  if (!statement) return std::move(statement).error();
+  bind(*statement, filter);
+  std::int64_t run = INT64_MIN, time = INT64_MIN;
+  for (;;) {
+    auto more = statement->step();
+    if (!more) return std::move(more).error();
+    if (!*more) return true;
+    const std::int64_t next_run = statement->integer(0), next_time = statement->integer(1);
+    if (next_run < run || (next_run == run && next_time < time)) return false;
+    run = next_run;
+    time = next_time;
+  }
+}
+
 }  // namespace
+
+Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
+                                        const RowFilter& filter) {
+  auto in_order = is_in_order(file, topic, filter);
+  if (!in_order) return std::move(in_order).error();
+  auto statement = file.prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() + " FROM " +
+                                sqlite::quoted(topic.table) + " t" + conditions(filter) +
+                                (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
+  if (statement) bind(*statement, filter);
+  return statement;
+}
+
+Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
+             std::uint64_t sequence, Error error) {
+  error.where = file.database.path() + ", topic " + topic.topic + ", run " + std::to_string(run) + ", origin " +
+                std::string(origin) + ", sequence " + std::to_string(sequence) + ", " + error.where;
+  return error;
+}
 
 struct RowsMerge {
   RowsMerge(std::shared_ptr<RecordingFile> file_, Snapshot snapshot_, RowFilter filter_)
@@ -69,33 +107,9 @@ struct RowsMerge {
     return a->place > b->place;
   }
 
-  /// Rows are written in the order in which they were published. That is the order of time unless several origins share
-  /// the table and one of them measures long: then SQLite sorts, which takes longer.
-  Result<bool> is_in_order(const RecordedTopic& topic) const {
-    auto statement = file->prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" +
-                                   conditions(filter) + " ORDER BY t.rowid");
-    if (!statement) return std::move(statement).error();
-    bind(*statement, filter);
-    std::int64_t run = INT64_MIN, time = INT64_MIN;
-    for (;;) {
-      auto more = statement->step();
-      if (!more) return std::move(more).error();
-      if (!*more) return true;
-      const std::int64_t next_run = statement->integer(0), next_time = statement->integer(1);
-      if (next_run < run || (next_run == run && next_time < time)) return false;
-      run = next_run;
-      time = next_time;
-    }
-  }
-
   Result<void> add(RecordedTopic topic) {
-    auto in_order = is_in_order(topic);
-    if (!in_order) return std::move(in_order).error();
-    auto statement = file->prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() +
-                                   " FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) +
-                                   (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
+    auto statement = rows_in_order(*file, topic, filter);
     if (!statement) return std::move(statement).error();
-    bind(*statement, filter);
     cursors.push_back(
         std::make_unique<TableCursor>(TableCursor{std::move(topic), std::move(*statement), cursors.size()}));
     return push(*cursors.back());
@@ -143,10 +157,7 @@ Result<const RecordedRow*> Rows::next() {
                                                                        : detail::RowReader::Texts::as_they_are,
                             row.payload_.data());
       !read) {
-    Error error = std::move(read).error();
-    error.where = merge.file->database.path() + ", topic " + cursor.topic.topic + ", run " + std::to_string(row.run_) +
-                  ", origin " + row.origin_ + ", sequence " + std::to_string(row.header_.sequence) + ", " + error.where;
-    return error;
+    return at_row(*merge.file, cursor.topic, row.run_, row.origin_, row.header_.sequence, std::move(read).error());
   }
   return &row;
 }

@@ -6,6 +6,7 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/seal_account.hpp"
 #include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
@@ -105,6 +106,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
   if (!update) return std::move(update).error();
   for (const LedgerRow& row : *rows) {
+    std::int64_t first_sequence = row.first_sequence;
     std::int64_t last_sequence = row.last_sequence;
     std::int64_t offered = row.stored + row.added + row.dropped;
     std::int64_t unsaved = 0;
@@ -115,14 +117,19 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       dropped_more = std::max<std::int64_t>(0, static_cast<std::int64_t>(counts.dropped) - (row.dropped - refused));
       offered = std::max(offered + dropped_more, static_cast<std::int64_t>(counts.offered));
       unsaved = offered - (row.stored + row.added) - row.dropped - dropped_more;
-      if (row.first_sequence != 0) last_sequence = std::max(last_sequence, row.first_sequence + offered - 1);
       lost += unsaved;
+      if (const auto kept = live->slot(static_cast<std::uint32_t>(row.slot)).account.settled()) {
+        const KilledOrigin killed{run.run, topic, row.origin, row.offered, offered};
+        if (auto sealed = seal_account(database, killed, *kept, last_time); !sealed) return sealed;
+        if (first_sequence == 0) first_sequence = static_cast<std::int64_t>(kept->first_sequence);
+      }
+      if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
     }
     update->bind(1, offered)
         .bind(2, row.stored + row.added)
         .bind(3, dropped_more)
         .bind(4, unsaved)
-        .bind(5, row.first_sequence)
+        .bind(5, first_sequence)
         .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
     update->bind(10, std::int64_t{run.format >= first_version_of_own_data_account});
@@ -132,15 +139,16 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
 }
 
 Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
-  const bool is_known = live != nullptr && live->is_complete();
+  bool is_known = live != nullptr && live->is_complete();
   const bool has_checksums = run.format >= first_version_with_checksums;
   if (has_checksums) {
     if (auto taken = take_over_sums(database, run.run, live, sums); !taken) return std::move(taken).error();
   }
   std::vector<std::string> topics;
   {
-    auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_topic");
+    auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
     if (!query) return std::move(query).error();
+    query->bind(1, run.run);
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
@@ -154,13 +162,25 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
   }
+  std::uint64_t unnamed = 0;  // events of origins that have no place in the ledger yet
+  if (live != nullptr) {
+    auto next = database.prepare("SELECT coalesce(max(slot) + 1, 0) FROM rtdata_ledger WHERE run = ?");
+    if (!next) return std::move(next).error();
+    next->bind(1, run.run);
+    if (auto row = next->step(); !row) return std::move(row).error();
+    for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot)
+      unnamed += live->counts(slot).offered;
+  }
+  is_known = is_known && unnamed == 0;
   if (has_checksums) {
     if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
-  remark += is_known ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
-                     : "; what was published after that is unknown";
+  remark += is_known      ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
+            : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
+                                " of sensors that had only begun, whose names are unknown"
+                          : "; what was published after that is unknown";
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
   if (!update) return std::move(update).error();

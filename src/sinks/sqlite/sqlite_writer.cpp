@@ -122,7 +122,9 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
 }
 
 Result<void> SqliteWriter::configure() {
-  std::string sql = "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
+  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a quarter.
+  std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
+  sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
   switch (config_.profile) {
     case SqliteProfile::normal:
       sql += "NORMAL;";
@@ -155,8 +157,11 @@ Result<void> SqliteWriter::configure() {
 StorePace SqliteWriter::pace() const {
   const bool is_card = config_.profile == SqliteProfile::card;
   const std::uint64_t of_limit = config_.max_bytes == 0 ? batch_bytes : config_.max_bytes / 20;
-  return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)),
-          is_card ? account_interval_of_card : account_interval, account_events};
+  Duration account_time = is_card ? account_interval_of_card : account_interval;
+  // The time of the account says what is too old; that of an event may be a device's, and wrong.
+  if (config_.max_age.count() > 0)
+    account_time = std::clamp<Duration>(config_.max_age / 50, std::chrono::seconds{1}, account_time);
+  return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)), account_time, account_events};
 }
 
 Result<void> SqliteWriter::make_schema() {
@@ -168,6 +173,7 @@ Result<void> SqliteWriter::make_schema() {
   if (*version >= 1 && *version < first_version_of_own_account) sql += std::string(";") + from_version_3;
   if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4;
   if (*version >= 3 && *version < 5) sql += std::string(";") + health_from_version_4;
+  sql += account_views();
   sql += ";PRAGMA application_id=" + std::to_string(application_id) +
          ";PRAGMA user_version=" + std::to_string(schema_version);
   if (auto made = database_.execute(sql); !made || *version == 0) return made;
@@ -210,6 +216,19 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
   return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+}
+
+void SqliteWriter::keep(const OriginAccount& now, const Gap* closed) {
+  if (!live_.has(now.slot)) return;
+  const auto kept = [](const Gap& gap) {
+    LiveGap live{gap.kind, true, {}, to_nanoseconds(gap.first), to_nanoseconds(gap.last), gap.count};
+    gap.reason.copy(live.reason, sizeof live.reason - 1);
+    return live;
+  };
+  LiveAccount account{now.sensor, now.offered, now.first_sequence, now.segment, {}, {}};
+  if (now.has_gap) account.under_way = kept(now.gap);
+  if (closed != nullptr) account.closed = kept(*closed);
+  live_.slot(now.slot).account.set(account);
 }
 
 void SqliteWriter::tell_of_live_file(const Error& why) {
@@ -258,6 +277,9 @@ Result<void> SqliteWriter::prepare_account() {
        "first_sequence, "
        "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
+      {grown_gap_,
+       "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
+       "WHERE rowid = ?"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
@@ -273,6 +295,11 @@ Result<void> SqliteWriter::prepare_account() {
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
+  if (has_moved()) {
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
+    return Error{Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
+                 "leave it where it is while it is recorded into; start again"};
+  }
   // Before the batch, not after it: what fails here must not make it come again when it is stored already.
   if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
@@ -290,18 +317,25 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (!done) {
     if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
     tables_.clear();  // what was made in the transaction is gone with it
+    grown_gaps_ = stored_gaps_;
     rolled_back();
     pruner_.close();
     return done;
   }
   committed();
   known_slots_ = slots;
+  if (batch.account() != nullptr) stored_gaps_ = grown_gaps_;
   escaped_.end_batch(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   rows_in_last_ = batch.size();
   look_at_space();
   if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
   return {};
+}
+
+bool SqliteWriter::has_moved() {
+  int moved = 0;
+  return sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_HAS_MOVED, &moved) == SQLITE_OK && moved != 0;
 }
 
 Result<void> SqliteWriter::write_slots(const Batch& batch) {
@@ -318,7 +352,6 @@ Result<void> SqliteWriter::write_slots(const Batch& batch) {
 
 Result<void> SqliteWriter::write_rows(Batch& batch) {
   for (const Record& record : batch) {
-    now_ = std::max(now_, record.header.time);
     const std::uint32_t number = record.info->topic_number;
     TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
     if (table == nullptr) [[unlikely]] {
@@ -418,16 +451,11 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     }
   }
   for (const Account::GapEntry& entry : account.gaps) {
-    const SlotInfo& slot = batch.slot(entry.slot);
-    gap_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    gap_.bind(4, name_of(entry.gap.kind)).bind(5, entry.gap.reason);
-    gap_.bind(6, to_nanoseconds(entry.gap.first)).bind(7, to_nanoseconds(entry.gap.last));
-    if (entry.gap.count != 0) {
-      gap_.bind(8, as_integer(entry.gap.count));
-    } else {
-      gap_.bind_null(8);
-    }
-    if (auto done = gap_.run(); !done) return done;
+    if (auto done = write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed); !done) return done;
+  }
+  for (const OriginAccount& origin : account.origins) {  // those that are under way are the last
+    if (!origin.has_gap) continue;
+    if (auto done = write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way); !done) return done;
   }
   for (const ClockPair& pair : account.clock) {
     clock_.bind(1, run_)
@@ -469,6 +497,31 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
   return run_end_.run();
 }
 
+/// One that an account had while it was under way has a row, which grows.
+Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
+  const auto run_with = [&](Statement& statement) {
+    statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
+    statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
+    if (gap.count != 0) {
+      statement.bind(8, as_integer(gap.count));
+    } else {
+      statement.bind_null(8);
+    }
+    return statement.run();
+  };
+  const auto known = grown_gaps_.find(number);
+  // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
+  if (known != grown_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
+    grown_gap_.bind(9, known->second.second);
+    known->second.first = gap.first;
+    if (what == GapIs::closed) grown_gaps_.erase(known);
+    return run_with(grown_gap_);
+  }
+  if (auto done = run_with(gap_); !done) return done;
+  if (what == GapIs::under_way) grown_gaps_[number] = {gap.first, database_.last_rowid()};
+  return {};
+}
+
 Result<void> SqliteWriter::write_checksums(const Account* account) {
   const bool is_last = account != nullptr && account->is_last;
   const auto which = is_last              ? ValueRanges::Close::all
@@ -502,19 +555,21 @@ Result<void> SqliteWriter::tend_log() {
   std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
   if (limit != 0) most = std::min(most, limit / 2);
   const auto bytes = static_cast<std::uint64_t>(log_pages_) * static_cast<std::uint64_t>(page_bytes_);
+  const SteadyTime now = std::chrono::steady_clock::now();
   if (bytes >= most) {
     if (auto done = checkpoint(SQLITE_CHECKPOINT_PASSIVE); !done) return done;
-    log_synced_at_ = now_;
+    log_pages_ = 0;
+    log_synced_at_ = now;
     // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.
-    if (limit != 0 && bytes >= limit && now_ - readers_waited_for_at_ >= reader_wait_interval) {
-      readers_waited_for_at_ = now_;
+    if (limit != 0 && bytes >= limit && now - readers_waited_for_at_ >= reader_wait_interval) {
+      readers_waited_for_at_ = now;
       sqlite3_busy_timeout(database_.raw(), reader_wait_ms);
       auto done = checkpoint(SQLITE_CHECKPOINT_RESTART);
       sqlite3_busy_timeout(database_.raw(), busy_ms);
       if (!done) return done;
     }
-  } else if (config_.profile == SqliteProfile::normal && now_ - log_synced_at_ >= log_sync_interval) {
-    log_synced_at_ = now_;
+  } else if (config_.profile == SqliteProfile::normal && now - log_synced_at_ >= log_sync_interval) {
+    log_synced_at_ = now;
     if (auto done = sync_log(); !done) return done;
   }
   if (config_.max_bytes != 0) look_at_size();
@@ -603,7 +658,7 @@ Result<void> SqliteWriter::close() {
   tables_.clear();
   pruner_.close();
   for (Statement* statement :
-       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &clock_, &error_, &health_, &run_end_})
+       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
     *statement = Statement();
   (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();

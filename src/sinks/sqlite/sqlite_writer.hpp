@@ -1,10 +1,13 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <chrono>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
@@ -40,6 +43,7 @@ class SqliteWriter final : public Writer {
   Result<void> close() override;
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
+  void keep(const OriginAccount& now, const Gap* closed) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
@@ -56,6 +60,10 @@ class SqliteWriter final : public Writer {
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
+  /// The file is no longer at its path.
+  bool has_moved();
+  enum class GapIs { closed, under_way };
+  Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
   Result<void> write_checksums(const Account* account);
   /// Of the checksums: before a transaction commits, after it has, and after it was given up.
   void stage();
@@ -88,18 +96,24 @@ class SqliteWriter final : public Writer {
   Statement ledger_;
   Statement schedule_;
   Statement gap_;
+  Statement grown_gap_;
   Statement clock_;
   Statement error_;
   Statement health_;
   Statement run_end_;
+  // Gaps under way that the recording has, by slot: when they began, and their rows.
+  using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
+  GrownGaps grown_gaps_;
+  GrownGaps stored_gaps_;  // as committed
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
   Pruner pruner_;
   bool is_too_large_ = false;  // and has been told
-  Time now_{};                 // of the last row or account
-  Time log_synced_at_{};
-  Time readers_waited_for_at_{};
+  Time now_{};                 // of the last account
+  using SteadyTime = std::chrono::steady_clock::time_point;
+  SteadyTime log_synced_at_{};
+  SteadyTime readers_waited_for_at_{};
   int log_pages_ = 0;  // after the last transaction
   std::size_t rows_in_last_ = 0;
   int page_bytes_ = 4096;

@@ -36,9 +36,9 @@ class Histogram {
  private:
   static constexpr unsigned sub_bits = 6;
   static std::size_t bucket_of(std::uint64_t ns) {
-    if (ns < (1u << sub_bits)) return ns;
+    if (ns < (1u << sub_bits)) return static_cast<std::size_t>(ns);
     const auto shift = static_cast<unsigned>(std::bit_width(ns)) - sub_bits - 1;
-    return (static_cast<std::size_t>(shift) << sub_bits) + (ns >> shift);
+    return (static_cast<std::size_t>(shift) << sub_bits) + static_cast<std::size_t>(ns >> shift);
   }
   /// The largest value of a bucket.
   static std::uint64_t end_of(std::size_t bucket) {

@@ -242,5 +242,43 @@ std::string run_view() {
          " AS started_ns, " + utc_of("t.ended", "t.run") + " AS ended_ns FROM rtdata_run t)";
 }
 
+std::string account_views() {
+  std::string sql;
+  const auto make = [&](const std::string& table, const std::vector<std::pair<std::string, std::string>>& times) {
+    const std::string view = quoted(table + "~utc");
+    std::string inner = "SELECT t.*", outer = "SELECT *";
+    for (const auto& [time, name] : times) {
+      inner += ", " + utc_of("t." + quoted(time), "t.run") + " AS " + name + "_ns";
+      outer += ", " + text_of(name + "_ns") + " AS " + name;
+    }
+    sql += "; DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view + " AS " + outer + " FROM (" + inner + " FROM " +
+           table + " t)";
+  };
+  make("rtdata_gap", {{"first", "first_utc"}, {"last", "last_utc"}});
+  make("rtdata_health", {{"time", "utc"}});
+  make("rtdata_error", {{"time", "utc"}});
+  return sql + R"sql(; DROP VIEW IF EXISTS rtdata_field; CREATE VIEW rtdata_field AS
+WITH RECURSIVE node(topic, version, table_name, prefix, field, element, place) AS (
+  SELECT t.topic, t.version, t.table_name, '', j.value, 0, printf('%05d', j.key)
+    FROM rtdata_topic t, json_each(t.description, '$.fields') j
+  UNION ALL  -- the next element of an array
+  SELECT topic, version, table_name, prefix, field, element + 1, place FROM node
+    WHERE element + 1 < json_extract(field, '$.array')
+  UNION ALL  -- the fields of a record
+  SELECT n.topic, n.version, n.table_name,
+         n.prefix || json_extract(n.field, '$.name') ||
+           CASE WHEN json_extract(n.field, '$.array') IS NULL THEN '' ELSE '[' || n.element || ']' END || '.',
+         j.value, 0, n.place || printf('%05d%05d', n.element, j.key)
+    FROM node n, json_each(n.field, '$.fields') j)
+SELECT topic, version, table_name,
+       row_number() OVER (PARTITION BY topic, version ORDER BY place || printf('%05d', element)) AS number,
+       prefix || json_extract(field, '$.name') ||
+         CASE WHEN json_extract(field, '$.array') IS NULL THEN '' ELSE '[' || element || ']' END AS field,
+       json_extract(field, '$.type') AS type,
+       coalesce(json_extract(field, '$.unit'), '') AS unit,
+       coalesce(json_extract(field, '$.optional'), 0) AS optional
+  FROM node WHERE json_extract(field, '$.type') <> 'record')sql";
+}
+
 }  // namespace sqlite
 }  // namespace rtdata

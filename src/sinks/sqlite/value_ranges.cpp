@@ -1,5 +1,6 @@
 #include "sinks/sqlite/value_ranges.hpp"
 
+#include <algorithm>
 #include <map>
 #include <utility>
 
@@ -193,7 +194,7 @@ bool subtract(Deletion& deletion, sqlite3_stmt* row, RowHash& hash) {
   StoredRange& range = ranges[deletion.current];
   range.is_changed = true;
   if (range.is_known) {
-    range.sum.subtract(hash_of(hash, row, 1, range.columns));
+    range.sum.subtract(hash_of(hash, row, 1, std::min(range.columns, sqlite3_column_count(row))));
   } else {
     --range.sum.rows;
   }

@@ -77,6 +77,7 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
     }
   }
   last_time = time;
+  if (ticks) ticks->add(time, sequence);
   const bool is_early = time < earliest && !(is_first_carried && rows + rows_after == 1);
   if (!is_early && (time <= latest || rowid > account_ends)) return;
   const std::string text = "the time of sequence " + std::to_string(sequence) + ", " +
@@ -108,6 +109,11 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     if (!row) return std::move(row).error();
     if (!*row) break;
     const std::int64_t run = statement->integer(1);
+    if (sqlite3_column_type(statement->raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
+      problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) + " has no number as its run.");
+      if (problems.size() > 100) break;
+      continue;
+    }
     const std::string_view origin = statement->text(3);
     const auto sequence = static_cast<std::uint64_t>(statement->integer(4));
     if (current.rows == nullptr || current.rows->run != run || current.rows->origin != origin) {
@@ -164,6 +170,34 @@ std::string_view name_of(Verdict verdict) noexcept {
   }
 }
 
+namespace {
+
+/// Schedule and gaps of a run, by origin.
+struct OfRun {
+  std::vector<RecordedSegment> schedule;
+  std::vector<RecordedGap> gaps;
+  std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
+  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
+
+  static Result<OfRun> load(const Recording& recording, std::int64_t run, bool is_wanted) {
+    OfRun loaded;
+    if (!is_wanted) return loaded;
+    auto schedule = recording.schedule(run);
+    if (!schedule) return std::move(schedule).error();
+    auto gaps = recording.gaps(run);
+    if (!gaps) return std::move(gaps).error();
+    loaded.schedule = std::move(*schedule);
+    loaded.gaps = std::move(*gaps);
+    for (const RecordedSegment& one : loaded.schedule)
+      loaded.segments_of[detail::origin_key(one.topic, one.origin)].push_back(&one);
+    for (const RecordedGap& one : loaded.gaps)
+      loaded.gaps_of[detail::origin_key(one.topic, one.origin)].push_back(&one);
+    return loaded;
+  }
+};
+
+}  // namespace
+
 Result<VerifyReport> verify(const Recording& recording) {
   auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
@@ -178,6 +212,9 @@ Result<VerifyReport> verify(const Recording& recording) {
   if (!infos) return std::move(infos).error();
   std::map<std::int64_t, detail::OriginMap> rows;
   for (RunInfo& info : *infos) {
+    const bool has_ticks = info.state == RunState::closed && info.format >= sqlite::first_version_of_own_data_account;
+    auto of_run = OfRun::load(recording, info.run, has_ticks);
+    if (!of_run) return std::move(of_run).error();
     auto ledger = recording.ledger(info.run);
     if (!ledger) return std::move(ledger).error();
     detail::OriginMap& origins = rows[info.run];
@@ -193,6 +230,10 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.may_begin_early = !detail::is_account_known(info);
       if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
       origin.is_first_carried = entry.carried != 0;
+      if (has_ticks && detail::TickCheck::is_held(entry)) {
+        const std::string key = detail::origin_key(entry.topic, entry.origin);
+        origin.ticks.emplace(entry, of_run->segments_of[key], of_run->gaps_of[key]);
+      }
     }
     RunReport& run = report.runs.emplace_back();
     run.info = std::move(info);
@@ -207,6 +248,13 @@ Result<VerifyReport> verify(const Recording& recording) {
   }
   auto version = recording.file()->version();
   if (!version) return std::move(version).error();
+  if (*version >= 2) {
+    auto odd = recording.file()->database.integer(
+        "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
+        "typeof(rate) <> 'real'");
+    if (!odd) return std::move(odd).error();
+    if (*odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
+  }
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {

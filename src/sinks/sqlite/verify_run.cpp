@@ -62,6 +62,11 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
   if (rows.outside > rows.outside_sentences.size()) {
     found.note(place + number(rows.outside - rows.outside_sentences.size()) + " more times lie outside of the run.");
   }
+  if (rows.ticks) {
+    for (const std::string& sentence : rows.ticks->sentences()) found.problem(place + sentence + ".");
+    if (rows.ticks->more() != 0)
+      found.problem(place + plural(rows.ticks->more(), "more row") + " or gaps do not agree with the schedule.");
+  }
   if (rows.rows_after != 0) {
     found.note(place + plural(rows.rows_after, "row") + " came after the last account and cannot be checked.");
   }
@@ -279,8 +284,9 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
       found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) +
                     " there are " + number(ticks) + ".");
     } else if (gap->count < ticks && gap->kind != "joined") {
-      found.note(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " +
-                 to_iso8601(gap->last) + ": several gaps were joined.");
+      const std::string text = place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") +
+                               " up to " + to_iso8601(gap->last);
+      has_own_data_account(found) ? found.problem(text + ".") : found.note(text + ": several gaps were joined.");
     }
   }
   const SensorCounts& s = entry.sensor;

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_map>
 
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/sqlite/verify_ticks.hpp"
 
 namespace rtdata::detail {
 
@@ -36,6 +38,7 @@ struct OriginRows {
   std::uint64_t missing = 0;  // between first_sequence and last_sequence
   std::vector<Hole> holes;
   std::uint64_t not_ascending = 0, times_back = 0, outside = 0;
+  std::optional<TickCheck> ticks;              // of one whose rows are held to them
   std::vector<std::string> sentences;          // about order
   std::vector<std::string> outside_sentences;  // about times outside of the run
   std::vector<std::string> early_sentences;    // about those before it that may be

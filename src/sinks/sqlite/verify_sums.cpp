@@ -20,8 +20,10 @@ void RangeCheck::add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash&
     }
   }
   Range& range = ranges[current_];
+  if (range.found.rows == 0) range.first_found = sequence;
+  range.last_found = sequence;
   if (range.is_known) {
-    range.found.add(sqlite::hash_of(hash, row, 2, range.columns + 1));
+    range.found.add(sqlite::hash_of(hash, row, 2, std::min(range.columns, sqlite3_column_count(row) - 1) + 1));
   } else {
     ++range.found.rows;
   }
@@ -45,6 +47,12 @@ Result<Checksums> Checksums::load(const RecordingFile& file) {
     const sqlite::RowSum said{static_cast<std::uint64_t>(query->integer(6)),
                               static_cast<std::uint64_t>(query->integer(7))};
     const int columns = static_cast<int>(query->integer(5));
+    for (const int column : {0, 3, 4, 5, 6, 7}) {
+      const int type = sqlite3_column_type(query->raw(), column);
+      if (type != SQLITE_INTEGER && !(column == 7 && type == SQLITE_NULL))
+        checksums.strays.push_back("A checksum of " + table + " of run " + std::to_string(run) +
+                                   " has something else in it than numbers.");
+    }
     const bool is_account = table == sqlite::topic_table_name ||
                             std::find(sqlite::account_tables.begin(), sqlite::account_tables.end(), table) !=
                                 sqlite::account_tables.end();
@@ -89,7 +97,9 @@ Result<void> Checksums::scan_accounts(const RecordingFile& file, const std::vect
       if (!row) return std::move(row).error();
       if (!*row) break;
       const std::int64_t run = is_of_all ? sqlite::all_runs : query->integer(0);
-      if (!is_of_all && !std::binary_search(runs.begin(), runs.end(), run)) ++unknown[run];
+      const bool has_run = is_of_all || (sqlite3_column_type(query->raw(), 0) == SQLITE_INTEGER &&
+                                         std::binary_search(runs.begin(), runs.end(), run));
+      if (!has_run) ++unknown[run];
       const auto line = lines_of.find(run);
       if (line == lines_of.end()) continue;
       line->second.found.add(
@@ -192,6 +202,12 @@ void check_ranges(const Findings& found, const std::string& place, const RangeCh
     if (range.found.rows != range.said.rows) {
       found.problem(place + plural(range.found.rows, "row") + " of " + sequences(range) + ", the checksum is of " +
                     plural(range.said.rows, "row") + ".");
+    } else if (range.is_known && (range.last_found != range.last_sequence ||
+                                  (range.first_found != range.first_sequence &&
+                                   (&range != &check.ranges.front() || found.report.pruned == 0)))) {
+      found.problem(place + "the checksum of " + sequences(range) + " is of rows up to " +
+                    std::to_string(range.last_found) + ", the first of which is " + std::to_string(range.first_found) +
+                    ".");
     } else if (!range.is_known) {
       unknown += range.found.rows;
     } else if (range.found.sum != range.said.sum) {

@@ -21,6 +21,7 @@ class RangeCheck {
     sqlite::RowSum said;
     bool is_known;
     sqlite::RowSum found = {};
+    std::uint64_t first_found = 0, last_found = 0;
   };
   std::vector<Range> ranges;  // in the order of the sequences
   std::uint64_t outside = 0;  // rows in no range

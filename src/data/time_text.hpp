@@ -1,0 +1,15 @@
+// Times as text, without memory of its own.
+#pragma once
+
+#include <cstddef>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+inline constexpr std::size_t iso8601_size = 30;
+
+/// What `to_iso8601` gives: always `iso8601_size` characters. Returns the end.
+char* put_iso8601(char* to, Time time) noexcept;
+
+}  // namespace rtdata::detail

@@ -1,0 +1,54 @@
+// Rows of one table as CSV, straight from the columns of the statement.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/sinks/export.hpp"
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata::detail {
+
+/// Gives what the CSV codec gives of the same rows. What is unusual in a row (a missing column, an escape of before, a value
+/// that does not fit) is left to that codec and to `RowReader`.
+class CsvRows {
+ public:
+  static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config);
+
+  /// Appends rows to `out` until it has `enough` bytes or there are none. Returns the rows appended; 0 at the end.
+  Result<std::uint64_t> append(std::string& out, std::size_t enough);
+
+ private:
+  struct Column {
+    Kind kind;
+    bool is_optional;
+    const Leaf* leaf;
+  };
+  CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config);
+  /// The line of the run is at hand.
+  Result<void> begin_run(std::int64_t run);
+  /// The row as the codec writes it.
+  Result<void> append_by_codec(std::string& out, Time time);
+  char* put_row(char* to, Time time, std::string& out);
+
+  const Recording* recording_;
+  RecordedTopic topic_;
+  RowFilter filter_;
+  bool is_utc_;
+  bool is_iso8601_;
+  std::unique_ptr<Codec> codec_;
+  std::vector<Column> columns_;
+  sqlite::Statement statement_;
+  std::int64_t first_run_with_escapes_ = 0;
+  std::int64_t run_ = INT64_MIN;
+  UtcLine line_{{}};
+  std::uint64_t given_ = 0;
+  bool has_ended_ = false;
+  std::size_t longest_ = 0;  // of a row without its texts
+  std::vector<std::byte> payload_, bytes_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,203 @@
+#include "sinks/sqlite/seal_account.hpp"
+
+#include <algorithm>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+/// A statement of one origin: its first three parameters are run, topic and origin.
+Result<Statement> prepare(Database& database, const KilledOrigin& killed, std::string_view sql) {
+  auto statement = database.prepare(sql);
+  if (statement) statement->bind(1, killed.run).bind(2, killed.topic).bind(3, killed.origin);
+  return statement;
+}
+
+struct Account {
+  SensorCounts counts;
+  Segment segment;  // period 0: none
+};
+
+std::int64_t signed_of(std::uint64_t count) { return static_cast<std::int64_t>(count); }
+std::uint64_t count_of(const Statement& row, int column) { return static_cast<std::uint64_t>(row.integer(column)); }
+
+/// The recording's own account, with what it says of the segment that is under way in `kept`.
+Result<Account> last_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept) {
+  Account account;
+  SensorCounts& s = account.counts;
+  {
+    auto query = prepare(database, killed,
+                         "SELECT scheduled, taken, missed, failed, in_flight, late, received, published, repeated, "
+                         "filtered, unreadable, lost, has_schedule FROM rtdata_ledger WHERE run = ? AND topic = ? AND "
+                         "origin = ?");
+    if (!query) return std::move(query).error();
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (*row) {
+      int column = 0;
+      for (std::uint64_t* count : {&s.scheduled, &s.taken, &s.missed, &s.failed, &s.in_flight, &s.late, &s.received,
+                                   &s.published, &s.repeated, &s.filtered, &s.unreadable, &s.lost})
+        *count = count_of(*query, column++);
+      s.lost_is_known = !query->is_null(11);
+      s.has_schedule = query->integer(12) != 0;
+    }
+  }
+  account.segment = kept.segment;
+  account.segment.scheduled = 0;
+  auto query = prepare(database, killed,
+                       "SELECT scheduled FROM rtdata_schedule WHERE run = ? AND topic = ? AND origin = ? AND first_due "
+                       "= ?");
+  if (!query) return std::move(query).error();
+  query->bind(4, to_nanoseconds(kept.segment.first_due));
+  auto row = query->step();
+  if (!row) return std::move(row).error();
+  if (*row) account.segment.scheduled = count_of(*query, 0);
+  return account;
+}
+
+/// Adds the events since then, each of which was one read with one sample.
+void add_events(Account& account, std::uint64_t events) {
+  SensorCounts& s = account.counts;
+  s.received += events;
+  s.published += events;
+  if (!s.has_schedule || events == 0) return;
+  const std::uint64_t ticks = events - std::min<std::uint64_t>(s.in_flight, 1);  // the first of them was under way
+  s.scheduled += ticks;
+  s.taken += events;
+  s.in_flight = 0;
+  account.segment.scheduled += ticks;
+}
+
+Result<void> write(Database& database, const KilledOrigin& killed, const Account& account) {
+  const SensorCounts& s = account.counts;
+  auto ledger = prepare(
+      database, killed,
+      "UPDATE rtdata_ledger SET scheduled = ?4, taken = ?5, missed = ?6, failed = ?7, in_flight = ?8, "
+      "late = ?9, received = ?10, published = ?11, repeated = ?12, filtered = ?13, unreadable = ?14, "
+      "lost = ?15, has_schedule = ?16 WHERE run = ?1 AND topic = ?2 AND origin = ?3");
+  if (!ledger) return std::move(ledger).error();
+  int column = 4;
+  for (const std::uint64_t count : {s.scheduled, s.taken, s.missed, s.failed, s.in_flight, s.late, s.received,
+                                    s.published, s.repeated, s.filtered, s.unreadable, s.lost})
+    ledger->bind(column++, signed_of(count));
+  if (!s.lost_is_known) ledger->bind_null(15);
+  ledger->bind(16, std::int64_t{s.has_schedule});
+  if (auto done = ledger->run(); !done) return done;
+  const Segment& segment = account.segment;
+  if (segment.period.count() <= 0 || segment.scheduled == 0) return {};
+  auto schedule = prepare(database, killed,
+                          "INSERT INTO rtdata_schedule(run, topic, origin, first_due, period, end, scheduled) "
+                          "VALUES(?,?,?,?,?,?,?) ON CONFLICT(run, origin, first_due) DO UPDATE SET end = excluded.end, "
+                          "scheduled = excluded.scheduled, period = excluded.period");
+  if (!schedule) return std::move(schedule).error();
+  schedule->bind(4, to_nanoseconds(segment.first_due)).bind(5, segment.period.count());
+  schedule->bind(6, to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
+  schedule->bind(7, signed_of(segment.scheduled));
+  return schedule->run();
+}
+
+/// What the recording has of gaps.
+struct Known {
+  std::int64_t count = 0;
+  std::int64_t first = 0;  // of the last one
+  std::int64_t last = 0;
+  bool is_any = false;
+};
+
+Result<Known> known_gaps(Database& database, const KilledOrigin& killed) {
+  auto query = prepare(database, killed,
+                       "SELECT total(count), max(first), max(last), count(*) FROM rtdata_gap WHERE run = ? AND topic = "
+                       "? AND origin = ?");
+  if (!query) return std::move(query).error();
+  auto row = query->step();
+  if (!row) return std::move(row).error();
+  return Known{query->integer(0), query->integer(1), query->integer(2), query->integer(3) > 0};
+}
+
+/// Adds a gap, or what has grown of one that is there: the row with the same beginning.
+Result<void> put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
+  const std::string reason(gap.reason);
+  const auto run = [&](std::string_view sql) -> Result<void> {
+    auto statement = prepare(database, killed, sql);
+    if (!statement) return std::move(statement).error();
+    statement->bind(4, gap.first).bind(5, gap.last).bind(6, name_of(gap.kind)).bind(7, std::string_view(reason));
+    if (gap.count != 0) {
+      statement->bind(8, signed_of(gap.count));
+    } else {
+      statement->bind_null(8);
+    }
+    return statement->run();
+  };
+  if (auto done = run("UPDATE rtdata_gap SET first = ?4, last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 "
+                      "AND topic = ?2 AND origin = ?3 AND first BETWEEN ?4 AND ?5");
+      !done)
+    return done;
+  if (sqlite3_changes(database.raw()) > 0) return {};
+  return run("INSERT INTO rtdata_gap(run, topic, origin, first, last, kind, reason, count) VALUES(?,?,?,?,?,?,?,?)");
+}
+
+}  // namespace
+
+Result<void> seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept,
+                          std::int64_t& last_time) {
+  auto account = last_account(database, killed, kept);
+  if (!account) return std::move(account).error();
+  std::int64_t at = killed.offered_in_account;
+  const auto told = [](const SensorCounts& s) { return s.scheduled + s.received; };
+  const auto kept_at = signed_of(kept.offered);
+  if (kept_at > at || (kept_at == at && told(kept.sensor) >= told(account->counts))) {
+    *account = {kept.sensor, kept.segment};
+    at = kept_at;
+  }
+  add_events(*account, static_cast<std::uint64_t>(std::max<std::int64_t>(killed.offered - at, 0)));
+  if (auto written = write(database, killed, *account); !written) return written;
+  const Segment& segment = account->segment;
+  if (segment.period.count() > 0 && segment.scheduled > 0) {
+    last_time = std::max(last_time,
+                         to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
+  }
+  // The row of a gap that was under way at the last account may have grown, or closed, and others have followed.
+  auto known = known_gaps(database, killed);
+  if (!known) return std::move(known).error();
+  LiveGap closed = kept.closed;
+  if (closed.is_there && known->is_any && closed.first < known->first) {  // its first ones are in the recording
+    closed.kind = Gap::Kind::joined;
+    closed.first = known->last + segment.period.count();
+  }
+  LiveGap open = kept.under_way;
+  if (open.is_there && !account->counts.has_schedule) open.last = std::max(open.last, last_time);
+  if (account->counts.has_schedule && closed.is_there) {
+    // Ticks that neither the recording nor the gap under way has. That of the recording with the same beginning counts
+    // as what it has become.
+    std::int64_t others = known->count;
+    for (const LiveGap* gap : {&closed, &open}) {
+      if (!gap->is_there) continue;
+      auto query = prepare(database, killed,
+                           "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND "
+                           "first BETWEEN ? AND ?");
+      if (!query) return std::move(query).error();
+      query->bind(4, gap->first).bind(5, gap->last);
+      auto row = query->step();
+      if (!row) return std::move(row).error();
+      others -= query->integer(0);
+    }
+    const auto lacking = signed_of(account->counts.missed + account->counts.failed) - others -
+                         (open.is_there ? signed_of(open.count) : 0);
+    closed.is_there = lacking > 0 && closed.first <= closed.last;
+    if (closed.is_there && lacking != signed_of(closed.count)) {
+      closed.kind = Gap::Kind::joined;
+      closed.count = static_cast<std::uint64_t>(lacking);
+    }
+  } else if (closed.is_there && known->is_any && closed.first <= known->last && closed.first != known->first) {
+    closed.is_there = false;  // it is in the recording
+  }
+  for (const LiveGap* gap : {&closed, &open}) {
+    if (!gap->is_there) continue;
+    last_time = std::max(last_time, gap->last);
+    if (auto done = put_gap(database, killed, *gap); !done) return done;
+  }
+  return {};
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,64 @@
+// The part of verify that holds rows, gaps and schedule of an origin to each other.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata::detail {
+
+/// For an origin of which each read brought one sample, in a closed run: each tick of its schedule is a row or lies in
+/// exactly one gap. The row of the n-th tick that lies in none begins at that tick or later, and before the tick after the
+/// next one that was taken; where reads brought nothing new, each row has so many ticks more to choose from.
+class TickCheck {
+ public:
+  static constexpr std::size_t most_sentences = 5;
+
+  /// Whether the rows of this origin can be held to its ticks.
+  static bool is_held(const LedgerEntry& entry);
+  /// `segments` and `gaps`: those of this origin, in order of time.
+  TickCheck(const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
+            const std::vector<const RecordedGap*>& gaps);
+
+  void add(std::int64_t time, std::uint64_t sequence);
+  const std::vector<std::string>& sentences() const noexcept { return sentences_; }
+  std::uint64_t more() const noexcept { return mistakes_ - sentences_.size(); }
+
+ private:
+  /// Ticks in a row of one segment, of which so many were taken: all of them, or those that are in no gap that was joined.
+  struct Stretch {
+    std::size_t segment;
+    std::int64_t first;  // due
+    std::int64_t period;
+    std::uint64_t ticks;
+    std::uint64_t taken;
+    std::uint64_t before;  // taken in all that came before
+    std::int64_t earliest(std::uint64_t n) const noexcept {
+      return first + static_cast<std::int64_t>(n - before) * period;
+    }
+    std::int64_t latest(std::uint64_t n) const noexcept {
+      return first + static_cast<std::int64_t>(ticks - taken + n - before) * period;
+    }
+  };
+  void add_segment(std::size_t number, const Segment& segment, const std::vector<const RecordedGap*>& gaps,
+                   std::size_t& next_gap);
+  void add_stretch(std::size_t segment, std::int64_t first, std::int64_t period, std::uint64_t ticks,
+                   std::uint64_t missing);
+  /// Of the n-th tick that was taken; null when there are not so many.
+  const Stretch* find(std::uint64_t n, std::size_t& near) const;
+  void mistake(std::string sentence);
+
+  std::vector<Stretch> stretches_;
+  std::uint64_t taken_ = 0;
+  std::uint64_t first_sequence_;
+  std::uint64_t carried_;
+  std::uint64_t more_ticks_;  // that were taken and brought nothing to publish
+  std::size_t lower_ = 0, upper_ = 0;
+  std::vector<std::string> sentences_;
+  std::uint64_t mistakes_ = 0;
+  bool is_unclear_ = false;  // which ticks were taken: rows are not held to them
+};
+
+}  // namespace rtdata::detail

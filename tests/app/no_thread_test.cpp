@@ -1,0 +1,49 @@
+// A program that the system gives too few threads.
+#include <doctest/doctest.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "app/process.hpp"
+#include "paths.hpp"
+
+using rtdata::test::Folder;
+using rtdata::test::Process;
+
+TEST_SUITE("app") {
+  TEST_CASE(
+      "NFR-7 whatever number of threads the system gives: events that are not stored are told, and nothing is silent") {
+    constexpr const char* setpriv = "/usr/bin/setpriv";
+    if (::geteuid() != 0 || ::access(setpriv, X_OK) != 0 || ::access("/usr/bin/prlimit", X_OK) != 0) {
+      MESSAGE("skipped: limits of threads bind no process of root, and becoming another user takes root and setpriv");
+      return;
+    }
+    int without_sink = 0, whole = 0;
+    for (int threads = 1; threads <= 12; ++threads) {
+      CAPTURE(threads);
+      const Folder folder;
+      REQUIRE(::chmod(folder.path().c_str(), 0777) == 0);
+      folder.write("few.json", R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "20 Hz"}],
+                                   "sinks": [{"type": "file", "path": "few.jsonl"},
+                                             {"type": "file", "path": "few.csv", "format": "csv", "close_deadline": "1 s"}]})");
+      // A user of its own, so that nothing else counts.
+      const std::string user = "--reuid=" + std::to_string(61000 + (::getpid() % 500) * 10 + threads % 10);
+      Process run(folder, setpriv,
+                  {user, "--clear-groups", "/usr/bin/prlimit", "--nproc=" + std::to_string(threads),
+                   rtdata::test::built("rtdata"), "run", "few.json", "--for", "600ms", "--fail-on-loss"});
+      const int status = run.end();
+      const std::string lines = folder.read("few.jsonl");
+      const bool is_told = (run.err + run.out).find("the system gives no thread") != std::string::npos;
+      if (status == 0) {
+        ++whole;
+        CHECK_FALSE(lines.empty());
+        CHECK_FALSE(is_told);
+        break;
+      }
+      CHECK_FALSE((run.err + run.out).empty());
+      without_sink += is_told ? 1 : 0;
+      if (is_told) CHECK(run.err.find(" events") != std::string::npos);  // that were lost, or wait
+    }
+    CHECK(whole == 1);
+    CHECK(without_sink > 0);
+  }
+}

@@ -1,0 +1,252 @@
+// One thing after the other is changed in a recording, by seed: verify sees it.
+#include <cstdlib>
+#include <random>
+#include <set>
+
+#include "recordings.hpp"
+#include "sinks/sqlite/checksum.hpp"
+
+using namespace recordings;
+using namespace std::chrono_literals;
+
+namespace {
+
+/// A closed run with something in each table: failures, missed ticks, changes of rate, a feed, one that is silent, a set
+/// clock; and another run after it.
+void record(const std::string& path) {
+  for (int run = 0; run < 2; ++run) {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    int n = 0;
+    Sensor<Climate> room(loop, {.name = "room", .topic = "climate", .rate = 100_Hz}, [&]() -> Reading<Climate> {
+      ++n;
+      if (n > 30 && n < 33) return Error{Errc::io_failed, "no answer", "", "", ""};
+      if (n == 90) loop.manual_clock().pass(55ms);
+      if (run == 1 && n % 7 == 0) return nothing_new;
+      return Climate{0.5 * n, 40};
+    });
+    Sensor<Climate> hall(loop, {.name = "hall", .topic = "climate", .rate = 40_Hz}, [&] {
+      return Climate{1.0 * n, 1};
+    });
+    Feed<Everything> feed(loop, {.name = "feed", .topic = "every/thing"});
+    Feed<Climate> silent(loop, {.name = "silent"});
+    loop.advance(1s);
+    feed.publish(full());
+    feed.publish(Everything{});
+    hall.set_rate(60_Hz);
+    loop.advance(1s);
+    loop.close();
+  }
+}
+
+std::vector<std::string> list(const sqlite::Database& database, const std::string& query) {
+  std::vector<std::string> found;
+  auto statement = database.prepare(query).or_throw();
+  while (statement.step().or_throw()) found.emplace_back(statement.text(0));
+  return found;
+}
+
+/// Of all that is in it, free of order.
+std::uint64_t content(const sqlite::Database& database, const std::vector<std::string>& tables) {
+  sqlite::RowHash hash;
+  std::uint64_t sum = 0;
+  for (const std::string& table : tables) {
+    auto rows = database.prepare("SELECT '" + table + "', * FROM " + sqlite::quoted(table)).or_throw();
+    const int columns = sqlite3_column_count(rows.raw());
+    while (rows.step().or_throw()) sum += sqlite::hash_of(hash, rows.raw(), 0, columns);
+  }
+  return sum;
+}
+
+/// A change at random. Empty: it would break a rule of the table.
+class Mutation {
+ public:
+  Mutation(sqlite::Database& database, const std::vector<std::string>& tables, unsigned long seed)
+      : database_(database), random_(seed) {
+    // Each table alike, so that the small ones have their turn.
+    table_ = tables[below(tables.size())];
+    columns_ = sqlite::columns_of(database, table_).or_throw();
+    column_ = columns_[below(columns_.size())];
+    keys_ = list(database, "SELECT name FROM pragma_table_info('" + table_ + "') WHERE pk > 0 ORDER BY pk");
+    if (keys_.empty()) keys_ = {"rowid"};
+  }
+
+  /// What it did, or nothing.
+  std::string make() {
+    const std::string table = sqlite::quoted(table_), column = sqlite::quoted(column_);
+    const std::string here = row(), there = row();
+    if (here.empty()) return "";
+    switch (below(9)) {
+      case 0:
+        return run("DELETE FROM " + table + " WHERE " + here);
+      case 1:
+        return duplicate(here);
+      case 2:
+        return run("UPDATE " + table + " SET " + column + " = " + column + " + 1 WHERE " + here);
+      case 3:
+        return run("UPDATE " + table + " SET " + column + " = " + column + " * 2 WHERE " + here);
+      case 4:
+        return run("UPDATE " + table + " SET " + column + " = " + column + " || 'x' WHERE " + here);
+      case 5:
+        return run("UPDATE " + table + " SET " + column + " = (SELECT " + column + " FROM " + table + " WHERE " +
+                   there + ") WHERE " + here);
+      case 6:
+        return swap(here, there);
+      case 7:  // of many rows
+        return run("UPDATE " + table + " SET " + column + " = " + column + " + " +
+                   std::to_string(1 + below(1'000'000'000)) + " WHERE " + (below(2) == 0 ? "1" : "rowid % 3 = 1"));
+      default:
+        return run("UPDATE " + table + " SET " + column + " = NULL WHERE " + here);
+    }
+  }
+
+ private:
+  std::size_t below(std::size_t n) { return static_cast<std::size_t>(random_() % n); }
+
+  /// One row, in SQL.
+  std::string row() {
+    std::string condition;
+    for (const std::string& key : keys_) {
+      condition += (condition.empty() ? "'" : " || ' AND ") + sqlite::quoted(key) + " = ' || quote(" +
+                   sqlite::quoted(key) + ")";
+    }
+    const auto rows = list(database_, "SELECT " + condition + " FROM " + sqlite::quoted(table_));
+    return rows.empty() ? "" : rows[below(rows.size())];
+  }
+  std::string duplicate(const std::string& here) {
+    std::string names;
+    for (const std::string& column : columns_) names += (names.empty() ? "" : ", ") + sqlite::quoted(column);
+    return run("INSERT INTO " + sqlite::quoted(table_) + "(" + names + ") SELECT " + names + " FROM " +
+               sqlite::quoted(table_) + " WHERE " + here);
+  }
+  std::string swap(const std::string& here, const std::string& there) {
+    const std::string table = sqlite::quoted(table_), column = sqlite::quoted(column_);
+    return run("CREATE TEMP TABLE kept AS SELECT " + column + " AS v FROM " + table + " WHERE " + here + "; UPDATE " +
+               table + " SET " + column + " = (SELECT " + column + " FROM " + table + " WHERE " + there + ") WHERE " +
+               here + "; UPDATE " + table + " SET " + column + " = (SELECT v FROM kept) WHERE " + there);
+  }
+  std::string run(const std::string& statements) { return database_.execute(statements) ? statements : ""; }
+
+  sqlite::Database& database_;
+  std::mt19937_64 random_;
+  std::string table_, column_;
+  std::vector<std::string> columns_, keys_;
+};
+
+/// What may pass, and why.
+bool may_pass(const std::string& change) {
+  // How many columns were hashed of no rows: whatever is said, the sum is 0.
+  return change.find("UPDATE \"rtdata_checksum\" SET \"columns\"") != std::string::npos;
+}
+
+std::string seen_as(const std::string& path) {
+  auto recording = Recording::open(path);
+  if (!recording) return std::string(recording.error().id());
+  auto report = verify(*recording);
+  if (!report) return std::string(report.error().id());
+  return report->exit_code() == 0 ? "" : problems_of(*report);
+}
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-26 whatever is changed in a recording, verify sees it") {
+    const char* const wanted = std::getenv("RTDATA_MUTATION_SEEDS");  // "FIRST COUNT", to look for more
+    char* rest = nullptr;
+    const unsigned long first = wanted != nullptr ? std::strtoul(wanted, &rest, 10) : 1;
+    const unsigned long count = wanted != nullptr ? std::strtoul(rest, nullptr, 10) : 100;
+    const Folder folder;
+    const std::string path = folder / "run.db", changed = folder / "changed.db";
+    record(path);
+    check_balanced(path);
+    std::vector<std::string> tables;
+    std::uint64_t before = 0;
+    {
+      auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
+      tables = list(database, "SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name");
+      before = content(database, tables);
+    }
+    CHECK(tables.size() >= 12);
+    unsigned long made = 0, passed = 0;
+    for (unsigned long seed = first; seed < first + count; ++seed) {
+      CAPTURE(seed);
+      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+      std::string change;
+      {
+        auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write).or_throw();
+        database.execute("PRAGMA synchronous = OFF").or_throw();
+        for (unsigned long again = 0; again < 50 && change.empty(); ++again) {
+          change = Mutation(database, tables, seed * 1000 + again).make();
+          if (content(database, tables) == before) change.clear();
+        }
+      }
+      REQUIRE(!change.empty());
+      ++made;
+      const bool is_seen = !seen_as(changed).empty();
+      if (!is_seen && may_pass(change)) {
+        ++passed;
+        continue;
+      }
+      CAPTURE(change);
+      CHECK(is_seen);
+    }
+    CHECK(passed * 20 <= made + 20);
+  }
+
+  TEST_CASE("US-26 gaps, rows and schedule that do not fit each other are seen without any checksum") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    record(path);
+    check_balanced(path);
+    const std::string changed = folder / "changed.db";
+    for (const std::string change : {
+             "UPDATE rtdata_gap SET first = first + 400000000, last = last + 400000000 WHERE kind = 'missed'",
+             "UPDATE rtdata_gap SET first = first - 200000000, last = last - 200000000 WHERE kind = 'missed'",
+             "UPDATE rtdata_gap SET first = first + 3600000000000, last = last + 3600000000000",
+             "UPDATE rtdata_gap SET first = first - 3600000000000, last = last - 3600000000000",
+             "UPDATE rtdata_gap SET first = (SELECT min(first) FROM rtdata_gap g WHERE g.run = rtdata_gap.run), last = "
+             "(SELECT min(last) FROM rtdata_gap g WHERE g.run = rtdata_gap.run), count = 2",
+             "UPDATE rtdata_gap SET last = last + 10000000, count = count + 1 WHERE kind = 'failed';"
+             "UPDATE rtdata_gap SET last = last - 10000000, count = count - 1 WHERE kind = 'missed';"
+             "UPDATE rtdata_ledger SET failed = failed + 1, missed = missed - 1 WHERE origin = 'room'",
+             "UPDATE rtdata_gap SET last = last + 50000000 WHERE kind = 'missed'",
+             "UPDATE climate SET time = (SELECT started FROM rtdata_run r WHERE r.run = climate.run) + sequence * 1000",
+             "UPDATE climate SET time = time - 100000000 WHERE sequence > 80 AND origin = 'hall'",
+             "UPDATE climate SET time = time - 15000000 WHERE sequence = 40 AND origin = 'room'",
+             "UPDATE climate SET time = time + 25000000 WHERE sequence > 150 AND origin = 'room'",
+             "UPDATE rtdata_schedule SET first_due = first_due + 3600000000000, end = end + 3600000000000",
+             "UPDATE rtdata_schedule SET first_due = first_due + 100000000, end = end + 100000000",
+             "UPDATE rtdata_schedule SET period = period / 2, end = first_due + (end - first_due) / 2",
+         }) {
+      CAPTURE(change);
+      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+      written_as(changed, change);
+      CHECK(!seen_as(changed).empty());
+    }
+  }
+
+  TEST_CASE("US-26 only the checksums see what nothing else says again") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    record(path);
+    const std::string changed = folder / "changed.db";
+    for (const std::string change : {
+             "UPDATE rtdata_ledger SET late = late + 1 WHERE origin = 'room'",
+             "UPDATE rtdata_ledger SET lost = 3 WHERE origin = 'feed'",
+             "UPDATE rtdata_gap SET reason = 'nothing'",
+             "DELETE FROM rtdata_clock",
+             "DELETE FROM rtdata_ledger WHERE origin = 'silent'",
+             "UPDATE rtdata_run SET state = 'sealed', lost = 0",
+             "UPDATE rtdata_run SET state = 'recording'",
+             "DELETE FROM rtdata_error",
+             "UPDATE climate SET temperature = 1",
+         }) {
+      CAPTURE(change);
+      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+      sql(changed, change);
+      CHECK(!seen_as(changed).empty());
+    }
+  }
+}

@@ -1,0 +1,210 @@
+// Runs that are killed while something is lacking: what was going on is in the recording afterwards.
+#include <doctest/doctest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <functional>
+#include <random>
+
+#include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "sinks/recordings.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+using namespace rtdata::literals;
+using recordings::number;
+
+namespace {
+
+void kill_in_child(const std::function<void()>& work) {
+  const pid_t child = ::fork();
+  if (child == 0) {
+    work();
+    ::_exit(1);
+  }
+  int status = 0;
+  REQUIRE(::waitpid(child, &status, 0) == child);
+  REQUIRE(WIFSIGNALED(status));
+}
+
+/// The next start, which seals what is there.
+void seal(const std::string& path) {
+  Loop loop{Loop::Manual{}};
+  loop.runtime().on_log([](const LogRecord&) {});
+  SqliteSink sink(loop, {.path = path});
+  loop.close();
+}
+
+/// Nothing in it is approximate but for what the seal says.
+void check_sealed(const std::string& path) {
+  const VerifyReport report = recordings::verified(path);
+  INFO(recordings::problems_of(report));
+  CHECK(report.verdict() == Verdict::sealed);
+  for (const RunReport& run : report.runs) {
+    for (const std::string& note : run.notes) {
+      INFO(note);
+      CHECK(note.find("left open") == std::string::npos);
+      CHECK(note.find("are in no gap") == std::string::npos);
+    }
+  }
+}
+
+/// What survives a kill is in a folder of this test's.
+struct LiveFolder {
+  LiveFolder() { ::setenv("RUNTIME_DIRECTORY", directory.path.c_str(), 1); }
+  ~LiveFolder() { ::unsetenv("RUNTIME_DIRECTORY"); }
+  void forget() const {
+    for (const auto& entry : std::filesystem::directory_iterator(directory.path)) std::filesystem::remove(entry.path());
+  }
+  Directory directory;
+};
+
+const std::string run_1 = " FROM rtdata_gap WHERE run = 1 AND origin = 'a'";
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("a device that is absent until the kill leaves its gap") {
+    for (const bool is_cut : {false, true}) {  // the power too
+      CAPTURE(is_cut);
+      const LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "run.db";
+      kill_in_child([&] {
+        Loop loop{Loop::Manual{}};
+        loop.on_error([](const ErrorReport&) {});
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path});
+        Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, []() -> Result<Number> {
+          return Error{Errc::not_found, "cannot open", "device", "", ""};
+        });
+        loop.advance(8500ms);
+        ::raise(SIGKILL);
+      });
+      if (is_cut) live.forget();
+      seal(path);
+      // Up to the last account, which is some seconds old when little happens; up to the kill.
+      const std::int64_t ticks = is_cut ? number(path, "SELECT failed FROM rtdata_ledger WHERE run = 1") : 851;
+      CHECK(ticks >= 300);
+      CHECK(number(path, "SELECT failed FROM rtdata_ledger WHERE run = 1") == ticks);
+      CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == ticks);
+      CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1") == ticks);
+      CHECK(number(path, "SELECT count(*)" + run_1) == 1);
+      CHECK(number(path, "SELECT count" + run_1) == ticks);
+      CHECK(number(path, "SELECT (last - first) / 10000000 + 1" + run_1) == ticks);
+      CHECK(number(path, "SELECT lost IS NULL FROM rtdata_run WHERE run = 1") == (is_cut ? 1 : 0));
+      CHECK(recordings::verified(path).verdict() == Verdict::sealed);
+      if (!is_cut) check_sealed(path);
+    }
+  }
+
+  TEST_CASE("a run that is killed in its first second has its schedule") {
+    const LiveFolder live;
+    Directory directory;
+    const std::string path = directory / "run.db";
+    kill_in_child([&] {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
+      loop.advance(300ms);
+      ::raise(SIGKILL);
+    });
+    seal(path);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1 AND origin = 'a' AND period = 10000000") ==
+          31);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 31);
+    CHECK(number(path, "SELECT taken FROM rtdata_ledger WHERE run = 1") == 31);
+    CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 31);
+    check_sealed(path);
+  }
+
+  TEST_CASE("gaps under way are rows that grow, and end as they are") {
+    const LiveFolder live;
+    Directory directory;
+    const std::string path = directory / "run.db";
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    bool is_there = false;
+    Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [&]() -> Result<Number> {
+      if (!is_there) return Error{Errc::not_found, "cannot open", "device", "", ""};
+      return Number{1};
+    });
+    loop.advance(1s);
+    CHECK(number(path, "SELECT count" + run_1) >= 99);
+    loop.advance(1s);
+    CHECK(number(path, "SELECT count(*)" + run_1) == 1);
+    CHECK(number(path, "SELECT count" + run_1) >= 199);
+    is_there = true;
+    loop.advance(10s);
+    loop.close();
+    CHECK(number(path, "SELECT count(*)" + run_1) == 1);
+    CHECK(number(path, "SELECT count" + run_1) == number(path, "SELECT failed FROM rtdata_ledger"));
+    CHECK(number(path, "SELECT published FROM rtdata_ledger") > 0);
+    CHECK(recordings::verified(path).verdict() == Verdict::balanced);
+  }
+
+  TEST_CASE("killed at any moment, with failed, missed, repeated and late ticks: the sealed account is exact") {
+    for (unsigned seed = 1; seed <= 40; ++seed) {
+      CAPTURE(seed);
+      const LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "run.db";
+      std::mt19937 random(seed);
+      const int ticks = 1 + static_cast<int>(random() % 400);
+      const int often = 1 + static_cast<int>(random() % 60);
+      int scheduled = 0;
+      int failed = 0;
+      int published = 0;
+      std::vector<int> what;  // becomes of each tick
+      for (int i = 0; i < ticks; ++i) {
+        const auto dice = random() % static_cast<unsigned>(often);
+        const int one = dice == 0 ? 1 : dice == 1 ? 2 : 0;
+        for (unsigned n = one == 1 ? 1 + static_cast<unsigned>(random() % 5) : 1; n > 0; --n) what.push_back(one);
+      }
+      for (const int one : what) {
+        ++scheduled;
+        failed += one == 1 ? 1 : 0;
+        published += one == 0 ? 1 : 0;
+      }
+      kill_in_child([&] {
+        Loop loop{Loop::Manual{}};
+        loop.on_error([](const ErrorReport&) {});
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path, .sink = {.batch_rows = 50}});
+        std::size_t tick = 0;
+        Sensor<Number> sensor(loop,
+                              {.name = "a", .topic = "a", .rate = 100_Hz, .retry_first = 1ms, .retry_longest = 1ms},
+                              [&]() -> Reading<Number> {
+                                const int now = what[tick++];
+                                if (now == 1) return Error{Errc::io_failed, "no answer", "", "", ""};
+                                if (now == 2) return nothing_new;
+                                return Number{1};
+                              });
+        loop.advance(10ms * static_cast<int>(what.size() - 1));
+        ::raise(SIGKILL);
+      });
+      seal(path);
+      const auto of = [&](const char* column) {
+        return number(path, std::string("SELECT ") + column + " FROM rtdata_ledger WHERE run = 1");
+      };
+      // Ticks with nothing new after the last event are in no account.
+      const auto silent = std::find_if(what.rbegin(), what.rend(), [](int one) { return one != 2; }) - what.rbegin();
+      CHECK(of("scheduled") >= scheduled - silent);
+      CHECK(of("scheduled") <= scheduled);
+      CHECK(of("failed") == failed);
+      CHECK(of("published") == published);
+      CHECK(of("stored + dropped_unsaved") == published);
+      CHECK(number(path, "SELECT total(count)" + run_1) == failed);
+      CHECK(number(path, "SELECT total(scheduled) FROM rtdata_schedule WHERE run = 1") == of("scheduled"));
+      check_sealed(path);
+    }
+  }
+}
