@@ -23,7 +23,9 @@ class Allowance {
     return left_ > 0;
   }
   /// When it has some, if none is spent.
-  Duration has_some_from() const noexcept { return left_ > 0 ? since_ : since_ + regained_after; }
+  Duration has_some_from() const noexcept {
+    return left_ > 0 ? since_ : since_ > Duration::max() - regained_after ? Duration::max() : since_ + regained_after;
+  }
   bool is_whole() const noexcept { return left_ == most; }
   void spend(Duration now) noexcept {
     if (left_ == most) since_ = now;
