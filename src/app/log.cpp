@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <utility>
 
+#include "data/permissions.hpp"
 #include "data/utf8.hpp"
 
 namespace rtdata::app {
@@ -35,9 +36,9 @@ Log::~Log() {
 
 namespace {
 
-int open_file(const std::string& path) noexcept {
+int open_file(const std::string& path, mode_t permissions) noexcept {
   // Not to wait for the reader of a named pipe.
-  return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, 0640);
+  return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, permissions);
 }
 
 /// Puts a new file behind the descriptor when the one there is full, or is no longer where it was (logrotate). The number of
@@ -74,7 +75,7 @@ class LogFile {
   }
 
   void begin_new(mode_t mode) noexcept {
-    const int made = open_file(path_);
+    const int made = open_file(path_, mode & 0666);
     if (made < 0) return tell(errno);
     ::fchmod(made, mode & 07777);
     ::dup3(made, fd_, O_CLOEXEC);
@@ -100,7 +101,9 @@ class LogFile {
 }  // namespace
 
 Result<void> Log::open(const std::string& file, const LogSettings& settings) {
-  fd_ = open_file(file);
+  const auto permissions = detail::permissions_of(settings.permissions, file);
+  if (!permissions) return permissions.error();
+  fd_ = open_file(file, *permissions);
   if (fd_ < 0) {
     return system_error(errno, "cannot write the log file", file,
                         "choose another with --log FILE; the program runs on without");

@@ -85,6 +85,8 @@ std::string pattern_of(TextIs is) {
     case TextIs::device:
     case TextIs::output_file:
       return "^[^\\u0000]*$";
+    case TextIs::permissions:
+      return "^0?6[0246][0246]$";
     case TextIs::anything:
     case TextIs::recorded:
     case TextIs::unit:

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "config/limits_text.hpp"
+#include "data/permissions.hpp"
 #include "loop/name.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -43,6 +44,8 @@ std::string topic_advice(std::string_view topic) {
 /// Why the text is not what it stands for; empty: it is.
 std::string mistake_in(std::string_view text, TextIs is) {
   switch (is) {
+    case TextIs::permissions:
+      return detail::permissions_of(text) ? "" : detail::permissions_rule;
     case TextIs::anything:
     case TextIs::recorded:
     case TextIs::unit:  // one that is no UCUM is a warning
@@ -96,6 +99,10 @@ bool is_name_of_something(TextIs is) {
 
 bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems) {
   if (is_secret_reference(item)) {
+    if (rules.text == TextIs::permissions) {
+      problems.add(item.problem("not-a-secret", "permissions are no secret: write them as they are"));
+      return false;
+    }
     if (is_recorded(rules.text)) {
       problems.add(item.problem("not-a-secret", "recordings hold this text: write it as it is"));
       return false;
@@ -107,7 +114,7 @@ bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& r
   std::string mistake;
   if (!out.empty()) {
     mistake = mistake_in(out, rules.text);
-  } else if (rules.text == TextIs::topic_pattern) {
+  } else if (rules.text == TextIs::topic_pattern || rules.text == TextIs::permissions) {
     mistake = mistake_in(out, rules.text);
   } else if (rules.required) {
     mistake = rules.text == TextIs::output_file ? "the path is empty; name a file"

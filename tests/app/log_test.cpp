@@ -1,6 +1,7 @@
 #include "app/log.hpp"
 
 #include <doctest/doctest.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -99,6 +100,54 @@ TEST_SUITE("app") {
     const std::string text = content(path);
     CHECK(text.find("fatal signal " + std::to_string(SIGABRT)) != std::string::npos);
     CHECK(content(path + ".1").find("fatal signal") == std::string::npos);
+  }
+
+  TEST_CASE("NFR-7 the log is made with the permissions of the configuration less the umask, also when it rotates") {
+    const mode_t before = ::umask(022);
+    const auto mode_of = [](const std::string& path) {
+      struct stat about {};
+      REQUIRE(::stat(path.c_str(), &about) == 0);
+      return about.st_mode & 07777;
+    };
+    for (const auto& one :
+         std::initializer_list<std::pair<const char*, mode_t>>{{"0640", 0640}, {"0666", 0644}, {"600", 0600}}) {
+      const std::string permissions = one.first;
+      const mode_t mode = one.second;
+      CAPTURE(permissions);
+      Directory directory;
+      const std::string path = directory / "run.log";
+      Log log;
+      log.open(path, {.max_bytes = 4096, .keep = 3, .permissions = permissions}).or_throw();
+      write_lines(log, 1000, 300);
+      for (const char* end : {"", ".1", ".2"}) CHECK(mode_of(path + end) == mode);
+    }
+    ::umask(before);
+    Directory directory;
+    Log log;
+    CHECK_FALSE(log.open(directory / "run.log", {.permissions = "0777"}).has_value());
+    CHECK_FALSE(std::filesystem::exists(directory / "run.log"));
+  }
+
+  TEST_CASE("NFR-7 check refuses permissions that are none") {
+    const auto report = [](const std::string& item) {
+      return plan_system(standard_registry(), parse_config("{" + item + "}")).report();
+    };
+    const auto items = [](const std::string& permissions) {
+      const std::string own = R"("permissions": )" + permissions + "}";
+      return std::vector<std::string>{R"("sinks": [{"type": "sqlite", "path": "run.db", )" + own + "]",
+                                      R"("sinks": [{"type": "file", "path": "run.jsonl", )" + own + "]",
+                                      R"("log": {)" + own};
+    };
+    for (const char* right : {"\"0640\"", "\"644\"", "\"0600\""}) {
+      for (const std::string& item : items(right)) CHECK_MESSAGE(report(item).find("error") == std::string::npos, item);
+    }
+    for (const char* wrong : {"\"\"", "\"0755\"", "\"0999\"", "\"0440\"", "\"rw\"", "\"06400\""}) {
+      for (const std::string& item : items(wrong))
+        CHECK_MESSAGE(report(item).find("permissions are octal digits") != std::string::npos, item);
+    }
+    for (const std::string& item : items("420")) CHECK_FALSE(report(item).empty());
+    for (const std::string& item : items(R"({"env": "PATH"})"))
+      CHECK(report(item).find("no secret") != std::string::npos);
   }
 
   TEST_CASE("NFR-7 check refuses limits of the log that say nothing") {

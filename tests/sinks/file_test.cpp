@@ -403,6 +403,6 @@ TEST_SUITE("sinks") {
     CHECK(config.sink.batch_rows == 7);
     CHECK(config.sink.batch_time == 250ms);
     CHECK(config.sink.when_full == WhenFull::drop_oldest);
-    CHECK(parameters_of<FileConfig>().size() == 14);
+    CHECK(parameters_of<FileConfig>().size() == 15);
   }
 }

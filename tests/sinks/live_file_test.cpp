@@ -385,7 +385,18 @@ TEST_SUITE("sinks") {
       CHECK(mode_of(path) == 0644);
       CHECK(mode_of(path + "-wal") == 0644);
     });
+    const std::string open = directory / "open.db";
+    record_some({.path = open, .permissions = "0664"}, 10, [&] {
+      for (const char* end : {"", "-wal", "-shm"}) CHECK(mode_of(open + end) == 0644);  // less the umask
+    });
+    record_some({.path = open, .permissions = "600"}, 10, [&] { CHECK(mode_of(open) == 0644); });  // it keeps its own
     ::umask(before);
+    for (const char* wrong : {"", "0", "0999", "0755", "0440", "4644", "00644", "rw-r--r--", "0x1a4", "06 4"}) {
+      CAPTURE(wrong);
+      Loop loop{Loop::Manual{}};
+      CHECK_THROWS_AS(SqliteSink(loop, {.path = directory / "wrong.db", .permissions = wrong}), SetupError);
+      CHECK_FALSE(std::filesystem::exists(directory / "wrong.db"));
+    }
   }
 
   TEST_CASE("SQLite that has no memory for a handle is an error") {

@@ -148,6 +148,42 @@ TEST_SUITE("sinks") {
     CHECK(values_in(directory / "", "json") == numbers(1, 2));
   }
 
+  TEST_CASE("files are made with the permissions of the configuration less the umask, those after them too") {
+    const mode_t before = ::umask(022);
+    const auto mode_of = [](const std::string& path) {
+      struct stat about {};
+      REQUIRE(::stat(path.c_str(), &about) == 0);
+      return about.st_mode & 07777;
+    };
+    for (const char* format : {"jsonl", "csv", "raw"}) {
+      for (const auto& one : std::initializer_list<std::pair<const char*, mode_t>>{
+               {"0640", 0640}, {"0666", 0644}, {"644", 0644}, {"0600", 0600}}) {
+        CAPTURE(format);
+        const std::string permissions = one.first;
+        const mode_t mode = one.second;
+        CAPTURE(permissions);
+        Directory directory;
+        const std::string path = directory / "run.txt";
+        record({.path = path, .format = format, .rotate = {.bytes = 4096}, .permissions = permissions}, 1, 300);
+        std::size_t files = 0;
+        for (const auto& entry : std::filesystem::directory_iterator(directory.path)) {
+          CHECK(mode_of(entry.path().string()) == mode);
+          ++files;
+        }
+        CHECK(files > 1);
+        if (format != std::string("jsonl")) continue;
+        { std::ofstream(path, std::ios::app) << "half"; }
+        record({.path = path, .format = format, .permissions = permissions}, 301, 301);
+        CHECK(mode_of(path + ".half") == mode);
+      }
+    }
+    ::umask(before);
+    Directory directory;
+    Loop loop{Loop::Manual{}};
+    CHECK_THROWS_AS(FileSink(loop, {.path = directory / "run.jsonl", .permissions = "0777"}), SetupError);
+    CHECK_FALSE(std::filesystem::exists(directory / "run.jsonl"));
+  }
+
   TEST_CASE("US-30 keep: the oldest go, none that somebody writes, and numbers go on") {
     Directory directory;
     FileConfig config{.path = directory / "run.jsonl", .rotate = {.bytes = 4096}, .keep = 3};

@@ -28,7 +28,7 @@
 /// of their own, with `include_member(&Config::member)`.
 ///
 /// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file, and
-/// never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit).
+/// never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor permissions.
 ///
 /// A mistake in a declaration is a compile error of one sentence. Values; any thread.
 #pragma once
@@ -58,6 +58,7 @@ enum class TextIs : std::uint8_t {
   unit,           ///< UCUM; another one is a warning
   device,         ///< the path of what is opened
   output_file,    ///< the path of a file that is written: no folder, in a folder that is there
+  permissions,    ///< of a file that is made, in octal digits: "0640"
 };
 
 /// The parameter means something only while another one, beside it, has one of these values.

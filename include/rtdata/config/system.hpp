@@ -46,7 +46,8 @@ struct LogSettings {
   LogLevel level = LogLevel::info;  ///< lesser ones are left out
   /// Before it becomes larger it is renamed to FILE.1, what was that to FILE.2, and so on; 0: never.
   std::uint64_t max_bytes = std::uint64_t{10} << 20;
-  unsigned keep = 5;  ///< how many of those before are kept
+  unsigned keep = 5;                 ///< how many of those before are kept
+  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
 
   friend constexpr auto parameters(type_tag<LogSettings>) {
     return parameter_list(
@@ -59,7 +60,9 @@ struct LogSettings {
         parameter("max_bytes", &LogSettings::max_bytes,
                   "a new file before this one becomes larger, which is renamed to FILE.1; 0: never, else 4096 at least",
                   unit("By")),
-        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)));
+        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)),
+        parameter("permissions", &LogSettings::permissions,
+                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions));
   }
   friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };

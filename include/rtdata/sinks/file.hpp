@@ -74,7 +74,8 @@ struct FileConfig {
   FileSync sync = FileSync::at_close;
   FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
   std::uint64_t keep = 0;    ///< so many of those before; the oldest are removed; 0: all
-  SinkConfig sink = {};      ///< name: the file's by default
+  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
+  SinkConfig sink = {};              ///< name: the file's by default
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
@@ -86,6 +87,8 @@ struct FileConfig {
                   "when the data is forced onto the disk: never, after each batch, at close"),
         parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
         parameter("keep", &FileConfig::keep, "how many of those before are kept; 0: all"),
+        parameter("permissions", &FileConfig::permissions,
+                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions),
         include_member(&FileConfig::sink));
   }
   friend void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems);

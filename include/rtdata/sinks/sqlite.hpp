@@ -42,8 +42,9 @@ struct SqliteConfig {
   /// The recording as a whole, with its log: the oldest rows are deleted when it takes more, and counted as pruned; 0: no
   /// limit, otherwise at least `least_max_bytes`.
   std::uint64_t max_bytes = 0;
-  Duration max_age{0};   ///< rows older than this are deleted, and counted as pruned; 0: no limit
-  SinkConfig sink = {};  ///< what every sink has; its name is the path unless given
+  Duration max_age{0};               ///< rows older than this are deleted, and counted as pruned; 0: no limit
+  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
+  SinkConfig sink = {};              ///< what every sink has; its name is the path unless given
 
   static constexpr std::uint64_t least_max_bytes = std::uint64_t{4} << 20;
 };

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "data/permissions.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/config/item.hpp"
@@ -54,6 +55,7 @@ class FileWriter final : public Writer {
         codec_(std::move(codec)),
         header_codec_(std::move(header_codec)),
         is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
         rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
     is_pattern_ = mark != std::string::npos;
@@ -184,7 +186,7 @@ class FileWriter final : public Writer {
 
   Result<void> open(OutputFile& file, const std::string& path) {
     if (file.is_open()) return {};
-    if (auto done = file.open(path); !done) return done;
+    if (auto done = file.open(path, permissions_); !done) return done;
     std::string repair;
     auto done = file.repair(*codec_, repair);
     if (!done) file.close();
@@ -221,6 +223,7 @@ class FileWriter final : public Writer {
   std::unique_ptr<Codec> codec_;         // of whoever the files are
   std::unique_ptr<Codec> header_codec_;  // loop
   const bool is_text_;                   // a format of ours that escapes what is no UTF-8
+  const mode_t permissions_;
   bool is_pattern_ = false;
   // loop
   std::map<std::string, std::string> topic_by_path_;

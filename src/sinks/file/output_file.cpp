@@ -50,6 +50,7 @@ Result<void> compare_header(int fd, const std::string& path, const std::string& 
 OutputFile::OutputFile(OutputFile&& other) noexcept
     : buffer(std::move(other.buffer)),
       path_(std::move(other.path_)),
+      permissions_(other.permissions_),
       fd_(std::exchange(other.fd_, -1)),
       size_at_open_(other.size_at_open_),
       header_(std::move(other.header_)),
@@ -69,11 +70,12 @@ void OutputFile::close() noexcept {
 
 Error OutputFile::failed(int errno_value, const char* what) const { return system_error(errno_value, what, path_, ""); }
 
-Result<void> OutputFile::open(const std::string& path) {
+Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
   path_ = path;
+  permissions_ = permissions;
   // Non-blocking for the sake of a pipe without a reader, which is refused below.
-  fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, 0640);
+  fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, permissions);
   if (fd_ < 0) {
     const int reason = errno;
     Error error = failed(reason, "cannot open the file");
@@ -163,7 +165,7 @@ Result<void> OutputFile::repair_lines(std::string& what) {
 Result<void> OutputFile::move_aside(std::span<const std::byte> tail) {
   OutputFile aside;
   aside.path_ = path_ + ".half";
-  aside.fd_ = ::open(aside.path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0640);
+  aside.fd_ = ::open(aside.path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, permissions_);
   if (aside.fd_ < 0) return aside.failed(errno, "cannot move half an event aside");
   for (std::size_t written = 0; written < tail.size();) {
     if (auto done = aside.append(tail.data() + written, tail.size() - written, written); !done) return done;

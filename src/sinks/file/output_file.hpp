@@ -23,7 +23,8 @@ class OutputFile {
   ~OutputFile();
 
   /// Opens, locks and looks at the end. Nothing when it is open.
-  Result<void> open(const std::string& path);
+  /// `permissions`: of a file that is made, less the umask.
+  Result<void> open(const std::string& path, mode_t permissions);
   /// Sees to half an event at the end; `what`: how, empty when there was none. Once per opening, before `begin`.
   Result<void> repair(Codec& codec, std::string& what);
   /// Compares the header of a file with content, or sees to it that the first batch begins with it.
@@ -64,6 +65,7 @@ class OutputFile {
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);
 
   std::string path_;
+  mode_t permissions_ = 0640;
   int fd_ = -1;
   off_t size_at_open_ = 0;
   std::string header_;           // to stand before the first event

@@ -148,7 +148,7 @@ std::string_view Statement::text(int column) const noexcept {
 }
 bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(raw(), column) == SQLITE_NULL; }
 
-Result<Database> Database::open(const std::string& path, Mode mode) {
+Result<Database> Database::open(const std::string& path, Mode mode, mode_t permissions) {
   struct stat status {};
   const bool is_there = ::stat(path.c_str(), &status) == 0;
   const bool is_read = mode != Mode::write;
@@ -156,7 +156,7 @@ Result<Database> Database::open(const std::string& path, Mode mode) {
   if (is_there && S_ISDIR(status.st_mode)) return system_error(EISDIR, doing, path, "name a file");
   if (!is_there && is_read) return system_error(errno, doing, path, "check the path");
   if (!is_there) {  // SQLite would let everybody read it; its log and its index of that follow
-    const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
+    const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, permissions);
     if (fd >= 0) ::close(fd);
   }
   Database made;

@@ -50,7 +50,8 @@ class Database {
   enum class Mode { read, read_at_rest, write };
   Database() = default;
   /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.
-  static Result<Database> open(const std::string& path, Mode mode);
+  /// `permissions`: of a file that is made, less the umask.
+  static Result<Database> open(const std::string& path, Mode mode, mode_t permissions = 0640);
 
   explicit operator bool() const noexcept { return database_ != nullptr; }
   Result<Statement> prepare(std::string_view sql) const;

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 
+#include "data/permissions.hpp"
 #include "loop/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
@@ -79,7 +80,8 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
     throw SetupError({Errc::bad_argument, "cannot record into", config_.path, "`max_age` is negative",
                       "set a positive time, or 0 for no limit"});
   }
-  database_ = std::move(Database::open(config_.path, Database::Mode::write)).or_throw();
+  const mode_t permissions = detail::permissions_of(config_.permissions, config_.path).or_throw();
+  database_ = std::move(Database::open(config_.path, Database::Mode::write, permissions)).or_throw();
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
     throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
                       "check the permissions of the file and its folder"});
