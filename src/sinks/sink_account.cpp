@@ -24,8 +24,14 @@ Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
 void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Takes takes) {
   const auto number = static_cast<std::uint32_t>(taps_.size());
   taps_.push_back(std::make_unique<SinkTap>(owner, queue_, topic, number, takes));
-  tap_of_[&topic] = taps_.back().get();
-  topic.add_tap(*taps_.back());
+  try {
+    tap_of_[&topic] = taps_.back().get();
+    topic.add_tap(*taps_.back());
+  } catch (...) {  // no memory: there is no such tap
+    tap_of_.erase(&topic);
+    taps_.pop_back();
+    throw;
+  }
 }
 
 void SinkAccount::end() noexcept {

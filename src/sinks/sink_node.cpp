@@ -106,21 +106,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     return account_.add_topic(topic, *this);
   }
 
-  void on_gap(OriginCore& origin, const Gap& gap) override { account_.add(origin, gap); }
+  void on_gap(OriginCore& origin, const Gap& gap) override {
+    note([&] { account_.add(origin, gap); });
+  }
 
   void on_segment(OriginCore& origin, const Segment& segment) override {
-    account_.add(origin, segment);
+    note([&] { account_.add(origin, segment); });
     account_is_due();
   }
 
-  void on_clock(const ClockPair& pair) override { account_.notes.add(pair); }
+  void on_clock(const ClockPair& pair) override {
+    note([&] { account_.notes.add(pair); });
+  }
 
   void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override {
-    account_.notes.add(first, last, object, error, count);
+    note([&] { account_.notes.add(first, last, object, error, count); });
   }
 
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override {
-    account_.notes.add(first, last, change, count);
+    note([&] { account_.notes.add(first, last, change, count); });
   }
 
   SinkStatus status() const override {
@@ -239,6 +243,16 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   ~SinkNode() override = default;
   std::string object_name() const { return "sink " + config_.name; }
 
+  /// Who tells of it can do nothing about memory that is not there: the account says that it does not know.
+  template <class Function>
+  void note(Function&& function) noexcept {
+    try {
+      function();
+    } catch (...) {
+      had_no_memory_ = true;
+    }
+  }
+
   // ---- SinkTap::Owner
 
   void queue_is_full() override { start_storing(); }
@@ -349,6 +363,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   bool tell(SinkAccount::Part part) {
+    if (had_no_memory_) {
+      unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of what was told of it";
+      had_no_memory_ = false;
+      loop()->runtime.keep_report(
+          loop(), object_name(),
+          {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",
+           "the recording says that it does not know"});
+    }
     const Time now = loop()->runtime.event_time(loop()->now());
     const auto told = account_.tell(part, now, loop()->handled_until(), unknown_);
     if (told.has_more) next_part_.start(pause_between_parts);
@@ -484,6 +506,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   MonotonicTime account_at_{};    // when the last one was begun
   std::uint64_t slots_told_ = 0;  // that it had
   std::string unknown_;           // what the last account does not know
+  bool had_no_memory_ = false;    // for something that belongs into the account
   bool closing_ = false;
   bool closed_ = false;
 };

@@ -74,8 +74,9 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
                       "a sink takes at most " + std::to_string(most_slots), ""});
   const Place at = place_of(index);
   if (at.offset == 0) {
-    blocks_[at.block].store(new Slot[first_block << at.block], std::memory_order_release);
+    auto slots = std::make_unique<Slot[]>(first_block << at.block);
     stored_blocks_[at.block].store(new SlotStored[first_block << at.block], std::memory_order_release);
+    blocks_[at.block].store(slots.release(), std::memory_order_release);
   }
   Slot& made = slot(index);
   made.info = std::move(info);
@@ -279,6 +280,7 @@ ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
 }
 
 bool SinkQueue::gather() {
+  slots_in_batch_.reserve(slot_count());  // here, where nothing has changed yet, it may throw
   batch_.chunks_.clear();
   batch_.rows_ = 0;
   batch_.account_ = nullptr;

@@ -89,15 +89,15 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
 
 void SinkTap::make_place(OriginCore& origin) {
   assert(takes_ == Takes::none || topic_.type.description->size() == payload_bytes_);
+  if (places_.size() <= origin.index) {  // first, since this may throw
+    const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
+    accounted_.resize(count);
+    places_.resize(count);
+  }
   const std::uint32_t slot = [&] {
     const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
     return queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   }();
-  if (places_.size() <= origin.index) {
-    const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
-    places_.resize(count);
-    accounted_.resize(count);
-  }
   places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, 0, slot};
   owner_.account_is_due();
 }

@@ -32,11 +32,15 @@ class StoreJob final : public LaneJob {
     if (pause.count() > 0) queue->pause(std::exchange(pause, Duration{0}));
     StoreResult now;
     now.was_closing = closing;
-    now.result = queue->process();
-    if (now.result && closing) now.result = queue->close_writer();
-    now.has_ended = queue->has_ended();
-    now.refused = queue->take_refusals(now.refusal);
     try {
+      now.result = queue->process();
+      if (now.result && closing) now.result = queue->close_writer();
+    } catch (...) {  // no memory, not even for an error: the batch is tried again
+      now.result = Error{Errc::io_failed, "cannot store", "", "no memory", ""};  // texts that need none
+    }
+    now.has_ended = queue->has_ended();
+    try {
+      now.refused = queue->take_refusals(now.refusal);
       now.topic_fault = queue->topic_fault();
       now.warning = queue->writer().take_warning();
     } catch (...) {  // a warning less

@@ -306,6 +306,36 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
   escaped_.begin_batch();
+  const auto undo = [&] {
+    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+    tables_.clear();  // what was made in the transaction is gone with it
+    grown_gaps_ = stored_gaps_;
+    rolled_back();
+    pruner_.close();
+  };
+  Result<void> done;
+  try {
+    done = store(batch);
+  } catch (...) {  // no memory
+    undo();
+    throw;
+  }
+  if (!done) {
+    undo();
+    return done;
+  }
+  committed();
+  known_slots_ = slots;
+  if (batch.account() != nullptr) std::swap(stored_gaps_, next_gaps_);
+  escaped_.end_batch(batch);
+  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
+  rows_in_last_ = batch.size();
+  look_at_space();
+  if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
+  return {};
+}
+
+Result<void> SqliteWriter::store(Batch& batch) {
   auto done = begin_.run();
   // First, so that the new rows take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
@@ -315,24 +345,9 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
   if (done) done = write_checksums(batch.account());
   if (done) stage();
+  if (done && batch.account() != nullptr) next_gaps_ = grown_gaps_;  // once it is stored, nothing may fail
   if (done) done = commit_.run();
-  if (!done) {
-    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
-    tables_.clear();  // what was made in the transaction is gone with it
-    grown_gaps_ = stored_gaps_;
-    rolled_back();
-    pruner_.close();
-    return done;
-  }
-  committed();
-  known_slots_ = slots;
-  if (batch.account() != nullptr) stored_gaps_ = grown_gaps_;
-  escaped_.end_batch(batch);
-  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
-  rows_in_last_ = batch.size();
-  look_at_space();
-  if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
-  return {};
+  return done;
 }
 
 bool SqliteWriter::has_moved() {

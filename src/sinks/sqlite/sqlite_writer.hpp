@@ -61,6 +61,8 @@ class SqliteWriter final : public Writer {
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
   /// The file is no longer at its path.
+  /// In one transaction.
+  Result<void> store(Batch& batch);
   bool has_moved();
   enum class GapIs { closed, under_way };
   Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
@@ -104,6 +106,7 @@ class SqliteWriter final : public Writer {
   // Gaps under way that the recording has, by slot: when they began, and their rows.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
   GrownGaps grown_gaps_;
+  GrownGaps next_gaps_;    // to be committed
   GrownGaps stored_gaps_;  // as committed
   std::optional<Error> warning_;
   Time space_looked_at_{};
