@@ -39,6 +39,13 @@ if(NOT RTDATA_SANITIZE)
   target_include_directories(rtdata_allocation_tests PRIVATE tests)
   target_compile_definitions(rtdata_allocation_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
   add_test(NAME allocation COMMAND rtdata_allocation_tests)
+  if(TARGET rtdata_sqlite)
+    add_executable(rtdata_fault_tests tests/faults/faults_test.cpp)
+    target_link_libraries(rtdata_fault_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
+    target_compile_definitions(rtdata_fault_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+    add_test(NAME faults COMMAND rtdata_fault_tests)
+    set_tests_properties(faults PROPERTIES TIMEOUT 300)
+  endif()
 endif()
 
 # Files that must not compile, each with one sentence.
