@@ -81,10 +81,10 @@ class Repeats {
     Joined<What> held;
   };
   MonotonicTime due(const Entry& entry) const noexcept {
-    return std::max(entry.told + apart_, MonotonicTime{entry.allowance.has_some_from()});
+    return std::max(later(entry.told, apart_), MonotonicTime{entry.allowance.has_some_from()});
   }
   bool may_tell(Entry& entry, MonotonicTime now) const noexcept {
-    return now - entry.told >= apart_ && entry.allowance.has_some(now.time_since_epoch());
+    return span_between(entry.told, now) >= apart_ && entry.allowance.has_some(now.time_since_epoch());
   }
   static Joined<What> tell(Entry& entry, MonotonicTime now) {
     entry.told = now;

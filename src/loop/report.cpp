@@ -129,7 +129,7 @@ void RuntimeCore::flush_repeats(Repeated which) {
   for (const auto& change : is_all ? changes_.take_all() : changes_.take_due(now)) write(change);
   // Before user code runs, which may close the loop. Not at once, since there may be thousands.
   for (const auto next : {errors_.next_due(), lines_.next_due(), changes_.next_due()}) {
-    if (next) flush_repeats_later(nullptr, std::max(*next, now + std::chrono::milliseconds{250}));
+    if (next) flush_repeats_later(nullptr, std::max(*next, later(now, std::chrono::milliseconds{250})));
   }
   for (const auto& error : errors) write(nullptr, error);
   for (const auto& line : lines) log_line(line);
