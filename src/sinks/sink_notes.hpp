@@ -97,8 +97,8 @@ class SinkNotes {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
                       "look at the storage"};
-    account.errors.push_back({account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0),
-                              account.at});
+    account.errors.push_back(
+        {account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0), account.at});
   }
   /// Where in `gaps_` the last one is; anywhere when there is none.
   std::uint32_t& last_gap(std::uint32_t slot) {

@@ -156,12 +156,13 @@ TEST_SUITE("app") {
     CHECK(check.end() == 0);
     CHECK(has(check.out, "main: 1 sensor, worst 50 us of 100 ms, 0 %\n  lane /tmp/no converter: 1 sensor, 5 %\n"));
     CHECK(has(check.out, "fast: 2 sensors, worst 1.8 ms of 2 ms, 90 %\n"));
-    CHECK(has(check.out, "warning: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" take too much of its time"));
+    CHECK(has(check.out,
+              "warning: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" take too much of its time"));
     Process run(folder, program, {"run", "bench.json", "--for", "10ms"});
     CHECK(run.end() == 0);
-    CHECK(has(
-        run.err,
-        "warning: configuration: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" take too much of its time"));
+    CHECK(has(run.err,
+              "warning: configuration: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" take too much "
+              "of its time"));
     CHECK(has(run.err, "[overloaded-loop]"));
     CHECK(has(run.err, "rtdata: fast: 2 sensors, worst 1.8 ms of 2 ms, 90 %\n"));
   }

@@ -280,8 +280,8 @@ TEST_SUITE("app") {
     const std::string closed = runtime.path() + "/bench";
     std::filesystem::create_directories(closed);
     std::filesystem::permissions(closed, std::filesystem::perms::none);
-    for (const std::filesystem::path& up : {std::filesystem::path(closed).parent_path(),
-                                            std::filesystem::path(runtime.path()).parent_path()})
+    for (const std::filesystem::path& up :
+         {std::filesystem::path(closed).parent_path(), std::filesystem::path(runtime.path()).parent_path()})
       std::filesystem::permissions(up, std::filesystem::perms{0755});
     CHECK(running_instances().empty());
     constexpr uid_t nobody = 65534;

@@ -70,7 +70,6 @@ class Lane {
   /// Leaves the thread behind with what it runs, without a fresh one: nothing waits for it any more.
   void leave_behind() noexcept;
 
-
  private:
   static constexpr std::size_t ring_size = 64;  // jobs that the thread has at hand; the others wait on the loop
   struct Worker;

@@ -171,7 +171,7 @@ Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, con
       return Error{Errc::busy, "cannot record into", recording, "a process records into it whose lock was removed",
                    "stop that one, or record into another file"};
     }
-    return std::move(found);
+    return Result<std::optional<LiveFile>>(std::move(found));
   }
   return std::optional<LiveFile>();
 }

@@ -72,11 +72,11 @@ class ValueRanges {
 /// A line of rtdata_checksum. `sum` is not read when `is_known` is false.
 struct ChecksumLine {
   std::int64_t run = 0;
-  std::string_view table;
-  std::string_view origin;
+  std::string_view table = {};
+  std::string_view origin = {};
   std::uint64_t first_sequence = 0, last_sequence = 0;
   int columns = 0;
-  RowSum sum;
+  RowSum sum = {};
   bool is_known = true;
 };
 Result<void> insert_line(Database& database, const ChecksumLine& line);
