@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <chrono>
 
-#include "rtdata/data/time.hpp"
+#include "loop/deadline.hpp"
 
 namespace rtdata::detail {
 
@@ -15,8 +15,9 @@ class Allowance {
 
   /// `now`: since any instant, always the same.
   bool has_some(Duration now) noexcept {
-    if (left_ < most && now - since_ >= regained_after) {
-      const auto regained = (now - since_) / regained_after;
+    const Duration passed = span_between(MonotonicTime{since_}, MonotonicTime{now});
+    if (left_ < most && passed >= regained_after) {
+      const auto regained = passed / regained_after;
       left_ = regained >= most - left_ ? most : left_ + static_cast<unsigned>(regained);
       since_ += regained * regained_after;
     }
@@ -24,7 +25,7 @@ class Allowance {
   }
   /// When it has some, if none is spent.
   Duration has_some_from() const noexcept {
-    return left_ > 0 ? since_ : since_ > Duration::max() - regained_after ? Duration::max() : since_ + regained_after;
+    return left_ > 0 ? since_ : later(MonotonicTime{since_}, regained_after).time_since_epoch();
   }
   bool is_whole() const noexcept { return left_ == most; }
   void spend(Duration now) noexcept {

@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "loop/allowance.hpp"
-#include "loop/deadline.hpp"
 
 namespace rtdata::detail {
 
@@ -78,14 +77,14 @@ class Repeats {
   static constexpr std::size_t most = 16384;
   struct Entry {
     Allowance allowance;
-    MonotonicTime told = MonotonicTime::min();
+    MonotonicTime told{MonotonicTime::min().time_since_epoch() / 2};
     Joined<What> held;
   };
   MonotonicTime due(const Entry& entry) const noexcept {
     return std::max(later(entry.told, apart_), MonotonicTime{entry.allowance.has_some_from()});
   }
   bool may_tell(Entry& entry, MonotonicTime now) const noexcept {
-    return now >= later(entry.told, apart_) && entry.allowance.has_some(now.time_since_epoch());
+    return span_between(entry.told, now) >= apart_ && entry.allowance.has_some(now.time_since_epoch());
   }
   static Joined<What> tell(Entry& entry, MonotonicTime now) {
     entry.told = now;

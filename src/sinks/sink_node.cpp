@@ -150,6 +150,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
     runtime.flush_repeats(RuntimeCore::Repeated::due);
     if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
+    if (is_open() && is_sync_due()) start_storing();  // also when nothing more came
   }
   std::string blame_name() const override { return object_name(); }
   bool tell_times(CallbackStatus& status) const override {
@@ -175,6 +176,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       reason_.clear();
     }
     retry_delay_ = Duration{0};
+    if (stored.was_syncing || stored.has_ended) unsynced_since_.reset();
     if (stored.has_closed()) {
       closed_ = true;
     } else if (closing_) {
@@ -279,11 +281,18 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
+  bool is_sync_due() const noexcept {
+    const Duration time = queue_->pace().sync_time;
+    return time.count() > 0 && unsynced_since_ && span_between(*unsynced_since_, loop()->now()) >= time;
+  }
+
   bool is_busy() const noexcept { return is_storing_ || retry_.is_running(); }
 
   void start_storing() {
     if (is_busy() || closed_ || !is_attached_) return;
     job_->closing = closing_;
+    if (!unsynced_since_) unsynced_since_ = loop()->now();
+    job_->syncing = !closing_ && is_sync_due();
     is_storing_ = lane_->submit(job_);
     if (is_storing_) return;
     has_no_thread_ = true;  // told by the timer, since this may be within a publish
@@ -503,10 +512,11 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   bool has_no_thread_ = false;  // and that is still to be told
   bool is_due_ = false;         // to be handed over as soon as the lane is free
   bool is_account_due_ = false;
-  MonotonicTime account_at_{};    // when the last one was begun
-  std::uint64_t slots_told_ = 0;  // that it had
-  std::string unknown_;           // what the last account does not know
-  bool had_no_memory_ = false;    // for something that belongs into the account
+  MonotonicTime account_at_{};                   // when the last one was begun
+  std::optional<MonotonicTime> unsynced_since_;  // the first storing since the writer was told to sync
+  std::uint64_t slots_told_ = 0;                 // that it had
+  std::string unknown_;                          // what the last account does not know
+  bool had_no_memory_ = false;                   // for something that belongs into the account
   bool closing_ = false;
   bool closed_ = false;
 };

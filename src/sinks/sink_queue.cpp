@@ -387,6 +387,14 @@ Result<void> SinkQueue::process() {
   return call_writer([this] { return writer_->flush(); });
 }
 
+Result<void> SinkQueue::sync_writer() {
+  {
+    const std::lock_guard lock(abandon_mutex_);
+    if (abandoned_) return {};
+  }
+  return call_writer([this] { return writer_->sync(); });
+}
+
 Result<void> SinkQueue::close_writer() {
   {
     const std::lock_guard lock(abandon_mutex_);

@@ -125,6 +125,7 @@ class SinkQueue {
   void pause(Duration duration);
   /// Stores what is queued. An error leaves it queued, unless it is `closed`: then all that comes is refused.
   Result<void> process();
+  Result<void> sync_writer();
   Result<void> close_writer();
   /// The writer said that it has ended.
   bool has_ended() const noexcept { return has_ended_; }

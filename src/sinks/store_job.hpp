@@ -17,6 +17,7 @@ struct StoreResult {
   Result<void> result;
   bool has_ended = false;    ///< the writer said that it has: nothing is tried again
   bool was_closing = false;  ///< the writer was closed, if the result is good
+  bool was_syncing = false;  ///< all that was stored was synced, if the result is good
   std::uint64_t refused = 0;
   Error refusal;            ///< the first of them
   std::string topic_fault;  ///< why a topic can never be stored; empty: all can
@@ -34,6 +35,8 @@ class StoreJob final : public LaneJob {
     now.was_closing = closing;
     try {
       now.result = queue->process();
+      if (now.result && syncing) now.result = queue->sync_writer();
+      now.was_syncing = syncing;
       if (now.result && closing) now.result = queue->close_writer();
     } catch (...) {  // no memory, not even for an error: the batch is tried again
       now.result = Error{Errc::io_failed, "cannot store", "", "no memory", ""};  // texts that need none
@@ -52,6 +55,7 @@ class StoreJob final : public LaneJob {
   std::shared_ptr<SinkQueue> queue;
   SinkNode* owner = nullptr;  // null once the sink is gone
   bool closing = false;       // the writer is closed when all is stored
+  bool syncing = false;       // it is to survive a power cut when all is stored
   Duration pause{0};          // before the work
 
   /// What came of it. The lane's from submission until `done`, which takes it: from then on the job may be at work again.

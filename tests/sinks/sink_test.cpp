@@ -501,4 +501,49 @@ TEST_SUITE("sinks") {
     ::close(ends[0]);
     ::close(ends[1]);
   }
+
+  TEST_CASE("a writer is told to sync so long after the first storing, in silence too, and again when that fails") {
+    struct Syncing : Writer {
+      explicit Syncing(std::vector<std::string>& calls_, int& failures_) : calls(calls_), failures(failures_) {}
+      Result<void> open() override { return {}; }
+      Result<void> write(Batch& batch) override {
+        if (batch.size() > 0) calls.emplace_back("write");
+        return {};
+      }
+      Result<void> sync() override {
+        calls.emplace_back("sync");
+        if (failures-- > 0) return Error{Errc::io_failed, "cannot sync", "", "", ""};
+        return {};
+      }
+      StorePace pace() const override { return {.account_time = 1h, .sync_time = 10s}; }
+      std::vector<std::string>& calls;
+      int& failures;
+    };
+    for (const int failures : {0, 2}) {
+      CAPTURE(failures);
+      std::vector<std::string> calls;
+      int left = 0;
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      Sink sink(loop, {.name = "s", .batch_time = 1s, .retry_first = 100ms}, std::make_unique<Syncing>(calls, left));
+      Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+      loop.advance(20s);  // what is stored of the sensor itself
+      calls.clear();
+      left = failures;
+      feed.publish({1});
+      loop.advance(5s);
+      feed.publish({2});
+      loop.advance(5s);
+      CHECK(calls == std::vector<std::string>{"write", "write"});
+      loop.advance(2s);
+      std::vector<std::string> expected{"write", "write"};
+      expected.insert(expected.end(), static_cast<std::size_t>(1 + failures), "sync");
+      CHECK(calls == expected);
+      CHECK(sink.health() == Health::ok);
+      loop.advance(1h - 1min);
+      if (failures > 0) expected.emplace_back("sync");  // of the account that tells of the failure
+      CHECK(calls == expected);
+      loop.close();
+    }
+  }
 }

@@ -217,6 +217,8 @@ struct StorePace {
   /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last one.
   Duration account_time{0};
   std::uint64_t account_events = 0;
+  /// `Writer::sync` is called when so much time has gone since the first storing after the last call; 0: never.
+  Duration sync_time{0};
 };
 
 /// A topic that a sink is to take, before either is made. See `refused_topics` of each kind.
@@ -238,6 +240,8 @@ class Writer {
   virtual Result<void> write(Batch& batch) = 0;
   /// Nothing more is queued for now.
   virtual Result<void> flush() { return {}; }
+  /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.
+  virtual Result<void> sync() { return {}; }
   /// The last call: what was written is made durable and the resources are released.
   virtual Result<void> close() { return {}; }
   /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.

@@ -132,7 +132,7 @@ class FileWriter final : public Writer {
       if (auto done = file.write_out(); !done) return done;
     }
     if (config_.sync == FileSync::batch) {
-      if (auto done = sync(); !done) return done;
+      if (auto done = sync_files(); !done) return done;
     }
     for (OutputFile& file : files_) file.end_batch();
     escaped_.end_batch(batch);
@@ -153,7 +153,7 @@ class FileWriter final : public Writer {
 
   Result<void> close() override {
     Result<void> done;
-    if (config_.sync != FileSync::never) done = sync();
+    if (config_.sync != FileSync::never) done = sync_files();
     if (!done) return done;
     for (OutputFile& file : files_) file.close();
     is_closed_ = true;
@@ -212,7 +212,7 @@ class FileWriter final : public Writer {
     return {};
   }
 
-  Result<void> sync() {
+  Result<void> sync_files() {
     for (OutputFile& file : files_) {
       if (auto done = file.sync(); !done) return done;
     }

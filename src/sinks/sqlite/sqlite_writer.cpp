@@ -119,6 +119,8 @@ void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::
   if (live_) live_.sums().set(sums_.sums_of(run_));
   sums_.committed();
   lock_.note(live_.path());
+  // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
+  if (config_.profile == SqliteProfile::normal) throw_if(sync());
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
 }
@@ -163,7 +165,8 @@ StorePace SqliteWriter::pace() const {
   // The time of the account says what is too old; that of an event may be a device's, and wrong.
   if (config_.max_age.count() > 0)
     account_time = std::clamp<Duration>(config_.max_age / 50, std::chrono::seconds{1}, account_time);
-  return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)), account_time, account_events};
+  return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)), account_time, account_events,
+          config_.profile == SqliteProfile::normal ? log_sync_interval : Duration{0}};
 }
 
 Result<void> SqliteWriter::make_schema() {
@@ -576,7 +579,6 @@ Result<void> SqliteWriter::tend_log() {
   if (bytes >= most) {
     if (auto done = checkpoint(SQLITE_CHECKPOINT_PASSIVE); !done) return done;
     log_pages_ = 0;
-    log_synced_at_ = now;
     // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.
     if (limit != 0 && bytes >= limit && now - readers_waited_for_at_ >= reader_wait_interval) {
       readers_waited_for_at_ = now;
@@ -585,9 +587,6 @@ Result<void> SqliteWriter::tend_log() {
       sqlite3_busy_timeout(database_.raw(), busy_ms);
       if (!done) return done;
     }
-  } else if (config_.profile == SqliteProfile::normal && now - log_synced_at_ >= log_sync_interval) {
-    log_synced_at_ = now;
-    if (auto done = sync_log(); !done) return done;
   }
   if (config_.max_bytes != 0) look_at_size();
   return {};
@@ -600,7 +599,7 @@ Result<void> SqliteWriter::checkpoint(int mode) {
   return {};
 }
 
-Result<void> SqliteWriter::sync_log() {
+Result<void> SqliteWriter::sync() {
   sqlite3_file* log = nullptr;
   if (sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_JOURNAL_POINTER, &log) != SQLITE_OK ||
       log == nullptr || log->pMethods == nullptr) {

@@ -40,6 +40,7 @@ class SqliteWriter final : public Writer {
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
+  Result<void> sync() override;
   Result<void> close() override;
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
@@ -73,10 +74,9 @@ class SqliteWriter final : public Writer {
   void rolled_back();
   Result<void> prepare_account();
   Result<void> prune();
-  /// Between two transactions: brings the log into the database, or onto the disk, when it is time.
+  /// Between two transactions: brings the log into the database when it is time.
   Result<void> tend_log();
   Result<void> checkpoint(int mode);
-  Result<void> sync_log();
   void look_at_space();
   void look_at_size();
   void tell_of_live_file(const Error& why);
@@ -115,7 +115,6 @@ class SqliteWriter final : public Writer {
   bool is_too_large_ = false;  // and has been told
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
-  SteadyTime log_synced_at_{};
   SteadyTime readers_waited_for_at_{};
   int log_pages_ = 0;  // after the last transaction
   std::size_t rows_in_last_ = 0;
