@@ -7,6 +7,7 @@
 #include <fstream>
 #include <set>
 
+#include "loop/deadline.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
@@ -225,10 +226,10 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.origin = entry.origin;
       origin.run = info.run;
       if (!is_ended) origin.account_ends = entry.rows_up_to;
-      constexpr std::int64_t tolerance = 1'000'000;  // events at one time are put 1 ns apart
-      origin.earliest = to_nanoseconds(info.started) - tolerance;
+      constexpr Duration tolerance = std::chrono::milliseconds{1};  // events at one time are put 1 ns apart
+      origin.earliest = to_nanoseconds(detail::later(info.started, -tolerance));
       origin.may_begin_early = !detail::is_account_known(info);
-      if (is_ended && info.ended) origin.latest = to_nanoseconds(*info.ended) + tolerance;
+      if (is_ended && info.ended) origin.latest = to_nanoseconds(detail::later(*info.ended, tolerance));
       origin.is_first_carried = entry.carried != 0;
       if (has_ticks && detail::TickCheck::is_held(entry)) {
         const std::string key = detail::origin_key(entry.topic, entry.origin);
