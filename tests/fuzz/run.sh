@@ -6,10 +6,11 @@ seconds=${1:-20}
 out=build/fuzz
 mkdir -p "$out"
 # What parses, without the loop: the data layer, and the configuration layer up to the building of a system.
-sources=$(ls src/data/*.cpp src/config/*.cpp | grep -v -e /system -e /parts -e /plan)
+sources="$(ls src/data/*.cpp src/config/*.cpp | grep -v -e /system -e /parts -e /plan) src/loop/topic_name.cpp"
+cache=$(command -v ccache || true)
 flags="-std=c++20 -O1 -g1 -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=undefined -Iinclude -Isrc -Itests"
 printf '%s\n' $sources tests/fuzz/*_fuzz.cpp |
-    xargs -P "$(nproc)" -I{} sh -c "clang++ $flags -c {} -o $out/\$(echo {} | tr / _).o"
+    xargs -P "$(nproc)" -I{} sh -c "$cache clang++ $flags -c {} -o $out/\$(echo {} | tr / _).o"
 for source in tests/fuzz/*_fuzz.cpp; do
     name=$(basename "$source" .cpp)
     objects=$(for one in $sources "$source"; do echo "$out/$(echo "$one" | tr / _).o"; done)

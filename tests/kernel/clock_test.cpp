@@ -118,7 +118,7 @@ void check_recording(const std::vector<std::function<void()>>& things, const std
         count);
   std::string line;
   std::getline(csv, line);
-  REQUIRE(line == "time,origin,sequence,monotonic");
+  REQUIRE(line == "utc,origin,sequence,monotonic");
   std::uint64_t wrong = 0;
   while (std::getline(csv, line)) {
     const Duration utc{std::stoll(line)}, monotonic{std::stoll(line.substr(line.rfind(',') + 1))};
