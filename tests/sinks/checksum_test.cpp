@@ -27,7 +27,9 @@ struct Wider {
 /// Every field, the awkward values too.
 void publish_awkward(Feed<Everything>& feed) {
   Everything e = full();
-  e.maybe = 1e-300;  // the shell's dump turns 5e-324 into 0, which is another value
+  // Dumps of some versions of the shell turn 5e-324 into 0, or the largest number into infinity: other values.
+  e.maybe = 1e-300;
+  e.origin_point = {1.5e300, 1};
   feed.publish(e);
   e = Everything{};
   feed.publish(e);

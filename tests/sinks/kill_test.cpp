@@ -53,15 +53,15 @@ class Shared {
   void* told_;
 };
 
-/// By the kernel, when this process has used so much of the processor: wherever it is then.
-void kill_after(std::chrono::microseconds time_of_processor) {
+/// By the kernel, when so much time has passed on this clock: wherever this process is then.
+void kill_after(std::chrono::microseconds time, clockid_t clock) {
   sigevent event{};
   event.sigev_notify = SIGEV_SIGNAL;
   event.sigev_signo = SIGKILL;
   timer_t timer{};
-  if (::timer_create(CLOCK_PROCESS_CPUTIME_ID, &event, &timer) != 0) ::_exit(1);
+  if (::timer_create(clock, &event, &timer) != 0) ::_exit(1);
   itimerspec when{};
-  when.it_value.tv_nsec = time_of_processor.count() * 1000;
+  when.it_value.tv_nsec = time.count() * 1000;
   if (::timer_settime(timer, 0, &when, nullptr) != 0) ::_exit(1);
 }
 
@@ -140,7 +140,9 @@ TEST_SUITE("sinks") {
         if (is_by_change) {
           disk.kill_at(when % 600);
         } else {
-          kill_after(std::chrono::microseconds{1000 + when % (is_manual ? 60000 : 15000)});
+          // A loop in real time sleeps: counted in time of the processor, it would live for seconds.
+          kill_after(std::chrono::microseconds{1000 + when % (is_manual ? 60000 : 400000)},
+                     is_manual ? CLOCK_PROCESS_CPUTIME_ID : CLOCK_MONOTONIC);
         }
         record_in(path, static_cast<unsigned>(seed), is_manual, told);
       }
