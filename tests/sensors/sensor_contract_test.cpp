@@ -10,6 +10,7 @@
 #include "rtdata/sensors/serial_line.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
+#include "sensors/termios2.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -117,7 +118,7 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeAdc>());
   kinds.push_back(std::make_unique<FakeThermometer>());
   kinds.push_back(std::make_unique<FakeProc>());
-  kinds.push_back(std::make_unique<FakeLine>());
+  if (terminals_can_be_set_up()) kinds.push_back(std::make_unique<FakeLine>());
   return kinds;
 }
 

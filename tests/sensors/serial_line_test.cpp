@@ -24,7 +24,7 @@
 using namespace rtdata;
 using namespace rtdata::literals;
 
-TEST_SUITE_BEGIN("sensors");
+TEST_SUITE_BEGIN("sensors" * doctest::skip(!terminals_can_be_set_up()));
 
 namespace {
 

@@ -9,3 +9,6 @@ struct TerminalSettings {
   bool is_exclusive = false;
 };
 TerminalSettings terminal_settings(int fd);
+
+/// False where no program can set up a terminal, as in an emulator of another processor that does not know how (qemu-user).
+bool terminals_can_be_set_up();
