@@ -77,6 +77,8 @@ class Lane {
   struct Delayed;
   /// False when there can be none: too many were left behind, or the system gives no more threads.
   bool start_worker() noexcept;
+  /// So many may be outstanding without asking for memory.
+  void make_room(std::size_t jobs);
   void hand_over();
   void check_limit();
   void look_at_health(LaneJob::Outcome outcome);
