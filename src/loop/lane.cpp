@@ -113,6 +113,7 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
       give_up_after_(give_up_after),
       watchdog_(std::make_unique<Watchdog>(*this)),
       delayed_(std::make_unique<Delayed>(*this)) {
+  needs_thread_ = !loop_.is_manual();
   make_room(ring_size);
   behind_.reserve(most_left_behind);
   for (int i = 0; i < 2; ++i) loop_.add_deadline();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "loop/no_thread.hpp"
 #include "loop/retry.hpp"
 
 namespace rtdata {
@@ -408,6 +409,7 @@ void SensorNode::submit(const Tick& tick) {
     return failed(error, tick.now);
   }
   const Error error = told([this] {
+    if (lane_side_->lane->lacks_thread()) return no_thread("cannot read", object_name());
     return lane_side_->lane->is_stuck()
                ? lane_side_->device.given_up_error()
                : Error{Errc::busy, "cannot read", object_name(),

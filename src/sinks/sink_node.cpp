@@ -4,6 +4,7 @@
 
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/no_thread.hpp"
 #include "loop/retry.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -322,8 +323,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Error no_thread() const {
-    return {Errc::io_failed, "cannot store", config_.name, "the system gives no thread",
-            "look at the limits of threads (ulimit -u); events wait in the queue"};
+    Error error = detail::no_thread("cannot store", config_.name);
+    error.advice += "; events wait in the queue";
+    return error;
   }
 
   /// What will not get better: the first reason stays.
