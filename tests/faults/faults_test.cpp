@@ -26,6 +26,7 @@
 
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -379,6 +380,55 @@ constexpr long for_good = std::numeric_limits<long>::max();
 TEST_CASE("memory: the n-th allocation of C++ fails") {
   try_all({"operator new", &of_new, [] {}, 7}, 1);
   try_all({"operator new", &of_new, [] {}, 13}, 20);
+}
+
+TEST_CASE("memory: the n-th allocation fails while tickers join, leave and change their groups") {
+  bool is_over = false;
+  for (long nth = 1; !is_over; ++nth) {
+    CAPTURE(nth);
+    REQUIRE(nth < 1000);
+    Loop loop{Loop::Manual{}};
+    loop.runtime().on_log([](const LogRecord&) {});
+    constexpr int count = 6;
+    std::array<int, count> ticks{};
+    std::array<Ticker, count> tickers;
+    for (std::size_t i = 0; i < count; ++i)
+      tickers[i] = Ticker(loop, {.period = 10ms}, [&, i](const Tick&) { ++ticks[i]; });
+    loop.advance(15ms);
+    const auto tried = [](auto&& function) {
+      try {
+        function();
+      } catch (const std::bad_alloc&) {
+      }
+    };
+    Timer within(loop, 1ms, [&] {
+      tried([&] { tickers[0].set_period(3ms); });
+      tickers[1].stop();
+      tried([&] { tickers[1].start(); });
+    });
+    of_new.arm(nth, 1);
+    tried([&] { tickers[2].set_period(4ms); });
+    tried([&] { tickers[3].set_period(4ms); });
+    tickers[4].stop();
+    loop.advance(20ms);
+    of_new.disarm();
+    is_over = !of_new.has_failed();
+    // Whatever failed: each one ticks as it says, alone or with others, and can be started anew.
+    for (Ticker& ticker : tickers) {
+      if (!ticker.is_running()) ticker.start();
+      CHECK(ticker.is_running());
+    }
+    loop.advance(100ms);
+    for (Ticker& ticker : tickers) ticker.set_period(5ms);
+    loop.advance(50ms);
+    ticks = {};
+    loop.advance(1s);
+    for (std::size_t i = 0; i < count; ++i) CHECK(ticks[i] == 200);
+    for (Ticker& ticker : tickers) ticker.stop();
+    ticks = {};
+    loop.advance(1s);
+    CHECK(ticks == std::array<int, count>{});
+  }
 }
 
 TEST_CASE("memory of SQLite: the n-th allocation fails") {
