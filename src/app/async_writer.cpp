@@ -11,7 +11,9 @@
 
 #include <cerrno>
 #include <string>
+#include <system_error>
 
+#include "loop/no_thread.hpp"
 #include "loop/signals_blocked.hpp"
 
 namespace rtdata::app {
@@ -65,7 +67,11 @@ void AsyncWriter::open(int fd, std::function<void(std::size_t)> before) {
   if (pool_ != nullptr) return;
   // A fatal signal that its thread took would wait for that very thread to write what it has.
   const detail::SignalsBlocked for_the_writer;
-  pool_ = std::make_shared<spdlog::details::thread_pool>(queue_, 1);
+  try {
+    pool_ = std::make_shared<spdlog::details::thread_pool>(queue_, 1);
+  } catch (const std::system_error&) {
+    throw SetupError(detail::no_thread("cannot start", "the thread that writes to the terminal or the log"));
+  }
   logger_ = std::make_shared<spdlog::async_logger>("rtdata", std::make_shared<FdSink>(counts_, std::move(before)),
                                                    pool_, spdlog::async_overflow_policy::overrun_oldest);
   logger_->set_level(spdlog::level::trace);

@@ -8,7 +8,10 @@
 
 #include <condition_variable>
 #include <mutex>
+#include <system_error>
 #include <thread>
+
+#include "loop/no_thread.hpp"
 
 namespace rtdata::app {
 
@@ -79,7 +82,14 @@ StopSignals::StopSignals() : state_(std::make_unique<State>()) {
   ::pthread_sigmask(SIG_BLOCK, &state_->taken, &state_->mask_before);
   state_->signals = ::signalfd(-1, &state_->taken, SFD_CLOEXEC | SFD_NONBLOCK);
   state_->quit = ::eventfd(0, EFD_CLOEXEC);
-  state_->thread = std::thread([state = state_.get()] { state->run(); });
+  try {
+    state_->thread = std::thread([state = state_.get()] { state->run(); });
+  } catch (const std::system_error&) {
+    ::close(state_->signals);
+    ::close(state_->quit);
+    ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
+    throw SetupError(detail::no_thread("cannot start", "the thread that waits for signals"));
+  }
 }
 
 StopSignals::~StopSignals() {

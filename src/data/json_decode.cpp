@@ -4,104 +4,16 @@
 #include <array>
 #include <charconv>
 #include <limits>
-#include <nlohmann/json.hpp>
 
 #include "data/character.hpp"
+#include "data/json_tree.hpp"
 #include "data/nearest.hpp"
 #include "data/utf8.hpp"
 
 namespace rtdata {
 namespace {
 
-/// What the parser found; numbers as exact as they were written.
-struct Node {
-  enum class Type { null, boolean, integer, natural, fraction, string, object, array };
-  Type type = Type::null;
-  bool flag = false;
-  std::int64_t integer = 0;
-  std::uint64_t natural = 0;
-  double fraction = 0;
-  std::string text;  ///< of a string, or the digits of a fraction
-  std::vector<std::string> keys;
-  std::vector<Node> children;
-};
-
-/// Builds nodes from nlohmann's events.
-class Builder {
- public:
-  static constexpr std::size_t deepest = 48;
-
-  Node root;
-  std::string error;
-
-  bool null() { return add({}) != nullptr; }
-  bool boolean(bool flag) {
-    Node* node = add(Node::Type::boolean);
-    node->flag = flag;
-    return true;
-  }
-  bool number_integer(std::int64_t number) {
-    add(Node::Type::integer)->integer = number;
-    return true;
-  }
-  bool number_unsigned(std::uint64_t number) {
-    add(Node::Type::natural)->natural = number;
-    return true;
-  }
-  bool number_float(double number, const std::string& digits) {
-    Node* node = add(Node::Type::fraction);
-    node->fraction = number;
-    node->text = digits;
-    return true;
-  }
-  bool string(std::string& text) {
-    add(Node::Type::string)->text = std::move(text);
-    return true;
-  }
-  bool binary(nlohmann::json::binary_t&) { return false; }
-  bool start_object(std::size_t) { return open(Node::Type::object); }
-  bool start_array(std::size_t) { return open(Node::Type::array); }
-  bool key(std::string& key) {
-    open_.back()->keys.push_back(std::move(key));
-    return true;
-  }
-  bool end_object() { return close(); }
-  bool end_array() { return close(); }
-  bool parse_error(std::size_t position, const std::string&, const nlohmann::json::exception& exception) {
-    error = "at byte " + std::to_string(position) + ", ";
-    // "[json.exception.parse_error.101] parse error at line 1, column 2: syntax error ..."
-    const std::string_view what = exception.what();
-    const auto colon = what.find(": ");
-    error += what.substr(colon == std::string_view::npos ? 0 : colon + 2);
-    return false;
-  }
-
- private:
-  Node* add(Node::Type type) {
-    if (open_.empty()) {
-      root.type = type;
-      return &root;
-    }
-    // Only the innermost open node grows, so the pointers to the others stay good.
-    Node& made = open_.back()->children.emplace_back();
-    made.type = type;
-    return &made;
-  }
-  bool open(Node::Type type) {
-    if (open_.size() >= deepest) {
-      error = "it is nested more than " + std::to_string(deepest) + " deep";
-      return false;
-    }
-    open_.push_back(add(type));
-    return true;
-  }
-  bool close() {
-    open_.pop_back();
-    return true;
-  }
-
-  std::vector<Node*> open_;
-};
+using Node = detail::JsonNode;
 
 Error bad(std::string where, std::string why, std::string advice = {}) {
   return {Errc::bad_data, "the text is no event in JSON", std::move(where), std::move(why), std::move(advice)};
@@ -223,10 +135,10 @@ class Reader {
 }  // namespace
 
 Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const Description& description) {
-  Builder builder;
-  const char* text = reinterpret_cast<const char*>(bytes.data());
-  if (!nlohmann::json::sax_parse(text, text + bytes.size(), &builder)) return bad("", builder.error);
-  auto found = Reader::find(builder.root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
+  Node root;
+  if (auto mistake = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, root); !mistake.empty())
+    return bad("", std::move(mistake));
+  auto found = Reader::find(root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
   if (!found) return std::move(found).error();
   const auto& [topic, time, origin, data, sequence] = std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3],
                                                                  (*found)[4]};

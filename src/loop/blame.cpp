@@ -23,7 +23,7 @@ void LoopCore::Flusher::fire(MonotonicTime) {
   core.runtime.flush_repeats(RuntimeCore::Repeated::due);
 }
 
-void LoopCore::flush_repeats_at(MonotonicTime due) {
+void LoopCore::flush_repeats_at(MonotonicTime due) noexcept {
   if (flusher_.is_listed()) {
     if (flusher_.due <= due) return;
     remove(flusher_);
@@ -32,7 +32,7 @@ void LoopCore::flush_repeats_at(MonotonicTime due) {
   insert(flusher_);
 }
 
-void LoopCore::report_hold(const std::string& name, Duration took) {
+void LoopCore::report_hold(const std::string& name, Duration took) noexcept try {
   const std::string lasted = "held the loop for " + to_string(took / 1000 * 1000);
   const std::string place = runtime.place_of(name);
   held_last_ = now();
@@ -45,6 +45,7 @@ void LoopCore::report_hold(const std::string& name, Duration took) {
                  {Errc::held_too_long, lasted, (place.empty() ? "" : place + ": ") + "loop " + config.name,
                   "its limit is " + to_string(config.hold_limit),
                   "make it shorter, or do the slow part elsewhere; the ticks it cost are counted as missed"});
+} catch (...) {  // out of memory: it is counted all the same
 }
 
 void LoopCore::Calm::fire(MonotonicTime now) {

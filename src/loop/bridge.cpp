@@ -41,6 +41,7 @@ void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence,
 
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
     : from_(from), to_(to), ring_(ring_bytes), is_to_main_(to.runtime.hub == nullptr) {
+  from_.add_deadline();
   from_.runtime.outbound.push_back(this);
   to_.runtime.inbound.push_back(this);
   from_.runtime.listeners.push_back(this);
@@ -52,6 +53,7 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
 
 Bridge::~Bridge() {
   from_.remove(reminder_);
+  from_.drop_deadline();
   to_.runtime.forget_announcements(*this);
   for (Passage* passage : heard_) {
     if (passage != nullptr && passage->mirror != nullptr && !passage->is_past) passage->mirror->passage = nullptr;
@@ -153,11 +155,11 @@ void Bridge::on_segment(OriginCore& origin, const Segment& segment) {
 
 void Bridge::note(Note note) {
   if (send_notes() && send(note)) return;
-  if (notes_.size() < most_notes_beside_sensors + 2 * passages_.size()) {
-    notes_.push_back(note);
-  } else {
-    ++notes_lost_;
+  try {
+    if (notes_.size() < most_notes_beside_sensors + 2 * passages_.size()) return notes_.push_back(note);
+  } catch (...) {  // no memory
   }
+  ++notes_lost_;
 }
 
 bool Bridge::send_notes() noexcept {

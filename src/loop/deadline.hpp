@@ -64,8 +64,8 @@ class DeadlineHeap {
   void make_room(std::size_t count) {
     if (count > entries_.capacity()) entries_.reserve(std::max(count, 2 * entries_.capacity()));
   }
-  /// When that asks for memory and there is none, nothing has changed.
-  void insert(Deadline& deadline) {
+  /// There is room for it.
+  void insert(Deadline& deadline) noexcept {
     entries_.push_back(&deadline);
     if (deadline.order == 0) deadline.order = ++last_order_;
     deadline.heap_index = entries_.size() - 1;

@@ -12,6 +12,8 @@
 namespace rtdata {
 namespace {
 
+constexpr Duration try_again_after = std::chrono::milliseconds{2};
+
 class Drain : public std::enable_shared_from_this<Drain> {
  public:
   Drain(Loop& loop, Duration deadline, Callback<void(std::uint64_t)> done)
@@ -68,6 +70,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     if (!are_tiers_waited_for_) return;
     are_tiers_waited_for_ = false;
     runtime_.receive();
+    timer_ = Timer();
     wait_for_reads();
   }
 
@@ -85,25 +88,42 @@ class Drain : public std::enable_shared_from_this<Drain> {
     tiers_done();
   }
 
+  /// As a timer calls it: when there is no memory, it is tried again.
+  void go_on_waiting() {
+    try {
+      wait_for_reads();
+    } catch (...) {
+      timer_.start(try_again_after);
+      throw;  // is told
+    }
+  }
+
+  /// Throws with nothing begun.
   void wait_for_reads() {
     bool reading = false;
     for (const detail::SensorEntry* sensor : runtime_.sensors) reading = reading || sensor->is_reading();
     if (reading && loop_.now() < deadline_) {
-      timer_ = Timer(loop_, std::chrono::milliseconds{2}, [self = shared_from_this()] { self->wait_for_reads(); });
+      if (!timer_) timer_ = Timer(loop_, [self = shared_from_this()] { self->go_on_waiting(); });
+      timer_.start(try_again_after);
       return;
     }
     loop_.core().deliver_all();  // what stopping would cancel
     for_each_sensor([](detail::SensorEntry& sensor) { sensor.stop(); });
+    const auto recorders = copy(runtime_.recorders);
+    std::vector<Callback<void(std::uint64_t)>> done;
+    for (std::size_t i = 0; i < recorders.size(); ++i)
+      done.emplace_back([self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
     runtime_.flush_repeats(detail::RuntimeCore::Repeated::all);
-    runtime_.look_at_clock("end");
-    pending_ = runtime_.recorders.size() + 1;
-    for (detail::Recorder* recorder : copy(runtime_.recorders)) {
+    loop_.core().call_own("clock", [&] { runtime_.look_at_clock("end"); });
+    pending_ = recorders.size() + 1;
+    for (detail::Recorder* recorder : recorders) {
       const auto& left = runtime_.recorders;  // a report of one may have closed another
       if (std::find(left.begin(), left.end(), recorder) == left.end()) {
         one_done(0);
         continue;
       }
-      recorder->drain(deadline_, [self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
+      recorder->drain(deadline_, std::move(done.back()));
+      done.pop_back();
     }
     one_done(0);
   }

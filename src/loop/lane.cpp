@@ -6,7 +6,6 @@
 #include <array>
 #include <condition_variable>
 #include <csignal>
-#include <deque>
 #include <mutex>
 #include <thread>
 #include <vector>
@@ -97,7 +96,7 @@ struct Lane::Delayed final : Deadline {
   void fire(MonotonicTime) override {
     lane.loop_.remove(*this);
     const LaneJob::Outcome outcome = completions.front().outcome;
-    completions.pop_front();
+    completions.erase(completions.begin());
     if (!completions.empty()) {
       due = completions.front().at;
       lane.loop_.insert(*this);
@@ -105,7 +104,7 @@ struct Lane::Delayed final : Deadline {
     lane.finish(0, outcome);
   }
   Lane& lane;
-  std::deque<Completion> completions;  // of the outstanding jobs, in order
+  std::vector<Completion> completions;  // of the outstanding jobs, in order
 };
 
 Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
@@ -114,8 +113,16 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
       give_up_after_(give_up_after),
       watchdog_(std::make_unique<Watchdog>(*this)),
       delayed_(std::make_unique<Delayed>(*this)) {
-  outstanding_.reserve(ring_size);
-  loop_.add(*this);
+  needs_thread_ = !loop_.is_manual();
+  make_room(ring_size);
+  behind_.reserve(most_left_behind);
+  for (int i = 0; i < 2; ++i) loop_.add_deadline();
+  try {
+    loop_.add(*this);
+  } catch (...) {
+    for (int i = 0; i < 2; ++i) loop_.drop_deadline();
+    throw;
+  }
 }
 
 Lane::~Lane() {
@@ -123,6 +130,7 @@ Lane::~Lane() {
   loop_.remove(*this);
   loop_.remove(*watchdog_);
   loop_.remove(*delayed_);
+  for (int i = 0; i < 2; ++i) loop_.drop_deadline();
   if (worker_ != nullptr) {
     worker_->end();
     std::unique_lock lock(worker_->mutex);
@@ -135,7 +143,7 @@ Lane::~Lane() {
   for (const auto& job : unfinished) {
     loop_.unref();
     const bool is_finished = job->state_.load(std::memory_order_acquire) == LaneJob::finished;
-    job->done(is_finished ? LaneJob::Outcome::finished : LaneJob::Outcome::cancelled);
+    loop_.call_own("lane", [&] { job->done(is_finished ? LaneJob::Outcome::finished : LaneJob::Outcome::cancelled); });
   }
 }
 
@@ -161,8 +169,14 @@ bool Lane::start_worker() noexcept {
   return worker_ != nullptr;
 }
 
+void Lane::make_room(std::size_t jobs) {
+  outstanding_.reserve(jobs);
+  if (loop_.is_manual()) delayed_->completions.reserve(jobs);
+}
+
 bool Lane::submit(std::shared_ptr<LaneJob> job) {
   if (outstanding_.size() == most_outstanding) return false;
+  if (outstanding_.size() == outstanding_.capacity()) make_room(2 * outstanding_.size());
   if (loop_.is_manual()) {
     {
       const LoopCore::OffLimits on_a_lane(loop_);
@@ -209,7 +223,7 @@ void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
   loop_.unref();
   if (outcome != LaneJob::Outcome::finished || health_ != Health::ok) [[unlikely]]
     look_at_health(outcome);
-  job->done(outcome);
+  loop_.call_own("lane", [&] { job->done(outcome); });
 }
 
 void Lane::look_at_health(LaneJob::Outcome outcome) {
@@ -218,9 +232,11 @@ void Lane::look_at_health(LaneJob::Outcome outcome) {
   if (outcome == LaneJob::Outcome::finished) now = left_behind() > 0 ? Health::degraded : Health::ok;
   if (now == health_) return;
   health_ = now;
-  std::string reason;
-  if (now != Health::ok) reason = "a job outlived its limit of " + to_string(give_up_after_) + " and was given up";
-  loop_.runtime.health_changed("lane", name_, now, reason);
+  loop_.call_own("lane", [&] {
+    std::string reason;
+    if (now != Health::ok) reason = "a job outlived its limit of " + to_string(give_up_after_) + " and was given up";
+    loop_.runtime.health_changed("lane", name_, now, reason);
+  });
 }
 
 void Lane::collect() {

@@ -69,6 +69,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
     manual_ = dynamic_cast<ManualClock*>(&runtime.clock());
   }
   reads_kernel_clock_ = manual_ == nullptr && !runtime.has_injected_clock();
+  for (int i = 0; i < 2; ++i) add_deadline();  // the flusher, and the end of a hold
   if (attached_) {
     uv_loop_ = host;
   } else {
@@ -149,7 +150,7 @@ void LoopCore::watch_clock() {
     [[maybe_unused]] const auto got = ::read(core.side_->clock_fd, &expirations,
                                              sizeof expirations);  // fails: cancelled
     core.arm_clock();
-    core.runtime.look_at_clock();
+    core.call_own("clock", [&] { core.runtime.look_at_clock(); });
   });
   uv_unref(reinterpret_cast<uv_handle_t*>(&side_->clock));
 }
@@ -231,12 +232,14 @@ Wake& LoopCore::wake() noexcept { return side_->wake; }
 
 // ---- deadlines
 
-void LoopCore::insert(Deadline& deadline) {
+void LoopCore::add_deadline() {
+  deadlines_.make_room(deadline_count_ + 1);
+  if (deadline_count_ + 1 > next_round_.capacity()) next_round_.reserve(2 * (deadline_count_ + 1));
+  ++deadline_count_;
+}
+
+void LoopCore::insert(Deadline& deadline) noexcept {
   assert_thread();
-  // All that is listed has its place in both lists: only here may there be no memory, with nothing changed yet.
-  deadlines_.make_room(deadlines_.size() + next_round_.size() + 1);
-  if (deadlines_.size() + next_round_.size() + 1 > next_round_.capacity())
-    next_round_.reserve(2 * (deadlines_.size() + next_round_.size() + 1));
   if (firing_ && deadline.due <= firing_until_) {  // in the next round, so that one round ends
     next_round_.push_back(&deadline);
     deadline.heap_index = Deadline::waiting;
@@ -255,7 +258,7 @@ void LoopCore::remove(Deadline& deadline) noexcept {
   deadlines_.remove(deadline);
 }
 
-void LoopCore::moved(Deadline& deadline) {
+void LoopCore::moved(Deadline& deadline) noexcept {
   if (deadline.heap_index == Deadline::waiting || (firing_ && deadline.due <= firing_until_)) {
     remove(deadline);
     insert(deadline);
@@ -265,7 +268,7 @@ void LoopCore::moved(Deadline& deadline) {
   if (!firing_) arm();
 }
 
-void LoopCore::arm() {
+void LoopCore::arm() noexcept {
   const Deadline* top = deadlines_.top();
   if (manual_ != nullptr) return;
   const MonotonicTime due = top == nullptr ? MonotonicTime{}
@@ -310,7 +313,10 @@ void LoopCore::run_due() {
     firing_until_ = until;
     MonotonicTime begin = until;
     while (is_something_due(until)) {
-      deadlines_.top()->fire(begin);
+      Deadline& due = *deadlines_.top();
+      const MonotonicTime due_at = due.due;
+      // What cannot do what it is to do for want of memory has moved itself first, or is taken out.
+      if (!call_own("loop", [&] { due.fire(begin); }) && deadlines_.top() == &due && due.due == due_at) remove(due);
       begin = now();
     }
     for (Deadline* deadline : next_round_) deadlines_.insert(*deadline);
@@ -401,11 +407,13 @@ void LoopCore::turn_done() noexcept {
   turn_is_open_ = false;
   schedule_.begin_waiting();
   start_tiers_in_turn();
-  runtime.turn_done();
-  if (runtime.has_injected_clock()) runtime.look_at_clock();
+  call_own("loop", [&] {
+    runtime.turn_done();
+    if (runtime.has_injected_clock()) runtime.look_at_clock();
+  });
   if (ready_first_ != nullptr) {
     deliver(Budget::limited);
-    runtime.turn_done();  // what handlers have published
+    call_own("loop", [&] { runtime.turn_done(); });  // what handlers have published
   }
   if (!side_->wake.rest()) {
     start_idle();

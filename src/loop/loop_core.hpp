@@ -61,9 +61,13 @@ class LoopCore {
   void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
 
   // Deadlines
-  void insert(Deadline& deadline);
+  /// For each deadline that there is on this loop, so that none asks for memory when it is inserted. Throws, with nothing
+  /// changed.
+  void add_deadline();
+  void drop_deadline() noexcept { --deadline_count_; }
+  void insert(Deadline& deadline) noexcept;
   void remove(Deadline& deadline) noexcept;
-  void moved(Deadline& deadline);
+  void moved(Deadline& deadline) noexcept;
   Schedule& schedule() noexcept { return schedule_; }
   /// Schedules wait: on an attached loop, makes sure that a turn comes.
   void wake_for_waiting() noexcept {
@@ -103,14 +107,14 @@ class LoopCore {
     if (took <= config.hold_limit) [[likely]]
       return false;
     ++times.held;
-    report_hold(name(), took);
+    call_own("loop", [&] { report_hold(name(), took); });
     return true;
   }
   std::vector<CallbackStatus> callbacks() const;
   LoopLoad load() const;
   /// Reports that were held back are written at `due`.
-  void flush_repeats_at(MonotonicTime due);
-  void report_hold(const std::string& name, Duration took);
+  void flush_repeats_at(MonotonicTime due) noexcept;
+  void report_hold(const std::string& name, Duration took) noexcept;
   void report_exception(std::string_view name, const char* what) noexcept;
   /// Calls user code: an exception is reported under the name and goes no further.
   template <class Function>
@@ -122,6 +126,16 @@ class LoopCore {
     } catch (...) {
       report_exception(name, "an exception that is no std::exception");
     }
+  }
+  /// The same, of what is ours: it throws when there is no memory. False: it did.
+  template <class Function>
+  bool call_own(std::string_view name, Function&& function) noexcept {
+    bool has_ended = false;
+    call_user(name, [&] {
+      function();
+      has_ended = true;
+    });
+    return has_ended;
   }
   void assert_thread() const noexcept;
   /// SetupError (busy) on another thread than that which runs the loop. Nobody knows who runs an attached one.
@@ -228,7 +242,7 @@ class LoopCore {
   bool is_something_due(MonotonicTime now) const noexcept {
     return deadlines_.top() != nullptr && has_come(deadlines_.top()->due, now);
   }
-  void arm();
+  void arm() noexcept;
   void spin_until_due() noexcept;
   void run_posted();
   /// Takes no more, and destroys what was not run.
@@ -255,6 +269,7 @@ class LoopCore {
   CycleClock cycle_clock_;
   UvSide* side_ = nullptr;
   DeadlineHeap deadlines_;
+  std::size_t deadline_count_ = 0;  // that there are, in the heap or not
   Schedule schedule_{*this};
   MonotonicTime armed_for_{};
   MonotonicTime turn_start_{};

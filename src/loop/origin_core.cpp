@@ -12,7 +12,7 @@ namespace rtdata::detail {
 OriginCore::OriginCore(std::string_view name_, TopicCore& topic_, std::uint32_t index_)
     : name(name_), topic(topic_), index(index_) {}
 
-void OriginCore::begin_segment(MonotonicTime first_due, Duration period) {
+void OriginCore::begin_segment(MonotonicTime first_due, Duration period) noexcept {
   counts.has_schedule = true;
   first_due_ = first_due;
   period_ = period;
@@ -55,21 +55,18 @@ void OriginCore::become_mirror(Passage& from) noexcept {
 }
 
 void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way,
-                        const Gap* gap) {
+                        const Gap* gap) noexcept {
   counts = told;
   sequence = last_sequence;
   first_due_ = topic.runtime().monotonic_of(under_way.first_due);
   period_ = under_way.period;
   scheduled_before_ = told.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
-  if (gap_is_open_) {
-    if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
-    gaps_->gap = *gap;
-  }
+  if (gap_is_open_) gaps_.gap = *gap;
   topic.tell_taps_of_change(*this);
 }
 
-void OriginCore::end_segment(MonotonicTime end) {
+void OriginCore::end_segment(MonotonicTime end) noexcept {
   if (!has_segment()) return;
   close_gap();
   const Segment ended = segment(end);
@@ -79,7 +76,7 @@ void OriginCore::end_segment(MonotonicTime end) {
   topic.tell_taps_of_change(*this);
 }
 
-void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
+void OriginCore::fail_read(std::string_view reason, MonotonicTime due) noexcept {
   --counts.in_flight;
   ++counts.failed;
   const bool is_of_last_segment = due < first_due_;  // a gap lies in one segment
@@ -88,23 +85,22 @@ void OriginCore::fail_read(std::string_view reason, MonotonicTime due) {
   if (is_of_last_segment) close_gap();
 }
 
-void OriginCore::fail_tick(std::string_view reason, MonotonicTime due) {
+void OriginCore::fail_tick(std::string_view reason, MonotonicTime due) noexcept {
   ++counts.scheduled;
   ++counts.failed;
   extend_gap(Gap::Kind::failed, reason, due, due, 1);
 }
 
-void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTime first) {
+void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTime first) noexcept {
   counts.scheduled += count;
   counts.missed += count;
   extend_gap(Gap::Kind::missed, reason, first, first + period_ * static_cast<std::int64_t>(count - 1), count);
 }
 
 void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
-                            std::uint64_t count) {
+                            std::uint64_t count) noexcept {
   const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
-  if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
-  Gaps& now = *gaps_;
+  Gaps& now = gaps_;
   // A read that was under way when the gaps around it were told of as one.
   if (from <= now.joined_up_to && count != 0) return tell({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
@@ -128,48 +124,49 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   topic.tell_taps_of_change(*this);
 }
 
-void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) {
-  if (gaps_ != nullptr && gaps_->is_absence) return;
-  if (gap_is_open_) gaps_->is_interrupted = true;  // several that are joined
+void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept {
+  if (gaps_.is_absence) return;
+  if (gap_is_open_) gaps_.is_interrupted = true;  // several that are joined
   extend_gap(kind, reason, from, from, 0);
-  gaps_->is_absence = gap_is_open_;
+  gaps_.is_absence = gap_is_open_;
 }
 
 void OriginCore::end_absence(MonotonicTime to) noexcept {
-  if (gaps_ == nullptr || !std::exchange(gaps_->is_absence, false)) return;
-  gaps_->gap.last = std::max(gaps_->gap.last, topic.runtime().event_time(to));
+  if (!std::exchange(gaps_.is_absence, false)) return;
+  gaps_.gap.last = std::max(gaps_.gap.last, topic.runtime().event_time(to));
   interrupt_gap();
 }
 
 void OriginCore::interrupt_gap() noexcept {
-  if (!gaps_->is_joining) return close_gap();
-  gaps_->is_interrupted = true;
-  const Time now = has_segment() ? topic.runtime().event_time(last_due()) : gaps_->gap.last;
-  if (gaps_->allowance.has_some(now.time_since_epoch())) close_gap();
+  if (!gaps_.is_joining) return close_gap();
+  gaps_.is_interrupted = true;
+  const Time now = has_segment() ? topic.runtime().event_time(last_due()) : gaps_.gap.last;
+  if (gaps_.allowance.has_some(now.time_since_epoch())) close_gap();
 }
 
 void OriginCore::close_gap() noexcept {
   if (!gap_is_open_ || is_mirror) return;  // a mirror's closes on its own loop
-  if (gaps_->is_absence) {
+  if (gaps_.is_absence) {
     RuntimeCore& runtime = topic.runtime();
-    gaps_->gap.last = std::max(gaps_->gap.last, runtime.event_time(runtime.clock().monotonic()));
+    gaps_.gap.last = std::max(gaps_.gap.last, runtime.event_time(runtime.clock().monotonic()));
   }
-  Gap closed = gaps_->gap;
-  if (closed.kind == Gap::Kind::joined && closed.count == 0) closed.count = gaps_->parts;  // without a schedule
-  gap_is_open_ = gaps_->is_absence;
+  Gap closed = gaps_.gap;
+  if (closed.kind == Gap::Kind::joined && closed.count == 0) closed.count = gaps_.parts;  // without a schedule
+  gap_is_open_ = gaps_.is_absence;
   if (gap_is_open_) {
-    gaps_->gap = {gaps_->last_kind, gaps_->last_reason, closed.last, closed.last, 0};
-    gaps_->parts = 1;
-    gaps_->is_joining = false;
+    gaps_.gap = {gaps_.last_kind, gaps_.last_reason, closed.last, closed.last, 0};
+    gaps_.parts = 1;
+    gaps_.is_joining = false;
   }
-  gaps_->allowance.spend(closed.last.time_since_epoch());
-  if (closed.kind == Gap::Kind::joined) gaps_->joined_up_to = closed.last;
+  gaps_.allowance.spend(closed.last.time_since_epoch());
+  if (closed.kind == Gap::Kind::joined) gaps_.joined_up_to = closed.last;
   tell(closed);
 }
 
 void OriginCore::divide_gaps() noexcept {
   close_gap();
-  if (gaps_ != nullptr) gaps_->joined_up_to = std::max(gaps_->joined_up_to, topic.runtime().event_time(last_due()));
+  if (gaps_.joined_up_to != Time::min() || gaps_.parts != 0)
+    gaps_.joined_up_to = std::max(gaps_.joined_up_to, topic.runtime().event_time(last_due()));
 }
 
 void OriginCore::tell(const Gap& gap) noexcept {

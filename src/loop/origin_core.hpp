@@ -2,7 +2,6 @@
 // sensor that is removed and added again goes on in the same sequence.
 #pragma once
 
-#include <memory>
 #include <string>
 
 #include "loop/allowance.hpp"
@@ -26,9 +25,9 @@ class OriginCore {
   OriginCore& operator=(const OriginCore&) = delete;
 
   // The schedule. Instants are on the monotonic line.
-  void begin_segment(MonotonicTime first_due, Duration period);
+  void begin_segment(MonotonicTime first_due, Duration period) noexcept;
   /// Ends at `end`, up to which every due tick has been counted.
-  void end_segment(MonotonicTime end);
+  void end_segment(MonotonicTime end) noexcept;
   bool has_segment() const noexcept { return period_.count() > 0; }
   /// Without a segment: the next may not begin before, or its ticks would be among those of the last one.
   MonotonicTime free_from() const noexcept { return first_due_; }
@@ -57,13 +56,13 @@ class OriginCore {
     if (gap_is_open_) [[unlikely]]
       interrupt_gap();
   }
-  void fail_read(std::string_view reason, MonotonicTime due);
-  void fail_tick(std::string_view reason, MonotonicTime due);
+  void fail_read(std::string_view reason, MonotonicTime due) noexcept;
+  void fail_tick(std::string_view reason, MonotonicTime due) noexcept;
   /// `count` ticks, the first of them due at `first`, were skipped.
-  void miss(std::uint64_t count, std::string_view reason, MonotonicTime first);
+  void miss(std::uint64_t count, std::string_view reason, MonotonicTime first) noexcept;
 
   // Without a schedule: a stretch in which nothing could come, or nothing came. Nothing when one is under way, or none.
-  void begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from);
+  void begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept;
   void end_absence(MonotonicTime to) noexcept;
 
   /// Tells of the gap under way, if there is one. An absence goes on in another.
@@ -71,7 +70,7 @@ class OriginCore {
   /// The same; and what is told of later joins nothing from before.
   void divide_gaps() noexcept;
   /// Null: none.
-  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_.gap : nullptr; }
 
   /// What goes on when another loop takes the name over.
   struct State {
@@ -88,7 +87,7 @@ class OriginCore {
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
   /// `gap`: under way; null: none.
-  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap);
+  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
   /// The gap under way of a mirror has closed.
@@ -118,7 +117,7 @@ class OriginCore {
   /// Of the ticks of the segment that were counted; one period before the first, while there is none.
   MonotonicTime last_due() const noexcept;
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
-                  std::uint64_t count);
+                  std::uint64_t count) noexcept;
   /// There was a reading: what is told of later begins another gap, or joins this one when there are too many.
   void interrupt_gap() noexcept;
   void tell(const Gap& gap) noexcept;
@@ -138,7 +137,7 @@ class OriginCore {
     Allowance allowance;
     Time joined_up_to = Time::min();  // the last one that was told of
   };
-  std::unique_ptr<Gaps> gaps_;  // made at the first gap, then kept
+  Gaps gaps_;  // not apart from the rest: a gap costs no memory, of which there may be none when it happens
 };
 
 }  // namespace rtdata::detail

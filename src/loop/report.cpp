@@ -1,7 +1,10 @@
 // What a runtime tells of: log lines, errors met at run time with their repeats joined, changes of health.
+#include <unistd.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
+#include <new>
 #include <string>
 #include <utility>
 
@@ -10,6 +13,16 @@
 #include "rtdata/loop/health.hpp"
 
 namespace rtdata::detail {
+
+namespace {
+
+/// What cannot be told for want of memory is told without any.
+void tell_of_no_memory() noexcept {
+  static constexpr char line[] = "rtdata: error: out of memory: something that is to be told cannot be told\n";
+  [[maybe_unused]] const auto written = ::write(STDERR_FILENO, line, sizeof line - 1);
+}
+
+}  // namespace
 
 void RuntimeCore::tell_hub(Callback<void()> what) {
   constexpr std::uint32_t most_under_way = 1000;  // to a main loop that does not take them
@@ -41,7 +54,8 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
   LogLine line{level, std::string(object), std::string(text), std::string(error_id)};
   if (auto joined = lines_.take(key, std::move(line), clock_->monotonic())) return log_line(*joined);
   flush_repeats_later(nullptr, lines_.held_until());
-} catch (...) {  // out of memory: nothing is left to tell it to
+} catch (...) {
+  tell_of_no_memory();
 }
 
 void RuntimeCore::log_line(const Joined<LogLine>& joined) noexcept try {
@@ -59,7 +73,8 @@ void RuntimeCore::log_line(const Joined<LogLine>& joined) noexcept try {
   }
   std::fprintf(stderr, "rtdata: %s: %s: %s%s\n", level == LogLevel::error ? "error" : "warning", object.c_str(),
                text.c_str(), note);
-} catch (...) {  // out of memory: nothing is left to tell it to
+} catch (...) {
+  tell_of_no_memory();
 }
 
 void RuntimeCore::report_all_kept() {
@@ -81,7 +96,8 @@ void RuntimeCore::forget(LoopCore& loop) noexcept {
   own_loop = nullptr;
   try {
     report_kept();
-  } catch (...) {  // out of memory: nothing is left to tell it to
+  } catch (...) {
+    tell_of_no_memory();
   }
 }
 
@@ -118,10 +134,12 @@ void RuntimeCore::health_changed(std::string_view kind, std::string_view name, H
     flush_repeats_later(nullptr, changes_.held_until());
   }
   publish_from_program(topic(health_topic, payload_type<HealthChange>()), &change);
-} catch (...) {  // out of memory, or the program has taken the name for another topic: health() of the object tells it
+} catch (const std::bad_alloc&) {
+  tell_of_no_memory();
+} catch (...) {  // the program has taken the name for another topic: health() of the object tells it
 }
 
-void RuntimeCore::flush_repeats(Repeated which) {
+void RuntimeCore::flush_repeats(Repeated which) noexcept try {
   const MonotonicTime now = clock_->monotonic();
   const bool is_all = which == Repeated::all;
   const auto errors = is_all ? errors_.take_all() : errors_.take_due(now);
@@ -133,6 +151,8 @@ void RuntimeCore::flush_repeats(Repeated which) {
   }
   for (const auto& error : errors) write(nullptr, error);
   for (const auto& line : lines) log_line(line);
+} catch (...) {
+  tell_of_no_memory();
 }
 
 void RuntimeCore::write(const Joined<HealthChange>& joined) noexcept {
@@ -164,7 +184,8 @@ void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexc
     });
   }
   log_line({{LogLevel::error, hide(object), error.text(), std::string(error.id())}, {}, {}, joined.count});
-} catch (...) {  // out of memory: nothing is left to tell it to
+} catch (...) {
+  tell_of_no_memory();
 }
 
 }  // namespace rtdata::detail

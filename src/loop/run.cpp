@@ -62,8 +62,10 @@ void LoopCore::call_there(Callback<void()> function) {
 }
 
 void LoopCore::run_posted() {
-  collect_lanes();
-  runtime.receive();
+  call_own("loop", [&] {
+    collect_lanes();
+    runtime.receive();
+  });
   {
     const std::lock_guard lock(posted_mutex_);
     running_posted_.swap(posted_);
@@ -218,7 +220,7 @@ void LoopCore::settle() {
   // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
   Left left = Left::nothing;
   do {
-    runtime.look_at_clock();
+    call_own("clock", [&] { runtime.look_at_clock(); });
     run_due();
     run_posted();
     uv_run(uv_loop_, UV_RUN_NOWAIT);

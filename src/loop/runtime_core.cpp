@@ -164,8 +164,8 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic, O
     if (origin != nullptr && origin->is_claimed) refuse_holder(*this);
     if (origin != nullptr && &origin->topic != &topic) refuse_topic(origin->topic.name);
     if (origin != nullptr) check_supply(origin->supply, origin->counts);
-    is_new = origin == nullptr;
-    if (is_new) origin = &find_or_make_origin(name, topic);
+    is_new = origin == nullptr || origin->supply == OriginCore::Supply::none;
+    origin = &find_or_make_origin(name, topic);
   } else {
     const std::lock_guard lock(all.names_mutex_);
     Name& claim = all.names_[std::string(name)];
@@ -174,15 +174,19 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic, O
     if (claim.left != nullptr && claim.left->topic != topic.name) refuse_topic(claim.left->topic);
     if (claim.left != nullptr) check_supply(claim.left->state.supply, claim.left->state.counts);
     const OriginCore* known = find_origin(name);
-    is_new = known == nullptr || known->is_mirror;
+    is_new = known == nullptr || known->is_mirror || known->supply == OriginCore::Supply::none;
     origin = &find_or_make_origin(name, topic);
     if (is_new) origin->adopt(claim.left != nullptr ? claim.left->state : OriginCore::State{});
     claim.holder = this;
   }
   origin->is_claimed = true;
   origin->supply = supply;
-  if (is_new) {
-    for (Listener* listener : listeners) listener->on_origin(*origin);
+  try {
+    for (std::size_t i = 0; is_new && i < listeners.size(); ++i) listeners[i]->on_origin(*origin);
+  } catch (...) {  // no memory: as if nobody had asked
+    origin->supply = OriginCore::Supply::none;
+    release(*origin);
+    throw;
   }
   return *origin;
 }
@@ -231,11 +235,16 @@ OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
 }
 
 OriginCore& RuntimeCore::find_or_make_origin(std::string_view name, TopicCore& topic) {
-  if (OriginCore* known = find_origin(name)) return *known;
-  auto& made = const_cast<OriginCore&>(
-      *origins_.emplace(name, topic, static_cast<std::uint32_t>(topic.origins().size())).first);
-  topic.origins().push_back(&made);
-  return made;
+  OriginCore* origin = find_origin(name);
+  if (origin == nullptr) {
+    auto& of_topic = topic.origins();
+    if (of_topic.size() == of_topic.capacity()) of_topic.reserve(2 * of_topic.size() + 1);
+    origin = const_cast<OriginCore*>(
+        &*origins_.emplace(name, topic, static_cast<std::uint32_t>(of_topic.size())).first);
+    of_topic.push_back(origin);
+  }
+  topic.expect(*origin);
+  return *origin;
 }
 
 OriginCore& RuntimeCore::program_origin(TopicCore& topic) {

@@ -160,6 +160,7 @@ class RuntimeCore {
   std::vector<Recorder*> recorders;  ///< those of the listeners that are sinks
   void attach(Recorder& recorder) {
     recorders.reserve(recorders.size() + 1);
+    closed_sinks.reserve(closed_sinks.size() + recorders.size() + 1);  // its end finds a place
     listeners.push_back(&recorder);
     recorders.push_back(&recorder);
   }
@@ -245,7 +246,7 @@ class RuntimeCore {
   }
   enum class Repeated { due, all };
   /// Tells of the errors, lines of the log and changes of health that were held back, as far as it is time, or of all.
-  void flush_repeats(Repeated which);
+  void flush_repeats(Repeated which) noexcept;
   Handler<LogRecord> on_log;
 
   std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports

@@ -1,9 +1,12 @@
 #include "loop/schedule.hpp"
 
 #include <algorithm>
+#include <exception>
+#include <new>
 #include <utility>
 
 #include "loop/loop_core.hpp"
+#include "loop/runtime_core.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -11,6 +14,8 @@ namespace {
 // Thousands of members do not fit the caches: what the next ones will use is fetched while the first ones run.
 constexpr std::size_t far_ahead = 16;
 constexpr std::size_t near_ahead = 8;
+
+constexpr Duration try_again_after = std::chrono::milliseconds{100};
 
 /// What lies around the member: the object it is part of.
 void fetch(const RateMember* member) noexcept {
@@ -56,7 +61,11 @@ void RateGroup::fire(MonotonicTime now) {
       tick.missed = static_cast<std::uint64_t>((firing_due_ - std::max(first_missed_, member->first_due_)) / period_);
     }
     loop_.schedule().ticking_ = member;
-    member->tick(tick);
+    try {
+      member->tick(tick);
+    } catch (...) {  // no memory, not even to tell of it: the others have their ticks all the same
+      loop_.call_own("loop", [] { throw; });
+    }
     const MonotonicTime to = std::max(from, loop_.quick_now());
     // A member that removed itself may be gone.
     if (members_[position_ - 1] == member &&
@@ -84,17 +93,30 @@ void Schedule::add(RateMember& member) {
   loop_.wake_for_waiting();
 }
 
-void Schedule::begin_waiting() {
+void Schedule::begin_waiting() noexcept {
   if (waiting_.empty()) return;
-  std::size_t begun = 0;
-  try {
-    for (; begun < waiting_.size(); ++begun) {
-      place(*waiting_[begun]);
-      waiting_[begun]->is_waiting_ = false;
+  for (std::size_t i = 0; i < waiting_.size(); ++i) {
+    RateMember* const member = waiting_[i];
+    try {
+      place(*member);
+    } catch (const std::bad_alloc&) {  // it waits for the next turn
+    } catch (const std::exception& e) {
+      tell(*member, e.what());
+    } catch (...) {
+      tell(*member, "an exception that is no std::exception");
     }
-  } catch (...) {  // out of memory: the others wait for the next turn
+    member->is_waiting_ = member->group_ == nullptr;
   }
-  waiting_.erase(waiting_.begin(), waiting_.begin() + static_cast<std::ptrdiff_t>(begun));
+  std::erase_if(waiting_, [](const RateMember* member) { return !member->is_waiting_; });
+  // So that a turn comes, also when nothing else brings one.
+  if (!waiting_.empty()) loop_.flush_repeats_at(later(loop_.now(), try_again_after));
+}
+
+void Schedule::tell(const RateMember& member, const char* why) noexcept try {
+  loop_.runtime.keep_report(&loop_, member.blame_name(),
+                            {Errc::handler_threw, "its schedule did not begin well", "loop " + loop_.config.name, why,
+                             member.group_ == nullptr ? "it is tried again in the next turn" : ""});
+} catch (...) {  // out of memory
 }
 
 void Schedule::place(RateMember& member) {
@@ -119,14 +141,15 @@ void Schedule::place(RateMember& member) {
     auto made = std::make_unique<RateGroup>(loop_, period);
     made->members_.reserve(1);
     const auto at = groups_.emplace(key, std::move(made));
-    group = at->second.get();
-    group->due = first_due;
     try {
-      loop_.insert(*group);
+      loop_.add_deadline();
     } catch (...) {
       groups_.erase(at);
       throw;
     }
+    group = at->second.get();
+    group->due = first_due;
+    loop_.insert(*group);
     group->members_.push_back(&member);
   } else {
     group->members_.push_back(&member);  // throws: nothing has changed
@@ -159,8 +182,9 @@ void Schedule::remove(RateMember& member) noexcept {
   }
 }
 
-void Schedule::discard(RateGroup& group) {
+void Schedule::discard(RateGroup& group) noexcept {
   loop_.remove(group);
+  loop_.drop_deadline();
   const auto at = std::find_if(groups_.begin(), groups_.end(),
                                [&](const auto& entry) { return entry.second.get() == &group; });
   groups_.erase(at);

@@ -101,13 +101,14 @@ class Schedule {
   /// begins when the loop does, so that setting up takes no ticks from anybody.
   void add(RateMember& member);
   void remove(RateMember& member) noexcept;
-  /// Begins the schedules that wait for the loop to turn.
-  void begin_waiting();
+  /// Begins the schedules that wait for the loop to turn. Those for which there is no memory wait for the next turn.
+  void begin_waiting() noexcept;
 
  private:
   friend class RateGroup;
   void place(RateMember& member);
-  void discard(RateGroup& group);
+  void discard(RateGroup& group) noexcept;
+  void tell(const RateMember& member, const char* why) noexcept;
   LoopCore& loop_;
   std::vector<RateMember*> waiting_;
   using Key = std::pair<Duration, Duration>;  // period and phase

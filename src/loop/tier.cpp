@@ -16,6 +16,7 @@
 #include "loop/bridge.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
+#include "loop/no_thread.hpp"
 #include "loop/processors.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
@@ -237,11 +238,10 @@ void TierCore::start() {
       ended_.set();
     });
     is_set_up.acquire();
-  } catch (const std::system_error& e) {
+  } catch (const std::system_error&) {
     loop.core().unref();
     main.core().unref();
-    throw SetupError(
-        {Errc::io_failed, "cannot start tier", config.name, e.what(), "look at the limits of threads (ulimit -u)"});
+    throw SetupError(no_thread("cannot start tier", config.name));
   }
 }
 

@@ -8,7 +8,9 @@ namespace detail {
 class TimerNode final : public Node, public Deadline {
  public:
   TimerNode(LoopCore& loop, Timer::Config config, Callback<void()> callback)
-      : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {}
+      : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {
+    loop.add_deadline();
+  }
 
   void start_at(MonotonicTime at) {
     if (!is_open()) return;
@@ -43,7 +45,10 @@ class TimerNode final : public Node, public Deadline {
   }
 
  private:
-  void on_close() noexcept override { stop(); }
+  void on_close() noexcept override {
+    stop();
+    loop()->drop_deadline();
+  }
   void drop_callbacks() noexcept override { callback_.reset(); }
   Timer::Config config_;
   Callback<void()> callback_;

@@ -168,6 +168,14 @@ void TopicCore::make_ring(std::size_t capacity) {
   slots_ = static_cast<std::byte*>(::operator new (slots* stride_, std::align_val_t{64}));
 }
 
+void TopicCore::add_tap(Tap& tap) {
+  for (OriginCore* origin : origins_) {
+    if (origin->is_claimed || origin->is_mirror) tap.expect(*origin);
+  }
+  taps_.push_back(&tap);
+  followers_changed();
+}
+
 Result<void> TopicCore::link(SubscriptionNode& node) {
   auto map = node.accept(*this);
   if (!map) return std::move(map).error();

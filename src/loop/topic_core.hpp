@@ -21,8 +21,11 @@ class Tap {
   virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
   /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
+  /// To be called before anything of this origin comes: what it needs is set aside, and nothing else asks for memory.
+  /// Throws; may be called again.
+  virtual void expect(OriginCore& origin) = 0;
   /// Something has become of a tick, or of the schedule, that no event tells of.
-  virtual void note_change(OriginCore& origin) = 0;
+  virtual void note_change(OriginCore& origin) noexcept = 0;
 
  protected:
   ~Tap() = default;
@@ -57,15 +60,15 @@ class TopicCore {
   /// Errors: description-differs.
   Result<void> link(SubscriptionNode& node);
   void unlink(SubscriptionNode& node) noexcept;
-  void add_tap(Tap& tap) {
-    taps_.push_back(&tap);
-    followers_changed();
+  void add_tap(Tap& tap);
+  void expect(OriginCore& origin) {
+    for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->expect(origin);
   }
   void remove_tap(Tap& tap) noexcept {
     std::erase(taps_, &tap);
     followers_changed();
   }
-  void tell_taps_of_change(OriginCore& origin) {
+  void tell_taps_of_change(OriginCore& origin) noexcept {
     for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
   }
   // Channels to and from the topic of this name on other loops.

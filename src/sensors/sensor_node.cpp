@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "loop/no_thread.hpp"
 #include "loop/retry.hpp"
 
 namespace rtdata {
@@ -224,13 +225,17 @@ void SensorNode::close_device(LoopCore& on) noexcept {
   }
 }
 
-Error SensorNode::thrown(const char* what) const {
+Error SensorNode::thrown(const char* what) const noexcept {
   try {
-    throw;
-  } catch (const std::exception& e) {
-    return {Errc::handler_threw, what, object_name(), e.what(), ""};
-  } catch (...) {
-    return {Errc::handler_threw, what, object_name(), "an exception that is no std::exception", ""};
+    try {
+      throw;
+    } catch (const std::exception& e) {
+      return {Errc::handler_threw, what, object_name(), e.what(), ""};
+    } catch (...) {
+      return {Errc::handler_threw, what, object_name(), "an exception that is no std::exception", ""};
+    }
+  } catch (...) {  // no memory, not even for an error: texts that need none
+    return {Errc::handler_threw, "cannot read", "", "no memory", ""};
   }
 }
 
@@ -363,9 +368,9 @@ void SensorNode::complain(const Error& error) {
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
+  ++failures_;
   Rare& state = rare();
   state.fault = error.id();
-  ++failures_;
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
@@ -395,15 +400,23 @@ void SensorNode::submit(const Tick& tick) {
   transaction->due_ = tick.due;
   transaction->late_after_ = origin_.late_after;
   origin_.begin_read();
-  if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
-  if (!lane->submit(transaction)) {
-    const Error error = lane->is_stuck()
-                            ? device.given_up_error()
-                            : Error{Errc::busy, "cannot read", object_name(),
-                                    "its lane is full of reads of sensors that share the device", "lower their rates"};
+  try {
+    if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
+    if (lane->submit(transaction)) return;
+  } catch (...) {
+    const Error error = thrown("handing its read to a lane threw");
     origin_.fail_read(error.id(), tick.due);
-    failed(error, tick.now);
+    return failed(error, tick.now);
   }
+  const Error error = told([this] {
+    if (lane_side_->lane->lacks_thread()) return no_thread("cannot read", object_name());
+    return lane_side_->lane->is_stuck()
+               ? lane_side_->device.given_up_error()
+               : Error{Errc::busy, "cannot read", object_name(),
+                       "its lane is full of reads of sensors that share the device", "lower their rates"};
+  });
+  origin_.fail_read(error.id(), tick.due);
+  failed(error, tick.now);
 }
 
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
@@ -411,9 +424,11 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   loop()->begins(this);
   LaneDevice& device = lane_side_->device;
   if (outcome != LaneJob::Outcome::finished) {
-    const Error error = outcome == LaneJob::Outcome::given_up
-                            ? device.given_up_error()
-                            : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
+    const Error error = told([&] {
+      return outcome == LaneJob::Outcome::given_up
+                 ? device.given_up_error()
+                 : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
+    });
     lane_side_->transaction = nullptr;
     origin_.fail_read(error.id(), transaction.due_);
     failed(error, loop()->now());

@@ -53,7 +53,16 @@ class SensorNode final : public SourceNode, public RateMember {
   /// `on`: told when the sensor is closed already.
   void close_device(LoopCore& on) noexcept;
   /// The error of the exception that is being handled.
-  Error thrown(const char* what) const;
+  Error thrown(const char* what) const noexcept;
+  /// What `make` gives, or an error that there is no memory for it.
+  template <class Make>
+  Error told(const Make& make) const noexcept {
+    try {
+      return make();
+    } catch (...) {
+      return thrown("reading threw");
+    }
+  }
   void begin_schedule();
   void change_period(Duration period);
   enum class EndOf { activity, rate };

@@ -47,7 +47,10 @@ void SourceNode::report(const Error& error) noexcept {
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
-  if (reason != nullptr) rare().reason = loop()->runtime.hide(reason->text());
+  if (reason != nullptr) {
+    loop()->call_own("sensor", [&] { rare().reason = loop()->runtime.hide(reason->text()); });
+    if (!is_open()) return;  // closed by who was told that there is no memory
+  }
   if (health == health_) return;
   Call call(*this);  // who is told may close this
   LoopCore& on = *loop();
@@ -55,11 +58,13 @@ void SourceNode::set_health(Health health, const Error* reason) {
   if (health == Health::ok && rare_ != nullptr) rare_->reason.clear();
   RuntimeCore& runtime = on.runtime;
   runtime.health_changed("sensor", origin_.name, health, this->reason());
-  if (health == Health::ok) {
-    runtime.log(LogLevel::info, object_name(), "ok again");
-  } else if (health == Health::faulted) {
-    runtime.log(LogLevel::warning, object_name(), "faulted: " + rare_->reason);
-  }
+  on.call_own("sensor", [&] {
+    if (health == Health::ok) {
+      runtime.log(LogLevel::info, object_name(), "ok again");
+    } else if (health == Health::faulted) {
+      runtime.log(LogLevel::warning, object_name(), "faulted: " + std::string(this->reason()));
+    }
+  });
 }
 
 }  // namespace rtdata::detail

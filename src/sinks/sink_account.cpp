@@ -1,5 +1,7 @@
 #include "sinks/sink_account.hpp"
 
+#include <algorithm>
+
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 
@@ -46,16 +48,22 @@ SinkTap* SinkAccount::find_tap(const OriginCore& origin) const {
   return tap != tap_of_.end() ? tap->second : nullptr;
 }
 
+void SinkAccount::close_gaps() noexcept {
+  for (const auto& tap : taps_) {
+    for (OriginCore* origin : tap->topic().origins()) origin->close_gap();
+  }
+}
+
 void SinkAccount::add(OriginCore& origin, const Gap& gap) {
   SinkTap* tap = find_tap(origin);
-  if (tap == nullptr) return;
+  if (tap == nullptr || !tap->knows(origin)) return;
+  tap->note_closed(origin, gap, accounts_);  // which throws nothing
   notes.add(tap->slot_of(origin), gap, queue_->slot_count());
-  tap->note_closed(origin, gap, accounts_);
 }
 
 void SinkAccount::add(OriginCore& origin, const Segment& segment) {
   SinkTap* tap = find_tap(origin);
-  if (tap == nullptr) return;
+  if (tap == nullptr || !tap->knows(origin)) return;
   const Segment recorded = tap->since_attached(origin, segment);
   if (recorded.scheduled > 0) notes.add(tap->slot_of(origin), recorded);
 }
@@ -65,15 +73,20 @@ SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, con
   Account& account = queue_->next_account();
   account.at = at;
   account.is_last = is_last;
+  // All that asks for memory comes first: when there is none, nothing is told, and nothing is forgotten.
   account.unknown = unknown;
   account.origins.clear();
+  std::size_t all = 0;
+  for (const auto& tap : taps_) all += tap->topic().origins().size();
+  account.origins.reserve(is_last ? all : std::min(all, origins_at_once));
+  notes.tell_lost(at);
   if (part != Part::next) next_topic_ = next_origin_ = 0;
   bool has_more = false;
   for (std::size_t looked_at = 0; next_topic_ < taps_.size(); ++next_topic_, next_origin_ = 0) {
     SinkTap& tap = *taps_[next_topic_];
     for (const auto& origins = tap.topic().origins(); next_origin_ < origins.size() && !has_more; ++next_origin_) {
-      OriginCore& origin = *origins[next_origin_];
-      if (is_last && !origin.is_mirror) origin.close_gap();  // of another loop, it closes there
+      const OriginCore& origin = *origins[next_origin_];
+      if (!tap.knows(origin)) continue;
       const OriginAccount now = tap.account_of(origin, until);
       if (tap.is_news(origin, now) || is_last) account.origins.push_back(now);
       has_more = !is_last && ++looked_at == origins_at_once;

@@ -24,6 +24,9 @@ class SinkAccount {
   /// Takes none any more.
   void end() noexcept;
 
+  /// Tells of the gaps under way; of another loop, they close there.
+  void close_gaps() noexcept;
+
   void add(OriginCore& origin, const Gap& gap);
   void add(OriginCore& origin, const Segment& segment);
   SinkNotes notes;  ///< what else is to be told
@@ -37,6 +40,7 @@ class SinkAccount {
   /// Whether `tell` may be called: not while too many are on their way. There is always room for the last one.
   bool has_room() const noexcept { return queue_->has_account(); }
   /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what is not known, and why; empty: nothing.
+  /// Throws when there is no memory, with nothing changed.
   Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
 
  private:

@@ -4,6 +4,7 @@
 
 #include "loop/deadline.hpp"
 #include "loop/loop_core.hpp"
+#include "loop/no_thread.hpp"
 #include "loop/retry.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -37,7 +38,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         lane_(std::make_unique<Lane>(loop, config_.name, no_limit)),
         retry_(loop.face, [this] { try_again(); }),
         next_part_(loop.face, [this] { account_more(); }),
-        early_(loop.face, [this] { tell_early(); }) {}
+        early_(loop.face, [this] { tell_early(); }),
+        deadline_(loop.face, [this] { finish_drain(); }) {
+    drained_.reserve(1);
+  }
 
   void attach() {
     RuntimeCore& runtime = loop()->runtime;
@@ -137,7 +141,6 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     drained_.push_back(std::move(done));
     if (drained_.size() > 1) return;
     Call call(*this);
-    deadline_ = Timer(loop()->face, [this] { finish_drain(); });
     deadline_.start_at(deadline);
     begin_closing(deadline);
   }
@@ -164,13 +167,12 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (!stored.topic_fault.empty()) fault_for_good(stored.topic_fault);
     if (!stored.result) {
       health_ = Health::faulted;
-      reason_ = loop()->runtime.hide(stored.result.error().text());
+      set_reason(stored.result.error());
       if (!stored.has_ended) return retry_.start(next_delay());
     } else if (stored.has_ended) {
       // stays faulted
     } else if (!fault_.empty()) {
-      health_ = Health::faulted;
-      reason_ = fault_;
+      fault_for_good({});
     } else {
       health_ = Health::ok;
       reason_.clear();
@@ -194,14 +196,16 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (const auto error = queue_->take_set_up_error()) report(*error, 1);
     if (!is_open()) return;
     if (stored.refused != 0 && !stored.has_ended) {
-      Error error = stored.refusal;
-      if (stored.refused > 1) error.where += " (the first of " + std::to_string(stored.refused) + ")";
-      report(error, stored.refused);
+      note([&] {
+        Error error = stored.refusal;
+        if (stored.refused > 1) error.where += " (the first of " + std::to_string(stored.refused) + ")";
+        report(error, stored.refused);
+      });
     }
     if (is_open() && stored.warning) report(*stored.warning, 1);
     if (is_open() && !stored.result) report(stored.result.error(), 1);
     if (is_open() && stored.result && before != Health::ok && health_ == Health::ok)
-      loop()->runtime.log(LogLevel::info, object_name(), "ok again");
+      note([&] { loop()->runtime.log(LogLevel::info, object_name(), "ok again"); });
   }
 
   void job_done(LaneJob::Outcome outcome) {
@@ -293,12 +297,22 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     job_->closing = closing_;
     if (!unsynced_since_) unsynced_since_ = loop()->now();
     job_->syncing = !closing_ && is_sync_due();
-    is_storing_ = lane_->submit(job_);
-    if (is_storing_) return;
-    has_no_thread_ = true;  // told by the timer, since this may be within a publish
-    health_ = Health::faulted;
-    reason_ = no_thread().text();
+    if (closing_ && !is_last_told_ && !tell_last()) return retry_.start(next_delay());
+    try {
+      is_storing_ = lane_->submit(job_);
+      if (is_storing_) return;
+      has_no_thread_ = true;  // told by the timer, since this may be within a publish
+      health_ = Health::faulted;
+      set_reason(no_thread());
+    } catch (...) {  // no memory for the lane: as after an error
+    }
     retry_.start(next_delay());
+  }
+
+  /// False: there is no memory for it.
+  bool tell_last() noexcept {
+    tell(SinkAccount::Part::last);
+    return is_last_told_;
   }
 
   void try_again() {
@@ -309,15 +323,21 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   Error no_thread() const {
-    return {Errc::io_failed, "cannot store", config_.name, "the system gives no thread",
-            "look at the limits of threads (ulimit -u); events wait in the queue"};
+    Error error = detail::no_thread("cannot store", config_.name);
+    error.advice += "; events wait in the queue";
+    return error;
   }
 
   /// What will not get better: the first reason stays.
-  void fault_for_good(std::string reason) {
-    if (fault_.empty()) fault_ = loop()->runtime.hide(std::move(reason));
+  void fault_for_good(const std::string& reason) noexcept {
     health_ = Health::faulted;
-    reason_ = fault_;
+    note([&] {
+      if (fault_.empty()) fault_ = loop()->runtime.hide(reason);
+      reason_ = fault_;
+    });
+  }
+  void set_reason(const Error& error) noexcept {
+    note([&] { reason_ = loop()->runtime.hide(error.text()); });
   }
 
   void tell_health() {
@@ -332,13 +352,15 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   }
 
   void report(const Error& error, std::uint64_t count) noexcept {
-    const std::string object = object_name();
-    if (on_error_) {
-      Call call(*this);
-      loop()->call_user(object, [&] { on_error_({object, error, count}); });
-    } else {
-      loop()->runtime.report(loop(), object, error);
-    }
+    note([&] {
+      const std::string object = object_name();
+      if (on_error_) {
+        Call call(*this);
+        loop()->call_user(object, [&] { on_error_({object, error, count}); });
+      } else {
+        loop()->runtime.report(loop(), object, error);
+      }
+    });
   }
 
   /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
@@ -371,19 +393,27 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
   }
 
-  bool tell(SinkAccount::Part part) {
+  /// Hands over a part of the account, or all. False: there is nothing to be told; or no memory, then it is due again.
+  bool tell(SinkAccount::Part part) noexcept try {
+    is_account_due_ = part != SinkAccount::Part::last;
+    if (part == SinkAccount::Part::next) next_part_.start(pause_between_parts);  // if there is no memory for it now
     if (had_no_memory_) {
       unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of what was told of it";
-      had_no_memory_ = false;
       loop()->runtime.keep_report(
           loop(), object_name(),
           {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",
            "the recording says that it does not know"});
+      had_no_memory_ = false;
     }
     const Time now = loop()->runtime.event_time(loop()->now());
     const auto told = account_.tell(part, now, loop()->handled_until(), unknown_);
+    is_account_due_ = false;
+    next_part_.stop();
     if (told.has_more) next_part_.start(pause_between_parts);
+    if (part == SinkAccount::Part::last) is_last_told_ = true;
     return told.is_something;
+  } catch (...) {  // no memory: nothing has changed
+    return false;
   }
 
   /// Takes no event from here on, and hands over what is left.
@@ -395,16 +425,21 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.
     std::string unknown = runtime.unknown_end;
-    if (unknown.empty())
-      unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
-    if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
+    note([&] {
+      if (unknown.empty())
+        unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
+      if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
+    });
     closing_ = true;
     account_.end();
-    if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
+    note([&] {
+      if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
+    });
+    account_.close_gaps();
     next_part_.stop();
     early_.stop();
     queue_->hand_over();
-    tell(SinkAccount::Part::last);
+    tell_last();
     queue_->keep_own_counts();
     if (is_scheduled()) loop()->schedule().remove(*this);
     if (retry_.is_running()) {  // one try at once, then the delays begin anew
@@ -419,30 +454,49 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     Call call(*this);
     auto done = std::move(drained_);
     drained_.clear();
-    deadline_.close();
+    deadline_.stop();
     const std::uint64_t lost = leave();
     for (auto& tell : done) tell(lost);
   }
 
   /// Takes the sink off the runtime, counting what was not stored as refused.
-  std::uint64_t leave() {
+  std::uint64_t leave() noexcept {
     if (!is_attached_) return 0;
     is_attached_ = false;
     retry_.stop();
     queue_->abandon();
     RuntimeCore& runtime = loop()->runtime;
     runtime.detach(*this);
-    last_ = status();
+    try {
+      last_ = status();
+    } catch (...) {  // no memory for texts
+      last_.emplace();
+      last_->health = health_;
+      last_->counts = queue_->counts();
+    }
     const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
     last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
-    last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
-    runtime.closed_sinks.push_back(*last_);
-    if (lost > 0) {
-      runtime.report(loop(), object_name(),
-                     {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
-                      "they could not be stored before the deadline" + (reason_.empty() ? "" : " (" + reason_ + ")"),
-                      "look at the storage; the next start seals the recording"});
-    }
+    SinkStatus end;
+    end.health = health_;
+    end.counts = last_->counts;
+    note([&] {
+      last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
+      end = *last_;
+    });
+    runtime.closed_sinks.push_back(std::move(end));  // there is room for it
+    note([&] {
+      const std::string why = reason_.empty() ? "" : " (" + reason_ + ")";
+      if (lost > 0) {
+        runtime.report(loop(), object_name(),
+                       {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
+                        "they could not be stored before the deadline" + why,
+                        "look at the storage; the next start seals the recording"});
+      } else if (!closed_) {
+        runtime.report(loop(), object_name(),
+                       {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,
+                        "the next start seals the recording"});
+      }
+    });
     runtime.flush_repeats(RuntimeCore::Repeated::all);  // of closing; nobody may come later to tell of them
     return lost;
   }
@@ -517,6 +571,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   std::uint64_t slots_told_ = 0;                 // that it had
   std::string unknown_;                          // what the last account does not know
   bool had_no_memory_ = false;                   // for something that belongs into the account
+  bool is_last_told_ = false;                    // the last account
   bool closing_ = false;
   bool closed_ = false;
 };

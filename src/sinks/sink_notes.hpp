@@ -79,26 +79,29 @@ class SinkNotes {
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
-  void move_into(Account& account) {
+  /// Adds to the errors what found no place, as `move_into` must not: it throws when there is no memory.
+  void tell_lost(Time at) {
+    tell_lost(at, lost_segments_, "stretches of schedule");
+    tell_lost(at, lost_errors_, "errors");
+    tell_lost(at, lost_clock_pairs_, "pairs of clocks");
+    tell_lost(at, lost_health_changes_, "changes of health");
+  }
+  void move_into(Account& account) noexcept {
     move(gaps_, account.gaps);
     move(segments_, account.segments);
     move(errors_, account.errors);
     move(clock_, account.clock);
     move(health_, account.health);
-    tell_lost(account, lost_segments_, "stretches of schedule");
-    tell_lost(account, lost_errors_, "errors");
-    tell_lost(account, lost_clock_pairs_, "pairs of clocks");
-    tell_lost(account, lost_health_changes_, "changes of health");
   }
 
  private:
   static constexpr std::uint32_t no_gap = ~std::uint32_t{0};
-  static void tell_lost(Account& account, std::uint64_t& count, const char* what) {
+  void tell_lost(Time at, std::uint64_t& count, const char* what) {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
                       "look at the storage"};
-    account.errors.push_back(
-        {account.at, "sink", std::string(error.id()), error.text(), std::exchange(count, 0), account.at});
+    errors_.push_back({at, "sink", std::string(error.id()), error.text(), count, at});
+    count = 0;
   }
   /// Where in `gaps_` the last one is; anywhere when there is none.
   std::uint32_t& last_gap(std::uint32_t slot) {
@@ -106,7 +109,7 @@ class SinkNotes {
     return last_gaps_[slot];
   }
   template <class T>
-  static void move(std::vector<T>& from, std::vector<T>& to) {
+  static void move(std::vector<T>& from, std::vector<T>& to) noexcept {
     to.swap(from);  // the memory goes round
     from.clear();
   }

@@ -34,6 +34,9 @@ void add(std::atomic<std::uint64_t>& sum, std::uint64_t count) noexcept {
 
 constexpr std::size_t most_chunks_together = 16;
 
+/// Its texts are short enough to need none.
+Error no_memory() { return {Errc::io_failed, "cannot store", "", "no memory", ""}; }
+
 constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { return ticket << 2 | state; }
 
 }  // namespace
@@ -90,18 +93,36 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   return index;
 }
 
+void SinkQueue::note_set_up_error(const char* call) noexcept {
+  if (set_up_error_) return;
+  const char* what = "an exception that is no std::exception";
+  try {
+    try {
+      throw;
+    } catch (const std::exception& e) {
+      set_up_error_ = {Errc::handler_threw, "the writer threw", call, e.what(), "the sink goes on without it"};
+    } catch (...) {
+      set_up_error_ = {Errc::handler_threw, "the writer threw", call, what, "the sink goes on without it"};
+    }
+  } catch (...) {  // no memory, not even for an error: texts that need none
+    set_up_error_ = Error{Errc::io_failed, "no memory", call, "", ""};
+  }
+}
+
 LiveCounts* SinkQueue::live_counts_of(std::uint32_t index) noexcept {
-  const auto threw = [&](const char* what) {
-    set_up_error_ = {Errc::handler_threw, "the writer threw", "live_counts", what,
-                     "the sink keeps these counts itself"};
-    return nullptr;
-  };
   try {
     return writer_->live_counts(index);
-  } catch (const std::exception& e) {
-    return threw(e.what());
   } catch (...) {
-    return threw("an exception that is no std::exception");
+    note_set_up_error("live_counts");
+    return nullptr;
+  }
+}
+
+void SinkQueue::keep(const OriginAccount& now, const Gap* closed) noexcept {
+  try {
+    writer_->keep(now, closed);
+  } catch (...) {
+    note_set_up_error("keep");
   }
 }
 
@@ -349,11 +370,17 @@ template <class Call>
 Result<void> SinkQueue::call_writer(Call&& call) {
   Result<void> result;
   try {
-    result = call();
-  } catch (const std::exception& e) {
-    result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
+    try {
+      result = call();
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& e) {
+      result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
+    } catch (...) {
+      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
+    }
   } catch (...) {
-    result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
+    result = no_memory();
   }
   if (!result) {
     fail_batch();

@@ -113,6 +113,7 @@ class SinkQueue {
   bool is_idle() const noexcept;
   /// For the calls that are made on the loop.
   Writer& writer() noexcept { return *writer_; }
+  void keep(const OriginAccount& now, const Gap* closed) noexcept;
   /// What went wrong in one of these and was not told yet.
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
   /// From here on the counts of the loop lie here, not with the writer, which may be closed.
@@ -157,6 +158,8 @@ class SinkQueue {
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
   LiveCounts* live_counts_of(std::uint32_t index) noexcept;
+  /// In the handler of an exception from a call on the loop.
+  void note_set_up_error(const char* call) noexcept;
   ChunkHeader* take_chunk(std::uint32_t slot);
   void queue_filling();
   SinkCounts sum() const noexcept;

@@ -53,7 +53,7 @@ SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topi
 }
 
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
-  Place& place = place_of(origin);
+  Place& place = places_[origin.index];
   const std::uint64_t course = course_of(origin.counts);
   if (place.first_sequence == 0 || (course != place.course && !origin.is_mirror)) [[unlikely]] {
     if (place.first_sequence == 0) place.first_sequence = sequence;
@@ -78,7 +78,7 @@ void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const
 }
 
 void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) {
-  Place& place = place_of(origin);
+  Place& place = places_[origin.index];
   place.live->offered += count;
   queue_->slot(place.slot).dropped_newest += count;
   // Told late, when another tier has gone on with the name, they are before what it published.
@@ -87,11 +87,13 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
   place.last_sequence = std::max(place.last_sequence, last_sequence);
 }
 
-void SinkTap::make_place(OriginCore& origin) {
+void SinkTap::expect(OriginCore& origin) {
+  if (knows(origin)) return;
   assert(takes_ == Takes::none || topic_.type.description->size() == payload_bytes_);
-  if (places_.size() <= origin.index) {  // first, since this may throw
+  if (places_.size() <= origin.index) {
     const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
     accounted_.resize(count);
+    closed_.resize(count);
     places_.resize(count);
   }
   const std::uint32_t slot = [&] {
@@ -102,23 +104,21 @@ void SinkTap::make_place(OriginCore& origin) {
   owner_.account_is_due();
 }
 
-void SinkTap::keep(OriginCore& origin, Now when) {
+void SinkTap::keep(const OriginCore& origin, Now when) noexcept {
   if (is_ended_) return;
   OriginAccount now = account_of(origin, MonotonicTime::min());
   if (when == Now::at_an_event) {  // which is counted already by who publishes, and not yet offered
     --now.sensor.received;
     --now.sensor.published;
   }
-  const Closed* closed = origin.index < closed_.size() ? closed_[origin.index].get() : nullptr;
-  queue_->writer().keep(now, closed != nullptr ? &closed->gap : nullptr);
+  const Closed& closed = closed_[origin.index];
+  queue_->keep(now, closed.is_any ? &closed.gap : nullptr);
 }
 
-void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) {
-  if (origin.index >= closed_.size()) closed_.resize(origin.index + 1);
-  std::unique_ptr<Closed>& closed = closed_[origin.index];
-  if (closed == nullptr) closed = std::make_unique<Closed>();
-  Gap& all = closed->gap;
-  if (all.first == Time{} || (closed->accounts != accounts && queue_->has_stored_accounts())) {
+void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept {
+  Closed& closed = closed_[origin.index];
+  Gap& all = closed.gap;
+  if (!std::exchange(closed.is_any, true) || (closed.accounts != accounts && queue_->has_stored_accounts())) {
     all = gap;
   } else {
     if (all.count == 0) all.count = 1;  // without a schedule, how many
@@ -127,12 +127,12 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
     all.last = gap.last;
     if (all.reason != gap.reason) all.reason = "several";
   }
-  closed->accounts = accounts;
+  closed.accounts = accounts;
   keep(origin, Now::between_events);
 }
 
-OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {
-  const Place& place = place_of(origin);
+OriginAccount SinkTap::account_of(const OriginCore& origin, MonotonicTime until) const noexcept {
+  const Place& place = places_[origin.index];
   const Slot& slot = queue_->slot(place.slot);
   OriginAccount now{place.slot,
                     origin.counts,

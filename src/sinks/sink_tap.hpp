@@ -31,16 +31,21 @@ class SinkTap final : public Tap {
 
   void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
-  void note_change(OriginCore& origin) override { keep(origin, Now::between_events); }
+  void expect(OriginCore& origin) override;
+  void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
   /// A gap of it has closed. `accounts`: how many have been handed over.
-  void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts);
+  void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
   /// What is kept of an origin is changed no more.
   void end() noexcept { is_ended_ = true; }
 
   TopicCore& topic() const noexcept { return topic_; }
-  std::uint32_t slot_of(OriginCore& origin) { return place_of(origin).slot; }
+  std::uint32_t slot_of(const OriginCore& origin) const noexcept { return places_[origin.index].slot; }
   /// The origin's account as it is now, with the segment under way as if it ended at `until`.
-  OriginAccount account_of(OriginCore& origin, MonotonicTime until);
+  OriginAccount account_of(const OriginCore& origin, MonotonicTime until) const noexcept;
+  /// Whether anything of it came, or may come, here.
+  bool knows(const OriginCore& origin) const noexcept {
+    return origin.index < places_.size() && places_[origin.index].live != nullptr;
+  }
   /// The part of a segment that came due since this was attached; `scheduled` 0: none.
   Segment since_attached(const OriginCore& origin, Segment segment) const noexcept;
   /// Notes that it is handed over. False: it says what the one before said.
@@ -56,24 +61,19 @@ class SinkTap final : public Tap {
     std::uint64_t course = 0;  // of its counts at the last event
     std::uint32_t slot = 0;
   };
-  Place& place_of(OriginCore& origin) {
-    if (origin.index >= places_.size() || places_[origin.index].live == nullptr) [[unlikely]]
-      make_place(origin);
-    return places_[origin.index];
-  }
   /// What an origin had counted when this was attached.
   struct Before {
     SensorCounts counts;
     Segment segment;  // under way
   };
-  void make_place(OriginCore& origin);
   /// Gaps that have closed, as one, since the first of them may be in no account that is stored.
   struct Closed {
     Gap gap;
     std::uint64_t accounts = 0;  // that were handed over when the last of them closed
+    bool is_any = false;
   };
   enum class Now { at_an_event, between_events };
-  void keep(OriginCore& origin, Now now);
+  void keep(const OriginCore& origin, Now now) noexcept;
 
   Owner& owner_;
   const std::shared_ptr<SinkQueue> queue_;
@@ -85,7 +85,7 @@ class SinkTap final : public Tap {
   std::vector<Place> places_;             // by the origin's index within the topic, as the next
   std::vector<OriginAccount> accounted_;  // as last handed over
   std::vector<Before> before_;            // of those that were there
-  std::vector<std::unique_ptr<Closed>> closed_;
+  std::vector<Closed> closed_;
   bool is_ended_ = false;
 };
 

@@ -2,8 +2,12 @@
 #include <doctest/doctest.h>
 
 #include <memory>
+#include <new>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
+#include "loop/loop_core.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
@@ -22,6 +26,31 @@ Duration at(const Tick& tick) { return tick.due.time_since_epoch(); }
 }  // namespace
 
 TEST_SUITE("loop") {
+  TEST_CASE("a schedule that cannot begin is told in its own words, and the others begin") {
+    struct Member final : detail::RateMember {
+      Member() : RateMember(10ms, 0ns) {}
+      void tick(const Tick&) override { ++ticks; }
+      std::string blame_name() const override { return "member"; }
+      void schedule_began() override {
+        if (throws == 1) throw std::logic_error("two of one name");
+        if (throws == 2) throw std::bad_alloc();
+      }
+      int throws = 0, ticks = 0;
+    };
+    Loop loop(Loop::Manual{});
+    std::vector<std::string> told;
+    loop.on_error(
+        [&](const ErrorReport& report) { told.push_back(std::string(report.object) + ": " + report.error.why); });
+    Member broken, without_memory, good;
+    broken.throws = 1;
+    without_memory.throws = 2;
+    for (Member* member : {&broken, &without_memory, &good}) loop.core().schedule().add(*member);
+    loop.advance(25ms);
+    CHECK(told == std::vector<std::string>{"member: two of one name"});
+    CHECK(good.ticks == 3);
+    for (Member* member : {&broken, &without_memory, &good}) loop.core().schedule().remove(*member);
+  }
+
   TEST_CASE("NFR-4 a million ticks without drift") {
     Loop loop(Loop::Manual{});
     MonotonicTime last{};

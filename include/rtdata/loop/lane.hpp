@@ -60,6 +60,8 @@ class Lane {
   std::size_t left_behind() const noexcept;
   /// As many threads as may be are left behind: nothing runs until one of them comes back.
   bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
+  /// The system gives no thread.
+  bool lacks_thread() const noexcept { return needs_thread_ && worker_ == nullptr && !is_stuck(); }
   /// Gives up the first job that has not finished, whatever its time.
   void give_up();
   /// Tells finished jobs' owners. Called by the loop when a worker has woken it. `done` may destroy the lane.
@@ -77,6 +79,8 @@ class Lane {
   struct Delayed;
   /// False when there can be none: too many were left behind, or the system gives no more threads.
   bool start_worker() noexcept;
+  /// So many may be outstanding without asking for memory.
+  void make_room(std::size_t jobs);
   void hand_over();
   void check_limit();
   void look_at_health(LaneJob::Outcome outcome);
@@ -89,6 +93,7 @@ class Lane {
   std::shared_ptr<Worker> worker_;
   mutable std::vector<std::shared_ptr<Worker>> behind_;
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
+  bool needs_thread_ = false;                          // else a manual loop runs the jobs
   std::size_t handed_over_ = 0;                        // of these, the first so many are with the thread
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;

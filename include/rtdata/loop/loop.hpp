@@ -142,7 +142,8 @@ class Loop {
   /// is the same, blocking, for owned ones.
   void drain(Duration deadline, Callback<void(std::uint64_t lost)> done);
   /// See `drain`. Returns the number of events lost; when `stop` ended the wait, of those still queued. SetupError from a
-  /// callback of this loop (busy) and on an attached one (bad-argument).
+  /// callback of this loop (busy) and on an attached one (bad-argument). std::bad_alloc when there is no memory to begin
+  /// with, as of `drain`: then it may be called again, and what is not closed by then closes when it is destroyed.
   std::uint64_t close(Duration deadline = std::chrono::seconds{10});
 
   detail::LoopCore& core() noexcept { return *core_; }

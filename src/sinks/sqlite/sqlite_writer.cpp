@@ -309,12 +309,9 @@ Result<void> SqliteWriter::write(Batch& batch) {
   if (auto done = tend_log(); !done) return done;
   const auto slots = static_cast<std::uint32_t>(batch.slots());
   escaped_.begin_batch();
-  const auto undo = [&] {
-    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
+  const auto undo = [&]() noexcept {
+    roll_back();
     tables_.clear();  // what was made in the transaction is gone with it
-    grown_gaps_ = stored_gaps_;
-    rolled_back();
-    pruner_.close();
   };
   Result<void> done;
   try {
@@ -329,16 +326,31 @@ Result<void> SqliteWriter::write(Batch& batch) {
   }
   committed();
   known_slots_ = slots;
-  if (batch.account() != nullptr) std::swap(stored_gaps_, next_gaps_);
-  escaped_.end_batch(batch);
-  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
+  if (batch.account() != nullptr) {
+    grown_gaps_.swap(next_gaps_);
+    now_ = std::max(now_, batch.account()->at);
+  }
   rows_in_last_ = batch.size();
-  look_at_space();
-  if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete()) tell_of_live_file(live_.no_room());
+  // It is stored: whatever happens from here on, it must not come again.
+  try {
+    escaped_.end_batch(batch);
+    look_at_space();
+    if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete())
+      tell_of_live_file(live_.no_room());
+  } catch (...) {  // no memory for a warning
+  }
   return {};
 }
 
+void SqliteWriter::roll_back() noexcept {
+  if (sqlite3_get_autocommit(database_.raw()) == 0)
+    sqlite3_exec(database_.raw(), "ROLLBACK", nullptr, nullptr, nullptr);
+  rolled_back();
+  pruner_.close();
+}
+
 Result<void> SqliteWriter::store(Batch& batch) {
+  if (batch.account() != nullptr) next_gaps_ = grown_gaps_;
   auto done = begin_.run();
   // First, so that the new rows take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
@@ -348,7 +360,6 @@ Result<void> SqliteWriter::store(Batch& batch) {
   if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
   if (done) done = write_checksums(batch.account());
   if (done) stage();
-  if (done && batch.account() != nullptr) next_gaps_ = grown_gaps_;  // once it is stored, nothing may fail
   if (done) done = commit_.run();
   return done;
 }
@@ -529,16 +540,16 @@ Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot,
     }
     return statement.run();
   };
-  const auto known = grown_gaps_.find(number);
+  const auto known = next_gaps_.find(number);
   // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
-  if (known != grown_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
+  if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
     grown_gap_.bind(9, known->second.second);
     known->second.first = gap.first;
-    if (what == GapIs::closed) grown_gaps_.erase(known);
+    if (what == GapIs::closed) next_gaps_.erase(known);
     return run_with(grown_gap_);
   }
   if (auto done = run_with(gap_); !done) return done;
-  if (what == GapIs::under_way) grown_gaps_[number] = {gap.first, database_.last_rowid()};
+  if (what == GapIs::under_way) next_gaps_[number] = {gap.first, database_.last_rowid()};
   return {};
 }
 
@@ -620,15 +631,19 @@ Result<void> SqliteWriter::flush() {
 }
 
 Result<void> SqliteWriter::prune() {
-  auto done = begin_.run();
-  if (done) done = pruner_.make_room(database_, ranges_, now_);
-  if (done) done = sums_.write_changes(database_);
-  if (done) stage();
-  if (done) done = commit_.run();
+  Result<void> done;
+  try {
+    done = begin_.run();
+    if (done) done = pruner_.make_room(database_, ranges_, now_);
+    if (done) done = sums_.write_changes(database_);
+    if (done) stage();
+    if (done) done = commit_.run();
+  } catch (...) {  // no memory
+    roll_back();
+    throw;
+  }
   if (!done) {
-    if (sqlite3_get_autocommit(database_.raw()) == 0) (void)database_.execute("ROLLBACK");
-    rolled_back();
-    pruner_.close();
+    roll_back();
     return done;
   }
   committed();

@@ -72,6 +72,7 @@ class SqliteWriter final : public Writer {
   void stage();
   void committed();
   void rolled_back();
+  void roll_back() noexcept;
   Result<void> prepare_account();
   Result<void> prune();
   /// Between two transactions: brings the log into the database when it is time.
@@ -106,8 +107,7 @@ class SqliteWriter final : public Writer {
   // Gaps under way that the recording has, by slot: when they began, and their rows.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
   GrownGaps grown_gaps_;
-  GrownGaps next_gaps_;    // to be committed
-  GrownGaps stored_gaps_;  // as committed
+  GrownGaps next_gaps_;  // as the transaction under way leaves them
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;

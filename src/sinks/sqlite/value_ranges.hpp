@@ -55,8 +55,8 @@ class ValueRanges {
       slots_.resize(number + 1);
     Slot& slot = slots_[number];
     if (!slot.is_touched) {
-      slot.is_touched = true;
       touched_.push_back(number);
+      slot.is_touched = true;
     }
     return slot;
   }

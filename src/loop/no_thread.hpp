@@ -1,0 +1,16 @@
+// The error that is told wherever the system gives no thread.
+#pragma once
+
+#include <string>
+#include <utility>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::detail {
+
+inline Error no_thread(std::string what, std::string where) {
+  return {Errc::io_failed, std::move(what), std::move(where), "the system gives no thread",
+          "raise the limit of threads: of a shell `ulimit -u`, of a service `TasksMax=`"};
+}
+
+}  // namespace rtdata::detail
