@@ -139,9 +139,8 @@ std::uint64_t Loop::close(Duration deadline) {
                       "it is attached: only the program can run it", "use drain(deadline, done)"});
   }
   core_->check_thread("cannot close", "loop " + config().name);
-  if (core_->is_running() || core_->is_in_callback()) {
-    throw SetupError({Errc::busy, "cannot close", "loop " + config().name,
-                      "it is running, and this is one of its callbacks",
+  if (core_->is_in_user_code()) {
+    throw SetupError({Errc::busy, "cannot close", "loop " + config().name, "this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});
   }
   // Shared: when stop() ends the wait, the drain goes on without it.

@@ -48,6 +48,21 @@ class LoopCore {
   bool is_running() const noexcept { return is_running_; }
   /// A callback of a deadline or a delivery is on the stack.
   bool is_in_callback() const noexcept { return firing_ || delivering_; }
+  /// Code of the user's is on the stack that this loop, or an object on it, has called and goes on after.
+  bool is_in_user_code() const noexcept;
+  /// Brackets such code, where it is neither a deadline's nor a delivery's: the loop is not run in it, nor destroyed.
+  class Calling {
+   public:
+    explicit Calling(RuntimeCore& of) noexcept;
+    Calling(const Calling&) = delete;
+    Calling& operator=(const Calling&) = delete;
+    ~Calling();
+
+   private:
+    RuntimeCore& runtime_;
+  };
+  /// Ends the program, having said why, when the loop may not be destroyed now.
+  void check_may_end() const noexcept;
   ManualClock* manual_clock() noexcept { return manual_; }
   uv_loop_t* uv() noexcept { return uv_loop_; }
 
@@ -115,6 +130,7 @@ class LoopCore {
   /// Calls user code: an exception is reported under the name and goes no further.
   template <class Function>
   void call_user(std::string_view name, Function&& function) noexcept {
+    const Calling calling(runtime);
     try {
       function();
     } catch (const std::exception& e) {

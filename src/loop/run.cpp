@@ -99,8 +99,8 @@ void LoopCore::start_tiers_in_turn() noexcept {
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
   core.check_thread(what, "");
-  if (core.is_running_ || core.is_in_callback()) {
-    throw SetupError({Errc::busy, what, "loop " + core.config.name, "it is running, and this is one of its callbacks",
+  if (core.is_in_user_code()) {
+    throw SetupError({Errc::busy, what, "loop " + core.config.name, "this is one of its callbacks",
                       "return from the callback; use stop(), post() or drain() there"});
   }
   core.is_running_ = true;
@@ -159,7 +159,7 @@ void LoopCore::run_for(Duration duration) {
 void LoopCore::poll() {
   if (attached_) {
     check_thread("cannot poll", "");
-    if (is_in_callback()) {
+    if (is_in_user_code()) {
       throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
                         "return from the callback; what is due follows by itself"});
     }

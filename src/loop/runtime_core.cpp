@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "loop/bridge.hpp"
+#include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
 #include "loop/tier_core.hpp"
@@ -77,6 +78,12 @@ RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_)
 }
 
 RuntimeCore::~RuntimeCore() {
+  if (own_loop != nullptr || calling > 0) {
+    end_program(
+        {Errc::busy, "a runtime is destroyed too early", quoted_name(config.name),
+         own_loop != nullptr ? "loop " + own_loop->config.name + " still uses it" : "this is one of its callbacks",
+         "let it outlive its loop, and return from its callbacks first"});
+  }
   // Handles hold pointers into topics and origins; the loops, which close them, are gone by now.
 }
 

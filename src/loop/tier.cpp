@@ -14,6 +14,7 @@
 #include <semaphore>
 
 #include "loop/bridge.hpp"
+#include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
 #include "loop/processors.hpp"
@@ -250,9 +251,18 @@ void TierCore::run() {
     loop.run();  // a callback may have stopped it: a tier ends with its main loop
 }
 
+void TierCore::check_may_end() noexcept {
+  if (!is_on_its_thread() && !main.core().is_run_by_another_thread()) {
+    if (!is_running()) loop.core().check_may_end();
+    return;
+  }
+  end_program({Errc::busy, "a tier is destroyed where it may not be", "tier " + config.name,
+               "this is not the thread of its main loop, or a call of a sink's writer", "destroy it on its main loop"});
+}
+
 void TierCore::stop() noexcept {
   constexpr Duration patience = std::chrono::seconds{5};
-  if (stop_within(patience)) return;
+  if (stop_within(patience) || is_on_its_thread()) return;
   main.core().runtime.log(
       LogLevel::error, "tier " + config.name,
       "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
@@ -270,7 +280,7 @@ bool TierCore::stop_within(Duration at_most) noexcept {
   if (!is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
-  if (!ended_.wait(at_most)) return false;
+  if (is_on_its_thread() || !ended_.wait(at_most)) return false;
   join();
   return true;
 }
@@ -414,16 +424,25 @@ TierWatch::TierWatch(Loop& main, Duration limit)
       limit_(checked_limit(limit)),
       ticker_(main, Ticker::Config{.period = limit / 4, .name = "watch of tiers"}, [this](const Tick&) { look(); }) {}
 
+TierWatch::~TierWatch() {
+  if (is_gone_ != nullptr) *is_gone_ = true;
+}
+
 void TierWatch::look() {
-  all_turn_ = true;
+  bool is_gone = false;
+  bool all_turn = true;
+  is_gone_ = &is_gone;
   const auto& tiers = main_.core().runtime.tiers;
-  for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one
-    if (!tiers[i]->look_at_turning(limit_)) all_turn_ = false;
+  for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one, or this
+    if (!tiers[i]->look_at_turning(limit_)) all_turn = false;
+    if (is_gone) return;
   }
+  is_gone_ = nullptr;
+  all_turn_ = all_turn;
 }
 
 Tier::Tier(Loop& main, Config config) : core_(std::make_unique<detail::TierCore>(main, std::move(config))) {}
-Tier::~Tier() = default;
+Tier::~Tier() { core_->check_may_end(); }
 Loop& Tier::loop() noexcept { return core_->loop; }
 const Tier::Config& Tier::config() const noexcept { return core_->config; }
 void Tier::start() { core_->start(); }

@@ -35,6 +35,10 @@ class TierCore {
   /// The callback that it is in, for people: "sensor chamber".
   std::string where();
   bool is_running() noexcept;
+  /// It runs, and this is its thread.
+  bool is_on_its_thread() const noexcept { return thread_.get_id() == std::this_thread::get_id(); }
+  /// Ends the program, having said why, when the tier may not be destroyed now.
+  void check_may_end() noexcept;
   /// While it runs.
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);

@@ -207,6 +207,7 @@ void SensorNode::drop_callbacks() noexcept {
 
 Result<void> SensorNode::open_device() noexcept {
   if (lane_side_ != nullptr) lane_side_->lane = nullptr;  // what is opened may be another physical device than before
+  const LoopCore::Calling user_code(loop()->runtime);
   try {
     return device_->open();
   } catch (...) {
@@ -215,6 +216,7 @@ Result<void> SensorNode::open_device() noexcept {
 }
 
 void SensorNode::close_device(LoopCore& on) noexcept {
+  const LoopCore::Calling user_code(on.runtime);
   try {
     device_->close();
   } catch (...) {

@@ -28,6 +28,8 @@ class Callback<R(Args...)> {
   Callback(F&& function) {
     // clang-format on
     using Target = std::decay_t<F>;
+    static_assert(std::is_nothrow_destructible_v<Target>,
+                  "rtdata: what a callback captures must not throw when it is destroyed");
     if constexpr (fits<Target>) {
       ::new (static_cast<void*>(storage_)) Target(std::forward<F>(function));
       operations_ = &inline_operations<Target>;
