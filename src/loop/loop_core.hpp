@@ -231,6 +231,8 @@ class LoopCore {
   void watch_clock();
   void arm_clock() noexcept;
   void settle();
+  /// One turn of libuv's, without waiting.
+  void look_at_io();
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
   /// What a delivery has left in the queues.
   enum class Left {

@@ -175,7 +175,7 @@ void LoopCore::poll() {
   }
   run_due();
   run_posted();
-  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  look_at_io();
   deliver_all();
 }
 
@@ -214,6 +214,12 @@ void LoopCore::advance_to(MonotonicTime target) {
   settle();
 }
 
+void LoopCore::look_at_io() {
+  ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
+  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  unref();
+}
+
 void LoopCore::settle() {
   // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
   Left left = Left::nothing;
@@ -221,7 +227,7 @@ void LoopCore::settle() {
     runtime.look_at_clock();
     run_due();
     run_posted();
-    uv_run(uv_loop_, UV_RUN_NOWAIT);
+    look_at_io();
     left = deliver(Budget::limited);
   } while (left == Left::later && !is_stopping());
 }
