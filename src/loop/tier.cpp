@@ -158,6 +158,7 @@ TierCore::~TierCore() {
   }
   bridges_.clear();
   std::erase(main.core().runtime.tiers, this);
+  for (auto& drain : drains_) main.post([drain] { end(*drain); });
   for (TierCore* tier : interrupted) tier->start_again();
 }
 
@@ -305,6 +306,12 @@ void TierCore::call(Callback<void()> function) {
 }
 
 void TierCore::drain(Duration deadline, Callback<void()> done) {
+  if (!is_running() && loop.core().is_in_user_code()) {  // by what sets it up: as soon as that has returned
+    return main.post([this, &hub = main.core().runtime, deadline, done = std::move(done)]() mutable {
+      const bool is_there = std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end();
+      is_there ? drain(deadline, std::move(done)) : done();
+    });
+  }
   if (!is_running()) {
     Bridge& bridge = bridge_to_main();
     bridge.hand_over();  // there is room for what the end brings
@@ -312,22 +319,26 @@ void TierCore::drain(Duration deadline, Callback<void()> done) {
     bridge.finish();
     return done();
   }
-  loop.post([this, deadline, done = std::move(done)]() mutable {
-    loop.drain(deadline,
-               [this, done = std::move(done)](std::uint64_t) mutable { send_last_accounts(std::move(done)); });
+  std::erase_if(drains_, [](const auto& one) { return !*one; });
+  drains_.push_back(std::make_shared<Callback<void()>>(std::move(done)));
+  loop.post([this, deadline, done = drains_.back()] {
+    loop.drain(deadline, [this, done](std::uint64_t) { send_last_accounts(done); });
   });
 }
 
-void TierCore::send_last_accounts(Callback<void()> done) {
+void TierCore::end(Callback<void()>& drain) {
+  if (drain) std::exchange(drain, {})();
+}
+
+void TierCore::send_last_accounts(std::shared_ptr<Callback<void()>> done) {
   if (bridge_to_main().send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
-    sending_ = Timer(loop, std::chrono::milliseconds{1},
-                     [this, done = std::move(done)]() mutable { send_last_accounts(std::move(done)); });
+    sending_ = Timer(loop, std::chrono::milliseconds{1}, [this, done = std::move(done)] { send_last_accounts(done); });
     return;
   }
   for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
   was_balanced_.store(runtime.balances(), std::memory_order_release);
   had_loss_.store(runtime.has_loss(), std::memory_order_release);
-  main.post(std::move(done));
+  main.post([done = std::move(done)] { end(*done); });
 }
 
 struct TierCore::Answer {

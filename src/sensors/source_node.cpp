@@ -35,18 +35,19 @@ void SourceNode::leave() noexcept {
 
 void SourceNode::report(const Error& error) noexcept {
   try {
-    if (rare_ != nullptr && rare_->on_error) {
+    if (is_open() && rare_ != nullptr && rare_->on_error) {
       const std::string object = object_name();
       Call call(*this);
       loop()->call_user(object, [&] { rare_->on_error({object, error, 1}); });
     } else {
-      loop()->runtime.report(loop(), object_name(), error);
+      origin_.topic.runtime().report(nullptr, object_name(), error);  // also of one that user code has closed meanwhile
     }
   } catch (...) {  // out of memory while telling of an error: it is counted all the same
   }
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
+  if (!is_open()) return;
   if (reason != nullptr) rare().reason = loop()->runtime.hide(reason->text());
   if (health == health_) return;
   Call call(*this);  // who is told may close this
