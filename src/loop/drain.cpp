@@ -130,6 +130,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
 void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
   core_->check_thread("cannot drain", "loop " + config().name);
+  if (!done) detail::refuse_empty("cannot drain", "loop " + config().name);
   std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
 }
 

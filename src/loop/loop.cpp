@@ -486,7 +486,10 @@ void Loop::on_error(Callback<void(const ErrorReport&)> handler) {
 }
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 LoopLoad Loop::load() const { return core_->load(); }
-void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
+void Loop::script_lane_duration(Duration duration) {
+  core_->check_thread("cannot script lanes", "loop " + config().name);
+  core_->lane_duration = duration;
+}
 
 ManualClock& Loop::manual_clock() {
   if (core_->manual_clock() == nullptr) {

@@ -99,6 +99,9 @@ class LoopCore {
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
   /// What the thread did is seen by who sees that it has gone.
   void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_release); }
+  bool is_bound_to_this_thread() const noexcept {
+    return bound_to_.load(std::memory_order_acquire) == std::this_thread::get_id();
+  }
   bool runs_elsewhere() const noexcept {
     const std::thread::id thread = bound_to_.load(std::memory_order_acquire);
     return thread != std::thread::id{} && thread != std::this_thread::get_id();

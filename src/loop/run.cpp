@@ -14,6 +14,7 @@
 namespace rtdata::detail {
 
 void LoopCore::post(Callback<void()> function) {
+  if (!function) refuse_empty("cannot post", "loop " + config.name);
   {
     const std::lock_guard lock(posted_mutex_);
     if (!takes_posts_) return;  // the function goes when the lock is free again

@@ -278,10 +278,11 @@ std::string TierCore::where() {
 }
 
 bool TierCore::stop_within(Duration at_most) noexcept {
-  if (!is_running()) return true;
+  const bool is_here = is_on_its_thread();  // which may have begun before `start` has returned
+  if (!is_here && !is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
-  if (is_on_its_thread() || !ended_.wait(at_most)) return false;
+  if (is_here || !ended_.wait(at_most)) return false;
   join();
   return true;
 }
@@ -431,26 +432,16 @@ Duration checked_limit(Duration limit) {
 }  // namespace
 
 TierWatch::TierWatch(Loop& main, Duration limit)
-    : main_(main),
-      limit_(checked_limit(limit)),
-      ticker_(main, Ticker::Config{.period = limit / 4, .name = "watch of tiers"}, [this](const Tick&) { look(); }) {}
-
-TierWatch::~TierWatch() {
-  if (is_gone_ != nullptr) *is_gone_ = true;
-}
-
-void TierWatch::look() {
-  bool is_gone = false;
-  bool all_turn = true;
-  is_gone_ = &is_gone;
-  const auto& tiers = main_.core().runtime.tiers;
-  for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one, or this
-    if (!tiers[i]->look_at_turning(limit_)) all_turn = false;
-    if (is_gone) return;
-  }
-  is_gone_ = nullptr;
-  all_turn_ = all_turn;
-}
+    : all_turn_(std::make_shared<bool>(true)),
+      ticker_(main, Ticker::Config{.period = checked_limit(limit) / 4, .name = "watch of tiers"},
+              [&main, limit, told = all_turn_](const Tick&) {
+                bool all_turn = true;
+                const auto& tiers = main.core().runtime.tiers;
+                for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one
+                  if (!tiers[i]->look_at_turning(limit)) all_turn = false;
+                }
+                *told = all_turn;
+              }) {}
 
 Tier::Tier(Loop& main, Config config) : core_(std::make_unique<detail::TierCore>(main, std::move(config))) {}
 Tier::~Tier() { core_->check_may_end(); }

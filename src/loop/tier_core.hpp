@@ -36,7 +36,7 @@ class TierCore {
   std::string where();
   bool is_running() noexcept;
   /// It runs, and this is its thread.
-  bool is_on_its_thread() const noexcept { return thread_.get_id() == std::this_thread::get_id(); }
+  bool is_on_its_thread() noexcept { return loop.core().is_bound_to_this_thread(); }
   /// Ends the program, having said why, when the tier may not be destroyed now.
   void check_may_end() noexcept;
   /// While it runs.

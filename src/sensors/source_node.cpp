@@ -5,6 +5,10 @@
 namespace rtdata::detail {
 
 PayloadType described_type(std::shared_ptr<const Description> description) {
+  if (description == nullptr) {
+    throw SetupError({Errc::bad_description, "cannot make feed", "", "it has no description of its payload",
+                      "give it one, or make a Feed<T>"});
+  }
   PayloadType type;
   type.size = description->size();
   type.alignment = description->alignment();

@@ -138,7 +138,9 @@ template <class T>
 class TypedSubscription final : public SubscriptionNode {
  public:
   TypedSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const Event<T>&)> handler)
-      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
+      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {
+    if (!handler_) refuse_empty("cannot subscribe", pattern);
+  }
   Delivered deliver(const EventRun& run, const void* field_map) override {
     if constexpr (Described<T>) {
       if (field_map != nullptr) [[unlikely]] {

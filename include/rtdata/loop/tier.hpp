@@ -126,19 +126,14 @@ class TierWatch {
  public:
   /// SetupError (bad-argument): less than 1 ms.
   explicit TierWatch(Loop& main, Duration limit = std::chrono::seconds{1});
-  ~TierWatch();
   TierWatch(const TierWatch&) = delete;
   TierWatch& operator=(const TierWatch&) = delete;
 
   /// As of the last look.
-  bool all_turn() const noexcept { return all_turn_; }
+  bool all_turn() const noexcept { return *all_turn_; }
 
  private:
-  void look();
-  Loop& main_;
-  Duration limit_;
-  bool all_turn_ = true;
-  bool* is_gone_ = nullptr;  // told, while it looks
+  std::shared_ptr<bool> all_turn_;  // with the ticker's callback, which may be on the stack when this goes
   Ticker ticker_;
 };
 
