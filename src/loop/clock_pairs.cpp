@@ -20,7 +20,7 @@ std::pair<MonotonicTime, Time> both_times(Clock& clock) noexcept {
   for (int tries = 0; tries < 10 && narrowest > close_enough; ++tries) {
     const MonotonicTime before = clock.monotonic();
     const Time realtime = clock.realtime();
-    const Duration width = clock.monotonic() - before;
+    const Duration width = span_between(before, clock.monotonic());
     if (width >= narrowest) continue;
     narrowest = width;
     best = {before + width / 2, realtime};
@@ -34,7 +34,7 @@ void RuntimeCore::use_clock(Clock& clock) {
   clock_ = &clock;
   const auto [at, realtime] = both_times(clock);
   start_ = {at, realtime, "system", clock.accuracy(), "start"};
-  offset_ = start_.realtime.time_since_epoch() - start_.monotonic.time_since_epoch();
+  offset_ = difference(start_.monotonic.time_since_epoch(), start_.realtime.time_since_epoch());
   last_offset_ = offset_;
   system_ = {start_, start_, start_.accuracy};
 }
@@ -55,19 +55,20 @@ bool is_step(Duration moved) noexcept {
 
 ClockPair RuntimeCore::read_clock(const char* occasion) noexcept {
   const auto [at, realtime] = both_times(*clock_);
-  const Duration offset = realtime.time_since_epoch() - at.time_since_epoch();
-  return {at, is_step(offset - last_offset_) ? realtime : Time{at.time_since_epoch() + last_offset_}, "system",
-          clock_->accuracy(), occasion};
+  const Duration offset = difference(at.time_since_epoch(), realtime.time_since_epoch());
+  return {at, is_step(difference(last_offset_, offset)) ? realtime : later(Time{last_offset_}, at.time_since_epoch()),
+          "system", clock_->accuracy(), occasion};
 }
 
 bool RuntimeCore::look_at_clock(const char* occasion) {
   ClockPair pair = read_clock(occasion);
-  const Duration offset = pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
+  const Duration offset = difference(pair.monotonic.time_since_epoch(), pair.realtime.time_since_epoch());
   const bool was_set = offset != last_offset_;
-  if (!was_set && occasion == nullptr && pair.monotonic - system_.latest.monotonic < clock_look_interval) return false;
+  if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, pair.monotonic) < clock_look_interval)
+    return false;
   if (was_set) {
     log(LogLevel::warning, "clock",
-        "the time of day was set by " + to_string(offset - last_offset_) +
+        "the time of day was set by " + to_string(difference(last_offset_, offset)) +
             "; recorded times go on without a jump, the step is recorded");
     last_offset_ = offset;
     // A clock that was right until now (a leap second, a machine that slept): where it stood just before.
@@ -124,12 +125,15 @@ Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
 
 bool RuntimeCore::ClockSource::is_news(const ClockPair& pair) const noexcept {
   constexpr Duration most_drift = std::chrono::milliseconds{100};  // between regular pairs
-  const Duration since = pair.monotonic - recorded.monotonic;
+  const Duration since = span_between(recorded.monotonic, pair.monotonic);
   if (since < least_between_pairs) return false;
   if (pair.accuracy.has_value() != recorded.accuracy.has_value()) return true;
   if (pair.accuracy && (since >= most_between_pairs || *pair.accuracy <= *best / 2)) return true;
-  const Duration moved = std::chrono::abs((pair.realtime - recorded.realtime) - since);
-  return moved > most_drift + pair.accuracy.value_or(Duration{0}) + recorded.accuracy.value_or(Duration{0});
+  const Duration moved = difference(since, span_between(recorded.realtime, pair.realtime));
+  const Duration noise = later(later(MonotonicTime{most_drift}, pair.accuracy.value_or(Duration{0})),
+                               recorded.accuracy.value_or(Duration{0}))
+                             .time_since_epoch();
+  return moved > noise || moved < -noise;
 }
 
 void RuntimeCore::record(ClockSource& source, const ClockPair& pair) {

@@ -21,12 +21,19 @@ constexpr std::chrono::time_point<Clock, Duration> later(std::chrono::time_point
   return Point{Duration{sum}};
 }
 
-/// From one instant to another, or as long as can be said.
-constexpr Duration span_between(MonotonicTime from, MonotonicTime to) noexcept {
+/// What one span is longer than another, or as much as can be said.
+constexpr Duration difference(Duration from, Duration to) noexcept {
   std::int64_t span = 0;
-  if (__builtin_sub_overflow(to.time_since_epoch().count(), from.time_since_epoch().count(), &span)) [[unlikely]]
+  if (__builtin_sub_overflow(to.count(), from.count(), &span)) [[unlikely]]
     return to > from ? Duration::max() : Duration::min();
   return Duration{span};
+}
+
+/// From one instant to another, or as long as can be said.
+template <class Clock>
+constexpr Duration span_between(std::chrono::time_point<Clock, Duration> from,
+                                std::chrono::time_point<Clock, Duration> to) noexcept {
+  return difference(from.time_since_epoch(), to.time_since_epoch());
 }
 
 /// So many times a span that is not negative, or as long as can be said.

@@ -150,6 +150,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
 void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
   core_->check_thread("cannot drain", "loop " + config().name);
+  if (!done) detail::refuse_empty("cannot drain", "loop " + config().name);
   std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
 }
 
@@ -159,9 +160,8 @@ std::uint64_t Loop::close(Duration deadline) {
                       "it is attached: only the program can run it", "use drain(deadline, done)"});
   }
   core_->check_thread("cannot close", "loop " + config().name);
-  if (core_->is_running() || core_->is_in_callback()) {
-    throw SetupError({Errc::busy, "cannot close", "loop " + config().name,
-                      "it is running, and this is one of its callbacks",
+  if (core_->is_in_user_code()) {
+    throw SetupError({Errc::busy, "cannot close", "loop " + config().name, "this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});
   }
   // Shared: when stop() ends the wait, the drain goes on without it.

@@ -35,6 +35,11 @@ void LoopCore::check_not_ending(const char* what) const {
                     "make nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
 }
 
+void refuse_empty(const char* what, std::string_view name) {
+  throw SetupError({Errc::bad_argument, what, std::string(name), "there is nothing to be called: its function is empty",
+                    "give it a function"});
+}
+
 Node::Node(LoopCore& loop) : loop_(&loop) {
   if (loop.runs_elsewhere()) {
     throw SetupError({Errc::busy, "cannot make an object", "loop " + loop.config.name, "it runs on a thread of its own",

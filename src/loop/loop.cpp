@@ -9,8 +9,10 @@
 #include <limits>
 
 #include "loop/bridge.hpp"
+#include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/tier_core.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/runtime.hpp"
 
@@ -128,6 +130,7 @@ void LoopCore::make_side() {
   side_->timer.data = side_->check.data = side_->idle.data = side_->wake_poll.data = side_;
   uv_poll_start(&side_->wake_poll, UV_READABLE, [](uv_poll_t* handle, int, int) {
     LoopCore& core = *static_cast<UvSide*>(handle->data)->core;
+    const Calling calling(core.runtime);
     core.side_->wake.answer();
     core.take_news();
   });
@@ -150,6 +153,7 @@ void LoopCore::watch_clock() {
     [[maybe_unused]] const auto got = ::read(core.side_->clock_fd, &expirations,
                                              sizeof expirations);  // fails: cancelled
     core.arm_clock();
+    const Calling calling(core.runtime);
     core.call_own("clock", [&] { core.runtime.look_at_clock(); });
   });
   uv_unref(reinterpret_cast<uv_handle_t*>(&side_->clock));
@@ -199,6 +203,21 @@ LoopCore::~LoopCore() {
     [[maybe_unused]] const int status = uv_loop_close(&own_loop_);
     assert(status == 0);
   }
+}
+
+LoopCore::Calling::Calling(RuntimeCore& of) noexcept : runtime_(of) { ++runtime_.calling; }
+LoopCore::Calling::~Calling() { --runtime_.calling; }
+
+bool LoopCore::is_in_user_code() const noexcept {
+  return is_running_ || is_in_callback() || runtime.calling > 0 || is_run_by_another_thread();
+}
+
+void LoopCore::check_may_end() const noexcept {
+  if (!is_in_user_code() && runtime.tiers.empty()) return;
+  std::string why = "this is one of its callbacks, or of a sink on it, or another thread than that which runs it";
+  if (!is_in_user_code()) why = "tier " + runtime.tiers.front()->config.name + " still uses it";
+  end_program({Errc::busy, "a loop is destroyed too early", "loop " + config.name, std::move(why),
+               "use stop(), and destroy it where run() has returned, after its tiers"});
 }
 
 MonotonicTime LoopCore::now() noexcept {
@@ -271,8 +290,9 @@ void LoopCore::moved(Deadline& deadline) noexcept {
 void LoopCore::arm() noexcept {
   const Deadline* top = deadlines_.top();
   if (manual_ != nullptr) return;
+  const Duration spin = std::max(config.spin, Duration{0});
   const MonotonicTime due = top == nullptr ? MonotonicTime{}
-                                           : std::max(later(top->due, -config.spin), MonotonicTime{Duration{1}});
+                                           : std::max(later(top->due, -spin), MonotonicTime{Duration{1}});
   itimerspec spec{};
   spec.it_value.tv_sec = due.time_since_epoch().count() / 1'000'000'000;
   spec.it_value.tv_nsec = static_cast<decltype(spec.it_value.tv_nsec)>(due.time_since_epoch().count() % 1'000'000'000);
@@ -403,6 +423,7 @@ void LoopCore::take_news() {
 }
 
 void LoopCore::turn_done() noexcept {
+  const Calling calling(runtime);
   take_news();
   turn_is_open_ = false;
   schedule_.begin_waiting();
@@ -450,6 +471,7 @@ Loop::Loop(Runtime& runtime, Config config)
                                                    ? detail::LoopCore::Time::manual
                                                    : detail::LoopCore::Time::real)) {}
 Loop::~Loop() {
+  core_->check_may_end();
   core_->begin_ending();
   if (own_runtime_ != nullptr) own_runtime_->core().on_log.reset();  // as for on_error
 }
@@ -472,7 +494,10 @@ void Loop::on_error(Callback<void(const ErrorReport&)> handler) {
 }
 std::vector<CallbackStatus> Loop::callbacks() const { return core_->callbacks(); }
 LoopLoad Loop::load() const { return core_->load(); }
-void Loop::script_lane_duration(Duration duration) { core_->lane_duration = duration; }
+void Loop::script_lane_duration(Duration duration) {
+  core_->check_thread("cannot script lanes", "loop " + config().name);
+  core_->lane_duration = duration;
+}
 
 ManualClock& Loop::manual_clock() {
   if (core_->manual_clock() == nullptr) {

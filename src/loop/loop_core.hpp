@@ -48,6 +48,21 @@ class LoopCore {
   bool is_running() const noexcept { return is_running_; }
   /// A callback of a deadline or a delivery is on the stack.
   bool is_in_callback() const noexcept { return firing_ || delivering_; }
+  /// Code of the user's is on the stack that this loop, or an object on it, has called and goes on after.
+  bool is_in_user_code() const noexcept;
+  /// Brackets such code, where it is neither a deadline's nor a delivery's: the loop is not run in it, nor destroyed.
+  class Calling {
+   public:
+    explicit Calling(RuntimeCore& of) noexcept;
+    Calling(const Calling&) = delete;
+    Calling& operator=(const Calling&) = delete;
+    ~Calling();
+
+   private:
+    RuntimeCore& runtime_;
+  };
+  /// Ends the program, having said why, when the loop may not be destroyed now.
+  void check_may_end() const noexcept;
   ManualClock* manual_clock() noexcept { return manual_; }
   uv_loop_t* uv() noexcept { return uv_loop_; }
 
@@ -88,6 +103,9 @@ class LoopCore {
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
   /// What the thread did is seen by who sees that it has gone.
   void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_release); }
+  bool is_bound_to_this_thread() const noexcept {
+    return bound_to_.load(std::memory_order_acquire) == std::this_thread::get_id();
+  }
   bool runs_elsewhere() const noexcept {
     const std::thread::id thread = bound_to_.load(std::memory_order_acquire);
     return thread != std::thread::id{} && thread != std::this_thread::get_id();
@@ -119,6 +137,7 @@ class LoopCore {
   /// Calls user code: an exception is reported under the name and goes no further.
   template <class Function>
   void call_user(std::string_view name, Function&& function) noexcept {
+    const Calling calling(runtime);
     try {
       function();
     } catch (const std::exception& e) {
@@ -229,6 +248,8 @@ class LoopCore {
   void watch_clock();
   void arm_clock() noexcept;
   void settle();
+  /// One turn of libuv's, without waiting.
+  void look_at_io();
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
   /// What a delivery has left in the queues.
   enum class Left {

@@ -104,7 +104,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   // A read that was under way when the gaps around it were told of as one.
   if (from <= now.joined_up_to && count != 0) return tell({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
-                       from == now.gap.last + period_;
+                       from == later(now.gap.last, period_);
   if (gap_is_open_ && !goes_on && !now.is_joining) close_gap();
   if (!gap_is_open_) {
     now.gap = {kind, reason, from, to, 0};

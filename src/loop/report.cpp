@@ -63,6 +63,7 @@ void RuntimeCore::log_line(const Joined<LogLine>& joined) noexcept try {
   const std::string text = joined.count == 1 ? said : said + " (" + std::to_string(joined.count) + " times)";
   const char* note = "";
   if (on_log) {
+    const LoopCore::Calling user_code(*this);
     try {
       return on_log({level, event_time(clock_->monotonic()), object, text, error_id});
     } catch (...) {  // whoever is told of it would tell the log
@@ -170,6 +171,7 @@ void RuntimeCore::write(LoopCore* loop, const Joined<ObjectError>& joined) noexc
     listener->on_error(event_time(joined.first), event_time(joined.last), object, error, joined.count);
   if (loop == nullptr) loop = own_loop;
   if (loop != nullptr && loop->on_error) {
+    const LoopCore::Calling user_code(*this);
     try {  // an error met in it goes to the log, rather than round in a circle
       loop->on_error({object, error, joined.count});
     } catch (...) {

@@ -15,6 +15,7 @@ inline Duration doubled(Duration delay, Duration longest) noexcept { return dela
 /// The delay less up to a quarter of it, which depends on who waits and how often that failed: many that fail together
 /// do not come back in step.
 inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t failures) noexcept {
+  if (delay.count() <= 0) return Duration{0};
   const std::uint64_t hash = std::hash<std::string_view>{}(who) + failures * 2654435761u;
   const auto part = static_cast<std::int64_t>(hash % 1024);
   const Duration quarter = delay / 4;

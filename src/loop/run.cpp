@@ -14,6 +14,7 @@
 namespace rtdata::detail {
 
 void LoopCore::post(Callback<void()> function) {
+  if (!function) refuse_empty("cannot post", "loop " + config.name);
   {
     const std::lock_guard lock(posted_mutex_);
     if (!takes_posts_) return;  // the function goes when the lock is free again
@@ -101,8 +102,8 @@ void LoopCore::start_tiers_in_turn() noexcept {
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
   core.check_thread(what, "");
-  if (core.is_running_ || core.is_in_callback()) {
-    throw SetupError({Errc::busy, what, "loop " + core.config.name, "it is running, and this is one of its callbacks",
+  if (core.is_in_user_code()) {
+    throw SetupError({Errc::busy, what, "loop " + core.config.name, "this is one of its callbacks",
                       "return from the callback; use stop(), post() or drain() there"});
   }
   core.is_running_ = true;
@@ -161,7 +162,7 @@ void LoopCore::run_for(Duration duration) {
 void LoopCore::poll() {
   if (attached_) {
     check_thread("cannot poll", "");
-    if (is_in_callback()) {
+    if (is_in_user_code()) {
       throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
                         "return from the callback; what is due follows by itself"});
     }
@@ -177,7 +178,7 @@ void LoopCore::poll() {
   }
   run_due();
   run_posted();
-  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  look_at_io();
   deliver_all();
 }
 
@@ -216,6 +217,12 @@ void LoopCore::advance_to(MonotonicTime target) {
   settle();
 }
 
+void LoopCore::look_at_io() {
+  ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
+  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  unref();
+}
+
 void LoopCore::settle() {
   // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
   Left left = Left::nothing;
@@ -223,7 +230,7 @@ void LoopCore::settle() {
     call_own("clock", [&] { runtime.look_at_clock(); });
     run_due();
     run_posted();
-    uv_run(uv_loop_, UV_RUN_NOWAIT);
+    look_at_io();
     left = deliver(Budget::limited);
   } while (left == Left::later && !is_stopping());
 }

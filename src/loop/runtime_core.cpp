@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "loop/bridge.hpp"
+#include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
 #include "loop/tier_core.hpp"
@@ -73,10 +74,22 @@ Error cannot_cross(const TopicCore& topic) {
 
 RuntimeCore::RuntimeCore(Runtime& face_, Runtime::Config config_)
     : face(face_), config(std::move(config_)), secrets(config.secrets) {
+  constexpr std::size_t most_ring_events = std::size_t{1} << 24;
+  if (config.ring_events > most_ring_events) {
+    throw SetupError({Errc::bad_argument, "cannot make a runtime", quoted_name(config.name),
+                      "rings of " + std::to_string(config.ring_events) + " events are too large",
+                      "give `ring_events` " + std::to_string(most_ring_events) + " or less"});
+  }
   use_clock(config.clock != nullptr ? *config.clock : system_clock_);
 }
 
 RuntimeCore::~RuntimeCore() {
+  if (own_loop != nullptr || calling > 0) {
+    end_program(
+        {Errc::busy, "a runtime is destroyed too early", quoted_name(config.name),
+         own_loop != nullptr ? "loop " + own_loop->config.name + " still uses it" : "this is one of its callbacks",
+         "let it outlive its loop, and return from its callbacks first"});
+  }
   // Handles hold pointers into topics and origins; the loops, which close them, are gone by now.
 }
 
@@ -368,9 +381,19 @@ void Runtime::on_log(Callback<void(const LogRecord&)> handler) {
   core_->on_log.set(std::move(handler));
 }
 
-Result<void> Runtime::note_wall_clock(const ClockPair& pair) { return core_->note_wall_clock(pair); }
+Result<void> Runtime::note_wall_clock(const ClockPair& pair) {
+  if (core_->own_loop != nullptr && core_->own_loop->is_run_by_another_thread()) {
+    return Error{Errc::busy, "cannot note the time of day", "source \"" + pair.source + "\"",
+                 "its loop runs on another thread, or this is a call on a lane",
+                 "post a function to the loop that does it there"};
+  }
+  return core_->note_wall_clock(pair);
+}
 
-void Runtime::note_place(std::string object, std::string place) { core_->places[std::move(object)] = std::move(place); }
+void Runtime::note_place(std::string object, std::string place) {
+  if (core_->own_loop != nullptr) core_->own_loop->check_thread("cannot note a place", object);
+  core_->places[std::move(object)] = std::move(place);
+}
 
 std::vector<SensorStatus> Runtime::sensors() const {
   std::vector<SensorStatus> all;

@@ -118,7 +118,7 @@ class RuntimeCore {
 
   Time event_time(MonotonicTime at) const noexcept { return later(Time{offset_}, at.time_since_epoch()); }
   MonotonicTime monotonic_of(Time time) const noexcept {
-    return later(MonotonicTime{time.time_since_epoch()}, -offset_);
+    return MonotonicTime{difference(offset_, time.time_since_epoch())};
   }
   const ClockPair& start() const noexcept { return start_; }
   /// Records the time of day when it was set (moved against the monotonic line by more than 1 ms), when its accuracy is
@@ -172,6 +172,7 @@ class RuntimeCore {
   std::string unknown_end;               ///< why recordings that close now are not complete; empty: they are
   std::vector<SensorEntry*> sensors;
   LoopCore* own_loop = nullptr;  ///< while it has one
+  unsigned calling = 0;          ///< calls of user code on the stack, see LoopCore::Calling
   /// The loop is gone: what is kept for it is told to the log.
   void forget(LoopCore& loop) noexcept;
 

@@ -12,7 +12,9 @@ namespace {
 class ViewSubscription final : public SubscriptionNode {
  public:
   ViewSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const EventView&)> handler)
-      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
+      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {
+    if (!handler_) refuse_empty("cannot subscribe", pattern);
+  }
   Delivered deliver(const EventRun& run, const void*) override {
     return for_each(run, [&](const std::byte* slot) { handler_(view_of(run.topic, slot)); });
   }

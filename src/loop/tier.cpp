@@ -14,6 +14,7 @@
 #include <semaphore>
 
 #include "loop/bridge.hpp"
+#include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/name.hpp"
 #include "loop/no_thread.hpp"
@@ -158,6 +159,7 @@ TierCore::~TierCore() {
   }
   bridges_.clear();
   std::erase(main.core().runtime.tiers, this);
+  for (auto& drain : drains_) main.post([drain] { end(*drain); });
   for (TierCore* tier : interrupted) tier->start_again();
 }
 
@@ -250,9 +252,18 @@ void TierCore::run() {
     loop.run();  // a callback may have stopped it: a tier ends with its main loop
 }
 
+void TierCore::check_may_end() noexcept {
+  if (!is_on_its_thread() && !main.core().is_run_by_another_thread()) {
+    if (!is_running()) loop.core().check_may_end();
+    return;
+  }
+  end_program({Errc::busy, "a tier is destroyed where it may not be", "tier " + config.name,
+               "this is not the thread of its main loop, or a call of a sink's writer", "destroy it on its main loop"});
+}
+
 void TierCore::stop() noexcept {
   constexpr Duration patience = std::chrono::seconds{5};
-  if (stop_within(patience)) return;
+  if (stop_within(patience) || is_on_its_thread()) return;
   main.core().runtime.log(
       LogLevel::error, "tier " + config.name,
       "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
@@ -267,10 +278,11 @@ std::string TierCore::where() {
 }
 
 bool TierCore::stop_within(Duration at_most) noexcept {
-  if (!is_running()) return true;
+  const bool is_here = is_on_its_thread();  // which may have begun before `start` has returned
+  if (!is_here && !is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
-  if (!ended_.wait(at_most)) return false;
+  if (is_here || !ended_.wait(at_most)) return false;
   join();
   return true;
 }
@@ -295,6 +307,12 @@ void TierCore::call(Callback<void()> function) {
 }
 
 void TierCore::drain(Duration deadline, Callback<void()> done) {
+  if (!is_running() && loop.core().is_in_user_code()) {  // by what sets it up: as soon as that has returned
+    return main.post([this, &hub = main.core().runtime, deadline, done = std::move(done)]() mutable {
+      const bool is_there = std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end();
+      is_there ? drain(deadline, std::move(done)) : done();
+    });
+  }
   if (!is_running()) {
     Bridge& bridge = bridge_to_main();
     bridge.hand_over();  // there is room for what the end brings
@@ -302,22 +320,26 @@ void TierCore::drain(Duration deadline, Callback<void()> done) {
     bridge.finish();
     return done();
   }
-  loop.post([this, deadline, done = std::move(done)]() mutable {
-    loop.drain(deadline,
-               [this, done = std::move(done)](std::uint64_t) mutable { send_last_accounts(std::move(done)); });
+  std::erase_if(drains_, [](const auto& one) { return !*one; });
+  drains_.push_back(std::make_shared<Callback<void()>>(std::move(done)));
+  loop.post([this, deadline, done = drains_.back()] {
+    loop.drain(deadline, [this, done](std::uint64_t) { send_last_accounts(done); });
   });
 }
 
-void TierCore::send_last_accounts(Callback<void()> done) {
+void TierCore::end(Callback<void()>& drain) {
+  if (drain) std::exchange(drain, {})();
+}
+
+void TierCore::send_last_accounts(std::shared_ptr<Callback<void()>> done) {
   if (bridge_to_main().send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
-    sending_ = Timer(loop, std::chrono::milliseconds{1},
-                     [this, done = std::move(done)]() mutable { send_last_accounts(std::move(done)); });
+    sending_ = Timer(loop, std::chrono::milliseconds{1}, [this, done = std::move(done)] { send_last_accounts(done); });
     return;
   }
   for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
   was_balanced_.store(runtime.balances(), std::memory_order_release);
   had_loss_.store(runtime.has_loss(), std::memory_order_release);
-  main.post(std::move(done));
+  main.post([done = std::move(done)] { end(*done); });
 }
 
 struct TierCore::Answer {
@@ -410,20 +432,19 @@ Duration checked_limit(Duration limit) {
 }  // namespace
 
 TierWatch::TierWatch(Loop& main, Duration limit)
-    : main_(main),
-      limit_(checked_limit(limit)),
-      ticker_(main, Ticker::Config{.period = limit / 4, .name = "watch of tiers"}, [this](const Tick&) { look(); }) {}
-
-void TierWatch::look() {
-  all_turn_ = true;
-  const auto& tiers = main_.core().runtime.tiers;
-  for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one
-    if (!tiers[i]->look_at_turning(limit_)) all_turn_ = false;
-  }
-}
+    : all_turn_(std::make_shared<bool>(true)),
+      ticker_(main, Ticker::Config{.period = checked_limit(limit) / 4, .name = "watch of tiers"},
+              [&main, limit, told = all_turn_](const Tick&) {
+                bool all_turn = true;
+                const auto& tiers = main.core().runtime.tiers;
+                for (std::size_t i = 0; i < tiers.size(); ++i) {  // a report may run user code, which may destroy one
+                  if (!tiers[i]->look_at_turning(limit)) all_turn = false;
+                }
+                *told = all_turn;
+              }) {}
 
 Tier::Tier(Loop& main, Config config) : core_(std::make_unique<detail::TierCore>(main, std::move(config))) {}
-Tier::~Tier() = default;
+Tier::~Tier() { core_->check_may_end(); }
 Loop& Tier::loop() noexcept { return core_->loop; }
 const Tier::Config& Tier::config() const noexcept { return core_->config; }
 void Tier::start() { core_->start(); }

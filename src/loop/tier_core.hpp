@@ -35,10 +35,15 @@ class TierCore {
   /// The callback that it is in, for people: "sensor chamber".
   std::string where();
   bool is_running() noexcept;
+  /// It runs, and this is its thread.
+  bool is_on_its_thread() noexcept { return loop.core().is_bound_to_this_thread(); }
+  /// Ends the program, having said why, when the tier may not be destroyed now.
+  void check_may_end() noexcept;
   /// While it runs.
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);
-  /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run.
+  /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run; when it is
+  /// destroyed before, in the next turn.
   void drain(Duration deadline, Callback<void()> done);
 
   // On the main loop, one after the other
@@ -70,7 +75,8 @@ class TierCore {
   void make_bridges();
   Bridge& bridge_to_main() noexcept;
   /// On its thread; `done` on the main loop.
-  void send_last_accounts(Callback<void()> done);
+  void send_last_accounts(std::shared_ptr<Callback<void()>> done);
+  static void end(Callback<void()>& drain);
   void run();
   void join() noexcept;
   /// After `stop`; it runs on where it was.
@@ -82,6 +88,7 @@ class TierCore {
   std::thread thread_;
   bool was_started_ = false;
   Timer sending_;
+  std::vector<std::shared_ptr<Callback<void()>>> drains_;  // the main loop's; those that are done are empty
   std::atomic<bool> quit_{false};
   Latch ended_;                    // its thread is about to end
   std::vector<std::string> told_;  // warnings; not told of again by the next start

@@ -9,6 +9,7 @@ class TimerNode final : public Node, public Deadline {
  public:
   TimerNode(LoopCore& loop, Timer::Config config, Callback<void()> callback)
       : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {
+    if (!callback_) refuse_empty("cannot make timer", config_.name);
     loop.add_deadline();
   }
 
@@ -66,6 +67,7 @@ class TickerNode final : public Node, public RateMember {
       throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name,
                         "its period is " + to_string(config_.period), "use at least 1 us"});
     }
+    if (!callback_) refuse_empty("cannot make ticker", config_.name);
   }
 
   void start() {

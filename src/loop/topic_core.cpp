@@ -140,6 +140,7 @@ bool TopicCore::move_payload(const OriginCore& origin, std::byte* to, void* payl
     ++dropped_;
     return false;
   }
+  const LoopCore::Calling user_code(runtime_);
   moving_ = &origin;
   is_moving_cancelled_ = false;
   try {

@@ -29,6 +29,7 @@ class FdWatchNode final : public Node {
  public:
   FdWatchNode(LoopCore& loop, int fd, std::string name, Callback<void(const FdEvent&)> callback)
       : Node(loop), name_(std::move(name)), callback_(std::move(callback)) {
+    if (!callback_) refuse_empty("cannot watch", name_);
     auto box = std::make_unique<Box>();
     if (const int status = uv_poll_init(loop.uv(), &box->handle, fd); status != 0) {
       failed_ = status;
@@ -85,6 +86,7 @@ class SignalWatchNode final : public Node {
  public:
   SignalWatchNode(LoopCore& loop, int number, Callback<void()> callback)
       : Node(loop), name_("signal " + std::to_string(number)), callback_(std::move(callback)) {
+    if (!callback_) refuse_empty("cannot watch signal", std::to_string(number));
     box_ = new Box;
     uv_signal_init(loop.uv(), &box_->handle);
     box_->owner = this;

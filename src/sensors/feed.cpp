@@ -37,6 +37,11 @@ class FeedNode final : public SourceNode {
     ++origin_.counts.unreadable;
     complain(error, health() == Health::faulted ? Health::faulted : Health::degraded);
   }
+  void fail_size(std::size_t given) {
+    fail({Errc::bad_data, "cannot publish", object_name(),
+          "it was given " + std::to_string(given) + " bytes, its payload has " + std::to_string(payload_size()),
+          "give it bytes as its description lays them out"});
+  }
   void complain(const Error& error, Health health) {
     Call call(*this);
     report(error);
@@ -104,9 +109,12 @@ namespace {
 
 using detail::feed;
 
+/// What has another size is no payload of this feed: unreadable.
 bool has_size(detail::Node* node, std::span<const std::byte> payload) {
-  const detail::FeedNode* to = feed(node);
-  return to != nullptr && payload.size() == to->payload_size();
+  detail::FeedNode* to = feed(node);
+  if (to == nullptr || payload.size() == to->payload_size()) return to != nullptr;
+  to->fail_size(payload.size());
+  return false;
 }
 
 }  // namespace

@@ -208,6 +208,7 @@ void SensorNode::drop_callbacks() noexcept {
 
 Result<void> SensorNode::open_device() noexcept {
   if (lane_side_ != nullptr) lane_side_->lane = nullptr;  // what is opened may be another physical device than before
+  const LoopCore::Calling user_code(loop()->runtime);
   try {
     return device_->open();
   } catch (...) {
@@ -216,12 +217,11 @@ Result<void> SensorNode::open_device() noexcept {
 }
 
 void SensorNode::close_device(LoopCore& on) noexcept {
+  const LoopCore::Calling user_code(on.runtime);
   try {
     device_->close();
   } catch (...) {
-    const Error error = thrown("close() threw");
-    if (is_open()) return report(error);
-    on.runtime.report(&on, object_name(), error);
+    report(thrown("close() threw"));
   }
 }
 
@@ -376,9 +376,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
     state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
                                                        : doubled(state.retry_delay, state.retry_longest);
     state.retry_at = later(now, with_jitter(state.retry_delay, origin_.name, failures_));
-    LoopCore& on = *loop();
-    if (std::exchange(device_is_open_, false)) close_device(on);
-    if (!is_open()) return on.runtime.report(&on, object_name(), error);  // closed by its own device
+    if (std::exchange(device_is_open_, false)) close_device(*origin_.topic.runtime().own_loop);
   }
   report(error);
   if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);
@@ -441,6 +439,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   } catch (...) {
     sampled = port.fail(thrown("decoding threw"));
   }
+  if (lane_side_->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
   if (has_failed(sampled, port)) {
     origin_.fail_read(port.error_->id(), transaction.due_);
     failed(*port.error_, loop()->now());

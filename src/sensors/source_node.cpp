@@ -5,6 +5,10 @@
 namespace rtdata::detail {
 
 PayloadType described_type(std::shared_ptr<const Description> description) {
+  if (description == nullptr) {
+    throw SetupError({Errc::bad_description, "cannot make feed", "", "it has no description of its payload",
+                      "give it one, or make a Feed<T>"});
+  }
   PayloadType type;
   type.size = description->size();
   type.alignment = description->alignment();
@@ -35,18 +39,19 @@ void SourceNode::leave() noexcept {
 
 void SourceNode::report(const Error& error) noexcept {
   try {
-    if (rare_ != nullptr && rare_->on_error) {
+    if (is_open() && rare_ != nullptr && rare_->on_error) {
       const std::string object = object_name();
       Call call(*this);
       loop()->call_user(object, [&] { rare_->on_error({object, error, 1}); });
     } else {
-      loop()->runtime.report(loop(), object_name(), error);
+      origin_.topic.runtime().report(nullptr, object_name(), error);  // also of one that user code has closed meanwhile
     }
   } catch (...) {  // out of memory while telling of an error: it is counted all the same
   }
 }
 
 void SourceNode::set_health(Health health, const Error* reason) {
+  if (!is_open()) return;
   if (reason != nullptr) {
     loop()->call_own("sensor", [&] { rare().reason = loop()->runtime.hide(reason->text()); });
     if (!is_open()) return;  // closed by who was told that there is no memory

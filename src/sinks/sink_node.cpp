@@ -591,6 +591,9 @@ Node* make_sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name, "a batch has at least one row and 1 ms",
                       "leave the defaults"});
   }
+  if (writer == nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot make sink", config.name, "it has no writer", "give it one"});
+  }
   if (config.retry_first <= Duration{0} || config.retry_longest <= Duration{0}) {
     throw SetupError({Errc::bad_argument, "cannot make sink", config.name,
                       "it would try again and again without any delay",

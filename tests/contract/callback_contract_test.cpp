@@ -9,6 +9,7 @@
 
 #include <array>
 #include <atomic>
+#include <csignal>
 #include <cstdlib>
 #include <map>
 #include <memory>
@@ -95,10 +96,11 @@ class World {
   }
   ~World() { ::close(event_); }
 
-  Loop* loop = nullptr;  // null: gone
-  Tier* tier = nullptr;  // the main loop's
+  Loop* loop = nullptr;                   // null: gone
+  std::unique_ptr<Tier>* tier = nullptr;  // the main loop's; null: there is none any more
   World* other = nullptr;
   int budget = 0;  // of verbs, so that it ends
+  bool is_of_tier = false;
   bool is_manual() const { return kind_ == Loops::manual; }
 
   int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(n)); }
@@ -106,7 +108,7 @@ class World {
   /// One call of user code.
   void act(In in) {
     constexpr int deepest = 4;
-    if (loop == nullptr || depth_ >= deepest) return;
+    if (loop == nullptr || is_ending || depth_ >= deepest) return;
     ++depth_;
     for (int verbs = below(3); verbs > 0 && budget > 0; --verbs) {
       --budget;
@@ -139,8 +141,8 @@ class World {
 
   /// In random order.
   void close_all() {
-    for (int i = 0; i < 40; ++i) close_one(below(7), In::outside);
-    for (int what = 0; what < 7; ++what) {
+    for (int i = 0; i < 40; ++i) close_one(below(kinds), In::outside);
+    for (int what = 0; what < kinds; ++what) {
       for (int i = 0; i < slots; ++i) close_at(what, i);
     }
   }
@@ -152,6 +154,7 @@ class World {
 
  private:
   static constexpr int slots = 3;
+  static constexpr int kinds = 8;
 
   auto handler() {
     return [this, captured = Captured(*this)](const auto&...) { act(In::callback); };
@@ -252,6 +255,9 @@ class World {
         }
         return;
       }
+      case 6:
+        signals_[i] = SignalWatch(*loop, SIGUSR2, handler());
+        return;
       default:
         watches_[i].close();  // one watch a descriptor
         if (watches_[(i + 1) % slots].is_open() || watches_[(i + 2) % slots].is_open()) return;
@@ -276,6 +282,8 @@ class World {
         return feeds_[at].close();
       case 5:
         return sinks_[at].close();
+      case 6:
+        return signals_[at].close();
       default:
         return watches_[at].close();
     }
@@ -313,6 +321,8 @@ class World {
         return move_some(feeds_);
       case 5:
         return move_some(sinks_);
+      case 6:
+        return move_some(signals_);
       default:
         return move_some(watches_);
     }
@@ -346,6 +356,10 @@ class World {
             CHECK(sinks_[i].status().counts.balances());
             return;
         }
+      case 6:
+        // A tier's thread takes no signals. Unwatched, it would end the process.
+        if (signals_[i].is_open() && !is_of_tier) ::raise(SIGUSR2);
+        return;
       default:
         return watches_[i].set_events(below(2) == 0 ? FdWatch::readable : FdWatch::writable);
     }
@@ -393,7 +407,7 @@ class World {
   }
 
   void use_loop(In in) {
-    switch (below(in == In::writer ? 14 : 16)) {
+    switch (below(in == In::writer ? 14 : 17)) {
       case 0:
         return loop->post([this, captured = Captured(*this)] { act(In::callback); });
       case 1:
@@ -437,10 +451,13 @@ class World {
         return;
       }
       case 13:
-        if (tier != nullptr && other != nullptr) tier->call([&](Loop&) { other->act(In::outside); });
-        if (tier == nullptr && other != nullptr) other->loop->post([&] { other->act(In::callback); });
+        if (tier != nullptr && other != nullptr) (*tier)->call([&](Loop&) { other->act(In::outside); });
+        if (tier == nullptr && other != nullptr) other->loop->post([main = other] { main->act(In::callback); });
         return;
       case 14:
+        if (tier != nullptr) use_tier();
+        return;
+      case 15:
         loop->topic<Meddler>("meddler").publish(Meddler(*this));
         return;
       default:
@@ -449,8 +466,48 @@ class World {
     }
   }
 
+  void use_tier() {
+    switch (below(8)) {
+      case 0:
+        return (*tier)->stop();
+      case 1:
+        static_cast<void>((*tier)->stop_within(1ms));
+        return;
+      case 2:
+        static_cast<void>((*tier)->doing());
+        static_cast<void>(loop->runtime().loops());
+        return;
+      case 3:
+        watch_ = std::make_unique<TierWatch>(*loop, 1ms);
+        return;
+      case 4:
+        watch_.reset();
+        return;
+      case 5:
+        if (below(4) == 0) end_tier();
+        return;
+      default:
+        return (*tier)->start();
+    }
+  }
+
+ public:
+  /// In any callback of the main loop.
+  void end_tier() {
+    const std::unique_ptr<Tier> ended = tier != nullptr ? std::move(*std::exchange(tier, nullptr)) : nullptr;
+    if (ended == nullptr) return;
+    World& of_tier = *std::exchange(other, nullptr);
+    ended->stop();
+    of_tier.other = nullptr;
+    if (below(2) == 0) of_tier.close_all();  // else they outlive it
+    of_tier.is_ending = true;
+  }
+  /// Its loop is being destroyed, or is gone.
+  bool is_ending = false;
+
+ private:
   void do_something(In in) {
-    const int what = below(7);
+    const int what = below(kinds);
     switch (below(8)) {
       case 0:
       case 1:
@@ -482,6 +539,8 @@ class World {
   std::array<Feed<Number>, slots> feeds_;
   std::array<Sink, slots> sinks_;
   std::array<FdWatch, slots> watches_;
+  std::array<SignalWatch, slots> signals_;
+  std::unique_ptr<TierWatch> watch_;
 };
 
 Captured::~Captured() {
@@ -567,8 +626,9 @@ void run(Loops kind, unsigned seed) {
   loop->runtime().on_log([](const LogRecord&) {});
   if (kind == Loops::tiers) {
     tier = std::make_unique<Tier>(*loop, Tier::Config{.name = "fast"});
-    world.tier = tier.get();
+    world.tier = &tier;
     world.other = &tier_world;
+    tier_world.is_of_tier = true;
     tier_world.loop = &tier->loop();
     tier_world.other = &world;
   }
@@ -577,7 +637,7 @@ void run(Loops kind, unsigned seed) {
     world.open_lane_budget();
     for (int i = 0; i < 15; ++i) world.act(In::outside);
     if (tier != nullptr) {
-      for (int i = 0; i < 15; ++i) tier->call([&](Loop&) { tier_world.act(In::outside); });
+      for (int i = 0; i < 15 && tier != nullptr; ++i) tier->call([&](Loop&) { tier_world.act(In::outside); });
     }
     for (int i = 0; i < 5; ++i) {
       if (kind == Loops::manual) {
@@ -613,11 +673,9 @@ void run(Loops kind, unsigned seed) {
     tier->call([&](Loop&) { tier_world.close_all(); });
     tier_world.budget = 0;
     tier_world.close_all();
-    tier = nullptr;
-    tier_world.loop = nullptr;
-    world.tier = nullptr;
-    world.other = nullptr;
+    world.end_tier();
   }
+  tier_world.loop = nullptr;
   check(*loop, world);
   for (int i = 0; i < 10; ++i) world.act(In::outside);
   loop = nullptr;

@@ -2,6 +2,7 @@
 // callback_contract_test.cpp.
 #include <doctest/doctest.h>
 
+#include <csignal>
 #include <functional>
 #include <memory>
 #include <semaphore>
@@ -12,6 +13,7 @@
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -531,5 +533,77 @@ TEST_SUITE("contract") {
     CHECK(subscription.counts().dropped == 3);
     CHECK(loop.runtime().balances());
     subscription.close();
+  }
+
+  TEST_CASE("what is to be called is given, or refused") {
+    Loop loop{Loop::Manual{}};
+    const auto topic = loop.topic<Number>("a");
+    const auto refused = [](const std::function<void()>& verb) {
+      try {
+        verb();
+      } catch (const SetupError& e) {
+        return e.error().code == Errc::bad_argument;
+      }
+      return false;
+    };
+    CHECK(refused([&] { Timer made(loop, 1ms, nullptr); }));
+    CHECK(refused([&] { Ticker made(loop, 1ms, nullptr); }));
+    CHECK(refused([&] { FdWatch made(loop, 0, FdWatch::readable, nullptr); }));
+    CHECK(refused([&] { SignalWatch made(loop, SIGUSR2, nullptr); }));
+    CHECK(refused([&] { const auto made = topic.subscribe(loop, nullptr); }));
+    CHECK(refused([&] { const auto made = loop.subscribe("#", Callback<void(const EventView&)>()); }));
+    CHECK(refused([&] { loop.post(nullptr); }));
+    CHECK(refused([&] { loop.drain(1s, nullptr); }));
+    CHECK(refused([&] { Sink made(loop, small(), nullptr); }));
+    CHECK_THROWS_AS(AnyFeed(loop, {.name = "f"}, nullptr), SetupError);
+    CHECK_THROWS_AS(Callback<void()>()(), std::logic_error);
+    Callback<void()> taken([] {});
+    const Callback<void()> to(std::move(taken));
+    CHECK(!taken);
+    CHECK_THROWS_AS(taken(), std::logic_error);
+    CHECK_THROWS_AS(Runtime({.ring_events = std::size_t(-1)}), SetupError);
+    CHECK(loop.callbacks().empty());
+    loop.advance(1s);
+    CHECK(loop.close() == 0);
+  }
+
+  TEST_CASE("bytes of another size than the payload's are unreadable, and told") {
+    Loop loop{Loop::Manual{}};
+    int errors = 0;
+    Feed<Number> feed(loop, {.name = "f"});
+    feed.on_error([&](const ErrorReport& report) { errors += report.error.code == Errc::bad_data ? 1 : 0; });
+    const std::byte few[3]{};
+    feed.publish_bytes(few);
+    feed.publish_bytes({}, Time{1s});
+    CHECK(errors == 2);
+    CHECK(feed.counts().unreadable == 2);
+    CHECK(feed.counts().published == 0);
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("a sensor that holds the loop, and whose device's close() closes it when it is stopped for that") {
+    Loop loop{Loop::Manual{}};
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+    std::optional<Sensor<Number>> sensor;
+    Device device;
+    device.on_read = [&] {
+      loop.manual_clock().pass(50ms);
+      return Result<Number>{Number{1}};
+    };
+    device.on_close = [&] { sensor.reset(); };
+    SensorConfig config{.name = "s", .rate = 10_Hz, .on_overrun = OnOverrun::stop};
+    config.retry_first = config.retry_longest = Duration::min();
+    sensor.emplace(loop, config, std::move(device));
+    loop.advance(2s);  // the second error of the same kind is held back for a second
+    CHECK(!sensor);
+    REQUIRE(errors.size() == 2);
+    CHECK(errors.back() == "stopped");
+    CHECK(loop.runtime().balances());
+    Sensor<Number> fails(loop, {.name = "t", .rate = 1_kHz, .faulted_after = 1, .retry_first = Duration::min()},
+                         [] { return Result<Number>(bad); });
+    loop.advance(10ms);
+    CHECK(fails.counts().failed == 11);
+    CHECK(loop.runtime().balances());
   }
 }

@@ -2,6 +2,8 @@
 
 #include <doctest/doctest.h>
 
+#include <cmath>
+
 #include <limits>
 
 using namespace rtdata;
@@ -146,5 +148,27 @@ TEST_SUITE("data") {
       CAPTURE(to_string(rate));
       CHECK(parse_rate(to_string(rate)).or_throw() == rate);
     }
+  }
+
+  TEST_CASE("a rate that no number of ns can say is none, or the slowest") {
+    const double infinite = std::numeric_limits<double>::infinity();
+    for (const double none :
+         {0.0, -0.0, -1.0, -infinite, std::numeric_limits<double>::quiet_NaN(), infinite, 1e300, 3e9})
+      CHECK(!Rate::hertz(none));
+    for (const double slow : {std::numeric_limits<double>::denorm_min(), 1e-300, 1e-10})
+      CHECK(Rate::hertz(slow).period() == Duration::max());
+    CHECK(Rate::hertz(1e9).period() == Duration{1});
+    CHECK(Rate::hertz(2e-10).period() == Duration{5'000'000'000'000'000'000});
+    for (const Duration none : {Duration{0}, Duration{-1}, Duration::min()}) {
+      CHECK(!Rate::from_period(none));
+      CHECK(to_string(Rate::from_period(none)) == "no rate");
+      CHECK(std::isfinite(Rate::from_period(none).hertz()));
+    }
+    const Rate slowest = Rate::from_period(Duration::max());
+    const auto read = parse_rate(to_string(slowest));
+    REQUIRE(read);
+    CHECK(*read == slowest);
+    for (const char* text : {"nan Hz", "inf Hz", "0 Hz", "-1 Hz", "1e400 Hz", "0.000000000000000001 mHz", "99 GHz"})
+      CHECK(!parse_rate(text));
   }
 }

@@ -3,6 +3,7 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -252,5 +253,39 @@ TEST_SUITE("loop") {
     ManualClock one, other;
     CHECK(one.boot_id() == one.boot_id());
     CHECK(one.boot_id() != other.boot_id());
+  }
+
+  TEST_CASE("a clock at the ends of time: offsets, steps and what is noted of it saturate") {
+    for (const Time first : {Time::min(), Time{}, Time::max()}) {
+      for (const Time then : {Time::min(), Time{}, Time::max()}) {
+        ManualClock clock(first);
+        Runtime runtime({.clock = &clock});
+        runtime.on_log([](const LogRecord&) {});
+        Loop loop(runtime, {});
+        Sensor<Number> sensor(loop, {.name = "s", .rate = 10_Hz}, [] { return Number{1}; });
+        std::vector<Time> times;
+        const Subscription seen = loop.topic<Number>("s").subscribe(
+            loop, [&](const Event<Number>& event) { times.push_back(event.time); });
+        loop.advance(1s);
+        clock.set_realtime(then);
+        loop.advance(1s);
+        for (const MonotonicTime at : {MonotonicTime::min(), loop.now(), MonotonicTime::max()}) {
+          for (const Time utc : {Time::min(), Time{}, Time::max()}) {
+            for (const Duration accuracy : {Duration{1}, Duration::max()})
+              CHECK(runtime.note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy = accuracy}));
+          }
+        }
+        for (const Duration accuracy : {Duration::min(), Duration{0}})
+          CHECK(!runtime.note_wall_clock({.monotonic = {}, .realtime = {}, .source = "gps", .accuracy = accuracy}));
+        clock.pass(Duration::min());  // nothing: no time goes back
+        clock.pass(-1s);
+        CHECK(loop.now() == MonotonicTime{2s});
+        loop.advance(1s);
+        CHECK(loop.close() == 0);
+        CHECK(times.size() == 31);
+        CHECK(std::is_sorted(times.begin(), times.end()));
+        CHECK(runtime.balances());
+      }
+    }
   }
 }

@@ -405,4 +405,28 @@ TEST_SUITE("sinks") {
     CHECK(config.sink.when_full == WhenFull::drop_oldest);
     CHECK(parameters_of<FileConfig>().size() == 15);
   }
+
+  TEST_CASE("a file sink leaves a database alone, which it would cut off as half an event") {
+    Bench bench;
+    const std::string path = bench.directory / "run.db";
+    std::string database("SQLite format 3\0", 16);
+    database.append(4096, 'x');
+    std::ofstream(path, std::ios::binary) << database;
+    for (const char* format : {"jsonl", "raw"}) {
+      CAPTURE(format);
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      loop.runtime().on_log([](const LogRecord&) {});
+      try {
+        FileSink sink(loop, {.path = path, .format = format});
+        loop.topic<Number>("a").publish({1});
+        CHECK(loop.close() == 1);
+        CHECK(loop.runtime().has_loss());
+      } catch (const SetupError& e) {
+        CHECK(std::string(e.what()).find("SQLite") != std::string::npos);
+      }
+      CHECK(content(path) == database);
+      CHECK(!std::filesystem::exists(path + ".half"));
+    }
+  }
 }

@@ -33,11 +33,18 @@ std::string to_iso8601(Time time);
 /// Reads what `to_iso8601` writes, with any number of decimals up to nine, "Z" or an offset such as "+02:00".
 Result<Time> parse_iso8601(std::string_view text);
 
-/// A positive number of events a second. `100 * Hz`, `Rate::from_period(10ms)`.
+/// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate, which is false, and which whoever
+/// needs one refuses.
 class Rate {
  public:
   constexpr Rate() = default;
-  static constexpr Rate hertz(double value) { return Rate{Duration{static_cast<std::int64_t>(1e9 / value + 0.5)}}; }
+  /// No rate when `value` is not above 0 (or not a number), or above 2 GHz; at least one in 292 years.
+  static constexpr Rate hertz(double value) {
+    if (!(value > 0)) return Rate{};
+    const double period = 1e9 / value + 0.5;
+    constexpr double too_long = 9223372036854775808.0;  // 2^63
+    return Rate{period < too_long ? Duration{static_cast<std::int64_t>(period)} : Duration::max()};
+  }
   static constexpr Rate from_period(Duration period) { return Rate{period}; }
   /// ns between two events; 0 means "no rate".
   constexpr Duration period() const noexcept { return period_; }

@@ -1,14 +1,15 @@
 /// Callback: a move-only function object, as handlers and sampling functions are kept.
 ///
 /// Small callables (up to 48 bytes that move without throwing) lie inside, larger ones on the heap; calling never
-/// allocates. Calling an empty one is undefined (asserted in debug builds).
+/// allocates. Calling an empty one throws std::logic_error; objects that are made with an empty one where one is needed
+/// refuse it.
 ///
 /// Owner: whoever holds it. Thread: that of the holder.
 #pragma once
 
-#include <cassert>
 #include <cstddef>
 #include <new>
+#include <stdexcept>
 #include <type_traits>
 #include <utility>
 
@@ -28,6 +29,8 @@ class Callback<R(Args...)> {
   Callback(F&& function) {
     // clang-format on
     using Target = std::decay_t<F>;
+    static_assert(std::is_nothrow_destructible_v<Target>,
+                  "rtdata: what a callback captures must not throw when it is destroyed");
     if constexpr (fits<Target>) {
       ::new (static_cast<void*>(storage_)) Target(std::forward<F>(function));
       operations_ = &inline_operations<Target>;
@@ -51,17 +54,14 @@ class Callback<R(Args...)> {
     return *this;
   }
   ~Callback() {
-    if (call_ != nullptr) operations_(storage_, nullptr);
+    if (operations_ != nullptr) operations_(storage_, nullptr);
   }
 
-  explicit operator bool() const noexcept { return call_ != nullptr; }
-  R operator()(Args... args) {
-    assert(call_ != nullptr);
-    return call_(storage_, std::forward<Args>(args)...);
-  }
+  explicit operator bool() const noexcept { return operations_ != nullptr; }
+  R operator()(Args... args) { return call_(storage_, std::forward<Args>(args)...); }
   /// Destroys the function object.
   void reset() noexcept {
-    if (call_ != nullptr) const Callback old(std::move(*this));  // its captures' destructors may use this object
+    if (operations_ != nullptr) const Callback old(std::move(*this));  // its captures' destructors may use this object
   }
 
  private:
@@ -88,13 +88,14 @@ class Callback<R(Args...)> {
     }
   }
   void take(Callback& other) noexcept {
-    if (other.call_ == nullptr) return;
+    if (other.operations_ == nullptr) return;
     other.operations_(other.storage_, storage_);
-    call_ = std::exchange(other.call_, nullptr);
-    operations_ = other.operations_;
+    call_ = std::exchange(other.call_, &call_empty);
+    operations_ = std::exchange(other.operations_, nullptr);
   }
+  [[noreturn]] static R call_empty(void*, Args...) { throw std::logic_error("there is no function in this callback"); }
 
-  R (*call_)(void*, Args...) = nullptr;
+  R (*call_)(void*, Args...) = &call_empty;
   Operations operations_ = nullptr;
   alignas(void*) std::byte storage_[capacity];
 };

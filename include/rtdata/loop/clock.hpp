@@ -43,11 +43,11 @@ class ManualClock : public Clock {
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override { return accuracy_; }
 
-  /// Lets time pass on both lines. Within a callback of a manual loop: that callback took this long.
+  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback of
+  /// a manual loop: that callback took this long.
   void pass(Duration duration) noexcept {
-    const auto moved = [duration](auto at) {  // to the end of time at most
-      return duration.count() > 0 && at > at.max() - duration ? at.max() : at + duration;
-    };
+    if (duration.count() <= 0) return;
+    const auto moved = [duration](auto at) { return at > at.max() - duration ? at.max() : at + duration; };
     monotonic_ = moved(monotonic_);
     realtime_ = moved(realtime_);
   }

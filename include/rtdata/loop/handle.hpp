@@ -24,6 +24,7 @@
 
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <utility>
 
 namespace rtdata {
@@ -75,6 +76,9 @@ class Node {
   std::uint16_t running_ = 0;  // calls on the stack
   bool is_closing_ = false;
 };
+
+/// SetupError (bad-argument): what was to be called is empty.
+[[noreturn]] void refuse_empty(const char* what, std::string_view name);
 
 /// Brackets a call of a node's callback, so that the callback may close or destroy its own handle.
 class Call {

@@ -15,8 +15,9 @@
 /// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its end,
 /// which never comes, so that Duration::max() means never, or without limit.
 ///
-/// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Must not be destroyed
-/// from one of its own callbacks. While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
+/// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Destroying it in one of
+/// its own callbacks, before its tiers, or while another thread runs it ends the program (std::abort), having said so.
+/// While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
 /// Thread: the one that runs it. From other threads, and from a sink's Writer: `post` and `stop` only.
 #pragma once
 
@@ -84,7 +85,8 @@ class Loop {
 
   /// Runs until `stop`, or until nothing is left that could happen; at once when `stop` was called since the last run. On an
   /// attached loop the host runs it instead (SetupError otherwise). SetupError (busy) when called from one of its callbacks,
-  /// as for `run_for`, `poll` and `advance`.
+  /// also from those that are called while it does not run (`open` of a device that is made, a report of that), as for
+  /// `run_for`, `poll` and `advance`.
   void run();
   /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
   void run_for(Duration duration);

@@ -6,7 +6,8 @@
 /// them. A tier's own, `tier.loop().runtime()`, holds the tier's sensors and subscriptions and the topics that it has
 /// heard of; no sink, and no other loop. It is for the tier's thread.
 ///
-/// Owner: the user, or the loop that made it; it must outlive its loop. Thread: the loop's.
+/// Owner: the user, or the loop that made it; it must outlive its loop: destroying it before, or in its own `on_log`, ends
+/// the program (std::abort), having said so. Thread: the loop's.
 #pragma once
 
 #include <memory>

@@ -55,6 +55,7 @@ PayloadType payload_type() {
     static_assert(sizeof(T) <= max_payload_size, "rtdata: a described payload has at most 4 KiB (max_payload_size)");
     type.description = description_of<T>();
   } else if constexpr (!std::is_trivially_copyable_v<T>) {
+    static_assert(std::is_nothrow_destructible_v<T>, "rtdata: a payload must not throw when it is destroyed");
     type.move_construct = [](void* to, void* from) { ::new (to) T(std::move(*static_cast<T*>(from))); };
     type.destroy = [](void* payload) { static_cast<T*>(payload)->~T(); };
   }
@@ -137,7 +138,9 @@ template <class T>
 class TypedSubscription final : public SubscriptionNode {
  public:
   TypedSubscription(LoopCore& loop, std::string_view pattern, Callback<void(const Event<T>&)> handler)
-      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {}
+      : SubscriptionNode(loop, pattern), handler_(std::move(handler)) {
+    if (!handler_) refuse_empty("cannot subscribe", pattern);
+  }
   Delivered deliver(const EventRun& run, const void* field_map) override {
     if constexpr (Described<T>) {
       if (field_map != nullptr) [[unlikely]] {

@@ -22,8 +22,9 @@
 /// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
 /// incomplete, with the callback's name and the time up to which the tier's account is known.
 ///
-/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not. Thread: the main
-/// loop's.
+/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not; in a callback of the main
+/// loop too, but not in one of its own, nor on another thread, nor in a call of a sink's Writer: that ends the program,
+/// having said so. Thread: the main loop's.
 #pragma once
 
 #include <memory>
@@ -74,7 +75,8 @@ class Tier {
 
   /// Begins to turn. The main loop's `run` does it too, and does not return by itself while a tier runs.
   void start();
-  /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again.
+  /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again. In
+  /// one of its own callbacks: asks for it, and returns.
   void stop() noexcept;
   /// The same, but waits no longer than this for the callback. False: it hangs there, see `doing`, and the tier ends
   /// when it returns. Whoever must end all the same leaves by std::_Exit, since destroying anything on the tier waits
@@ -119,8 +121,7 @@ class Tier {
 /// not return or its processor is taken, is reported by name (not-turning) and becomes faulted in `$rtdata/health`,
 /// until it answers.
 ///
-/// Owner: the user; must be destroyed before its loop, and not from a report of its own. It keeps the loop's `run` from
-/// returning. Thread: the loop's.
+/// Owner: the user; must be destroyed before its loop. It keeps the loop's `run` from returning. Thread: the loop's.
 class TierWatch {
  public:
   /// SetupError (bad-argument): less than 1 ms.
@@ -129,13 +130,10 @@ class TierWatch {
   TierWatch& operator=(const TierWatch&) = delete;
 
   /// As of the last look.
-  bool all_turn() const noexcept { return all_turn_; }
+  bool all_turn() const noexcept { return *all_turn_; }
 
  private:
-  void look();
-  Loop& main_;
-  Duration limit_;
-  bool all_turn_ = true;
+  std::shared_ptr<bool> all_turn_;  // with the ticker's callback, which may be on the stack when this goes
   Ticker ticker_;
 };
 

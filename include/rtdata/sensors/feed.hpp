@@ -34,7 +34,7 @@ void feed_publish(Node* feed, const void* payload, Time time);
 class AnyFeed : public AnySensor {
  public:
   AnyFeed() noexcept = default;
-  /// A feed of payloads without a C++ type.
+  /// A feed of payloads without a C++ type. SetupError (bad-description) without a description.
   AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description);
 
   /// `payload` has the description's size and layout. On a closed or stopped feed: nothing.

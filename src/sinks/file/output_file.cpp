@@ -26,6 +26,13 @@ bool is_by_lines(const Codec& codec) {
   return codec.first_event(lines) == lines.size();
 }
 
+/// What would be taken for half an event, and cut off.
+bool is_database(int fd) {
+  constexpr std::string_view magic("SQLite format 3\0", 16);
+  char begin[magic.size()];
+  return ::pread(fd, begin, sizeof begin, 0) == sizeof begin && std::string_view(begin, sizeof begin) == magic;
+}
+
 Result<void> compare_header(int fd, const std::string& path, const std::string& header) {
   using detail::byte_order_mark;
   std::string there(byte_order_mark.size() + header.size(), '\0');
@@ -97,6 +104,10 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
     result = reason == EWOULDBLOCK ? Error{Errc::busy, "cannot record into", path, lock_holder(about) + " writes it",
                                            "stop that one, or choose another path"}
                                    : failed(reason, "cannot lock the file");
+  }
+  if (result && is_database(fd_)) {
+    result = Error{Errc::bad_argument, "cannot record into", path, "it is a recording, or another SQLite database",
+                   "choose another path"};
   }
   if (!result) close();
   size_at_open_ = about.st_size;
