@@ -136,8 +136,12 @@ TEST_SUITE("app") {
       CHECK(again.end() == 0);
       CHECK(has(again.err, "ended without closing"));
       Process verify(folder, program, {"verify", "stick/run.db"});
-      CHECK(verify.end() == 0);
-      CHECK(has(verify.out, "sealed"));
+      // A disk that is shut down in the middle of a sync may have said that rows are on it which are not there afterwards:
+      // what the program knows of them has survived, and verify says that they lack.
+      const int status = verify.end();
+      const bool has_lost_rows = is_pulled && has(verify.out, ", the checksum is of ");
+      CHECK(status == (has_lost_rows ? 1 : 0));
+      CHECK(has(verify.out, has_lost_rows ? "not balanced" : "sealed"));
     }
   }
 }
