@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <thread>
 
 #ifdef RTDATA_WITH_SQLITE
 #include <sqlite3.h>
@@ -166,6 +167,27 @@ Json measure_sink(const std::string& folder, Duration duration) {
   return json;
 }
 
+/// Whether this process has a file in the folder open, a removed one too.
+bool uses(const std::string& folder) {
+  std::error_code ignored;
+  for (std::filesystem::directory_iterator entry("/proc/self/fd", ignored), end; !ignored && entry != end;
+       entry.increment(ignored)) {
+    std::error_code closed;
+    if (std::filesystem::read_symlink(entry->path(), closed).string().starts_with(folder + "/")) return true;
+  }
+  return false;
+}
+
+/// A sink that could not store goes on trying when its deadline of closing passes, on a thread that is left behind: until
+/// that has ended, too, its files take room and are no other's to remove.
+void wait_until_closed(const std::string& folder) {
+  const auto end = SteadyClock::now() + std::chrono::minutes{1};
+  while (uses(folder) && SteadyClock::now() < end) {
+    stop_if_interrupted();
+    std::this_thread::sleep_for(std::chrono::milliseconds{10});
+  }
+}
+
 /// The same columns by SQLite alone, on this thread: prepared, WAL, synchronous=NORMAL, as many rows a transaction.
 Json measure_bare_sqlite(const std::string& folder, Duration duration) {
   sqlite3* database = nullptr;
@@ -215,6 +237,7 @@ nlohmann::ordered_json measure_storage(const std::string& parent, Duration durat
   const TemporaryFolder folder(parent);
   Json json{{"folder", parent}};
   json["rtdata"] = measure_sink(folder.path(), duration / 2);
+  wait_until_closed(std::filesystem::absolute(folder.path()).lexically_normal().string());
   // What a recording that could not be closed leaves for the next run, of which there will be none.
   sqlite::LiveFile::remove_left(folder.path() + database_name);
   json["limit"] = measure_bare_sqlite(folder.path(), duration / 2);

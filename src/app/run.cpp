@@ -292,8 +292,8 @@ class Run {
     } else if (!balances) {
       messages_.write("rtdata: error: " + verdict + "\n");
     }
-    if (!balances || not_stored_ > 0) return exit_other;
-    return has_loss && options_.on_loss == OnLoss::fail ? exit_loss : exit_good;
+    if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
+    return balances && not_stored_ == 0 ? exit_good : exit_other;
   }
 
   const Registry& registry_;

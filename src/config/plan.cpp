@@ -137,6 +137,7 @@ class AcrossItems {
     for (const SinkPlan& sink : sinks) {
       if (!sink.path.empty() && sink.path != "-") check_path(sink);
     }
+    check_files_of_topics(sinks);
     for (const SinkPlan& sink : sinks) {
       if (!sink.name.empty()) check_name("sink", sink.name, sink.item, sink_names_);
     }
@@ -163,11 +164,7 @@ class AcrossItems {
       if (!sink.refused_topics) continue;
       std::vector<TopicToRecord> wanted;
       for (const auto& [name, sensor] : topics_) {
-        const auto matches = [&, topic = std::string_view(name)](const std::string& pattern) {
-          return topic_matches(pattern, topic);
-        };
-        if (std::any_of(sink.topics.begin(), sink.topics.end(), matches))
-          wanted.push_back({name, sensor->description.get()});
+        if (wants(sink, name)) wanted.push_back({name, sensor->description.get()});
       }
       for (const Error& error : sink.refused_topics(wanted)) {
         plan_.problems.add(child_or_self(sink.item, "path").problem("cannot-record", error.text()));
@@ -256,6 +253,32 @@ class AcrossItems {
     const std::string found = std::filesystem::weakly_canonical(std::filesystem::absolute(path, ignored), ignored)
                                   .string();
     return found.empty() ? path : found;
+  }
+
+  static bool wants(const SinkPlan& sink, std::string_view topic) {
+    return std::any_of(sink.topics.begin(), sink.topics.end(),
+                       [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+  }
+
+  /// Where a sink writes a file for each topic: none of them is another sink's.
+  void check_files_of_topics(const std::vector<SinkPlan>& sinks) {
+    for (const SinkPlan& sink : sinks) {
+      if (!sink.file_of_topic || refused_paths_.contains(sink.item.path())) continue;
+      for (const auto& [topic, sensor] : topics_) {
+        const std::string file = wants(sink, topic) ? sink.file_of_topic(topic) : "";
+        if (file.empty() || file == sink.path) continue;
+        const std::string path = canonical(file);
+        const auto [known, is_new] = paths_.try_emplace(path, &sink);
+        const ConfigItem& written = child_or_self(sink.item, "path");
+        const bool is_configuration = !plan_.document.file.empty() && path == canonical(plan_.document.file);
+        if (!is_configuration && (is_new || known->second == &sink)) continue;
+        const std::string beginning = "the events of topic \"" + topic + "\" go to \"" + file + "\", ";
+        plan_.problems.add(written.problem(
+            "duplicate-path", is_configuration ? beginning + "which is the configuration; choose another name"
+                                               : beginning + "and the sink at " + place_of(known->second->item) +
+                                                     " writes that file already; two writers on one file destroy it"));
+      }
+    }
   }
 
   void check_path(const SinkPlan& sink) {

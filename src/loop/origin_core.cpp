@@ -29,7 +29,8 @@ Segment OriginCore::segment(MonotonicTime end) const noexcept {
   const RuntimeCore& runtime = topic.runtime();
   const MonotonicTime last = last_due();
   if (is_mirror || end < last) end = last;  // within a turn, ticks are counted that its end is not told of yet
-  return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_};
+  return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_,
+          late_after};
 }
 
 Time OriginCore::first_due() const noexcept { return topic.runtime().event_time(first_due_); }
@@ -60,6 +61,7 @@ void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, c
   sequence = last_sequence;
   first_due_ = topic.runtime().monotonic_of(under_way.first_due);
   period_ = under_way.period;
+  late_after = under_way.late_after;
   scheduled_before_ = told.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
   if (gap_is_open_) gaps_.gap = *gap;
@@ -74,6 +76,11 @@ void OriginCore::end_segment(MonotonicTime end) noexcept {
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
   topic.tell_taps_of_change(*this);
+}
+
+void OriginCore::count_lateness(MonotonicTime due) noexcept {
+  const auto number = [](Time time) { return static_cast<std::uint64_t>(to_nanoseconds(time)); };
+  counts.lateness += number(last_time) - number(topic.runtime().event_time(due));
 }
 
 void OriginCore::fail_read(std::string_view reason, MonotonicTime due) noexcept {

@@ -56,6 +56,8 @@ class OriginCore {
     if (gap_is_open_) [[unlikely]]
       interrupt_gap();
   }
+  /// What has just been published is of the read that was due then.
+  void count_lateness(MonotonicTime due) noexcept;
   void fail_read(std::string_view reason, MonotonicTime due) noexcept;
   void fail_tick(std::string_view reason, MonotonicTime due) noexcept;
   /// `count` ticks, the first of them due at `first`, were skipped.

@@ -245,7 +245,8 @@ bool SensorNode::make_ready(const Tick& tick) {
     return false;
   }
   if (device_is_open_) return true;
-  SamplePort port(*this, Time{}, &tick);  // the device may stop the sensor, or change its rate, as it may in a read
+  SamplePort port(*this, tick.due, Time{},
+                  &tick);  // the device may stop the sensor, or change its rate, as it may in a read
   port_ = &port;
   LoopCore& on = *loop();
   const Result<void> opened = open_device();
@@ -258,6 +259,7 @@ bool SensorNode::make_ready(const Tick& tick) {
   if (opened && !port.is_begun_) return true;
   if (opened) {  // the schedule of this tick may be over
     origin_.end_read(port.is_late_);
+    is_not_one_a_read();
     return false;
   }
   fail(port, opened.error(), tick);
@@ -293,31 +295,39 @@ void SensorNode::tick(const Tick& tick) {
 void SamplePort::publish(void* payload, Time time) {
   if (sensor_ == nullptr) return;  // stopped by its own sampling function
   is_usable_ = true;
-  sensor_->publish(payload, time);
+  if (std::exchange(has_sample_, true) || time != time_) sensor_->is_not_one_a_read();
+  sensor_->publish(payload, time, due_);
 }
 
 void SamplePort::repeated() noexcept {
   if (sensor_ == nullptr) return;
   is_usable_ = true;
+  if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
   sensor_->count_repeated();
 }
 
 Sampled SamplePort::unreadable(Error error) {
-  if (sensor_ != nullptr) sensor_->count_unreadable();
+  if (sensor_ != nullptr) {
+    if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
+    sensor_->count_unreadable();
+  }
   return fail(std::move(error));
 }
 
-void SensorNode::publish(void* payload, Time time) {
+void SensorNode::publish(void* payload, Time time, MonotonicTime due) {
   ++origin_.counts.received;
   ++origin_.counts.published;
   try {
     origin_.topic.publish(origin_, time, payload);
+    origin_.count_lateness(due);
   } catch (...) {  // published, and dropped for those who subscribe
+    origin_.count_lateness(due);
     report(thrown("moving its payload threw"));
   }
 }
 
 inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
+  if ((sampled == Sampled::nothing_new) == port.has_sample_) is_not_one_a_read();
   if (sampled == Sampled::nothing_new) count_repeated();
   if (port.error_) [[unlikely]]
     return complain(*port.error_);
@@ -326,7 +336,7 @@ inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
 }
 
 void SensorNode::read_inline(const Tick& tick) {
-  SamplePort port(*this, loop()->runtime.event_time(tick.now), &tick);
+  SamplePort port(*this, tick.due, loop()->runtime.event_time(tick.now), &tick);
   port_ = &port;
   Sampled sampled;
   try {
@@ -432,7 +442,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
     failed(error, loop()->now());
     return;
   }
-  SamplePort port(*this, loop()->runtime.event_time(transaction.began_), nullptr);
+  SamplePort port(*this, transaction.due_, loop()->runtime.event_time(transaction.began_), nullptr);
   Sampled sampled;
   try {
     sampled = device.decode(transaction, port);

@@ -34,7 +34,8 @@ class SensorNode final : public SourceNode, public RateMember {
   bool tell_times(CallbackStatus& status) const override;
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
-  void publish(void* payload, Time time);
+  void publish(void* payload, Time time, MonotonicTime due);
+  void is_not_one_a_read() noexcept { origin_.counts.is_one_a_read = false; }
   void count_repeated() noexcept {
     ++origin_.counts.received;
     ++origin_.counts.repeated;

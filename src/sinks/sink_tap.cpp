@@ -13,10 +13,11 @@ namespace {
 
 /// What was counted from `before` on; what is in flight is so now.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
-  static_assert(sizeof now == 12 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
+  static_assert(sizeof now == 13 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;
   now.taken -= before.taken;
   now.published -= before.published;
+  now.lateness -= before.lateness;
   now.late -= before.late;
   now.missed -= before.missed;
   now.failed -= before.failed;

@@ -221,6 +221,26 @@ TEST_SUITE("app") {
     CHECK(mild.end() == 0);
   }
 
+  TEST_CASE("US-17 --fail-on-loss exits 3 for a topic that comes while it runs and that a sink cannot take") {
+    const Folder folder;
+    // Its own topics are no sensor's, so that `check` cannot know of them; this one comes with the first change of health.
+    folder.write("bench.json", R"({
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
+                   {"name": "gone", "type": "absent", "rate": "10 Hz", "topic": "gone"} ],
+      "sinks": [ {"type": "file", "path": "run.csv", "format": "csv", "topics": ["count/a", "$rtdata/health"]} ] })");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 0);
+    for (const bool is_strict : {true, false}) {
+      std::vector<std::string> arguments{"run", "bench.json", "--for", "300ms"};
+      if (is_strict) arguments.emplace_back("--fail-on-loss");
+      Process run(folder, program, arguments);
+      CHECK(run.end() == (is_strict ? 3 : 0));
+      CHECK(has(run.err, "sink run.csv: cannot record topic $rtdata/health: "));
+      CHECK(has(run.out, " (refused)"));
+      CHECK_FALSE(has(run.out, ", 0 dropped"));
+    }
+  }
+
   TEST_CASE("NFR-7 errors are in the log file after SIGTERM, and with --quiet on the terminal too") {
     const Folder folder;
     folder.write("bench.json", R"({"log": {"file": "errors.log", "level": "warning"},

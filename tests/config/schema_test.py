@@ -55,6 +55,18 @@ def places(value, path=()):
             yield from places(item, path + (index,))
 
 
+def properties(schema, path=()):
+    """Of a schema, what has a default."""
+    if isinstance(schema, dict):
+        if "default" in schema and path and path[-1] != "properties":
+            yield path, schema
+        for key in schema:
+            yield from properties(schema[key], path + (key,))
+    elif isinstance(schema, list):
+        for index, item in enumerate(schema):
+            yield from properties(item, path + (index,))
+
+
 VALUES = [None, True, 0, 1, -1, 3.0, 3.7, 1e300, 12345678901, "", "x", "a b", "#", "a/#/b", "+/x", "$x", "10 ms", "10ms", "-5 ms",
           "1.5 h", "10", "100 Hz", "every 2 s", "6 /min", "fast", "nul\u0000", "line\nend", [], [1], ["#"], [["#"]], {}, {"x": 1},
           {"env": "PATH"}, {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}, {"file": "/no/such/file"}, {"env": ""}, {"env": 1},
@@ -93,6 +105,8 @@ def main():
     schema = json.loads(subprocess.run([program, "types", "--schema"], capture_output=True, check=True, text=True).stdout)
     jsonschema.Draft7Validator.check_schema(schema)
     validator = jsonschema.Draft7Validator(schema)
+    outside = [f"{'.'.join(map(str, path))}: its default {value['default']!r} is refused by its own schema: {error.message[:120]}"
+               for path, value in properties(schema) for error in jsonschema.Draft7Validator(value).iter_errors(value["default"])]
     known_types = {name for part in ("sensors", "sinks")
                    for name in schema["properties"][part]["items"]["properties"]["type"]["enum"]}
     originals = []
@@ -119,8 +133,7 @@ def main():
                     if item["type"] != case["if"]["properties"]["type"]["const"]:
                         continue
                     for key, value in case["then"]["properties"].items():
-                        # What is off by default, in an object of its own, may have no value to write for it.
-                        if key not in item and "default" in value and not isinstance(value["default"], dict):
+                        if key not in item and "default" in value:
                             item[key] = value["default"]
         originals.append(("every parameter", full))
         path = os.path.join(folder, "mutated.json")
@@ -131,7 +144,7 @@ def main():
             run = subprocess.run([program, "check", path], capture_output=True, cwd=folder)
             return run.returncode, run.stdout.decode("utf-8", "replace")
 
-        failures, refused = [], 0
+        failures, refused = outside, 0
         for name, document in originals:
             status, words = check(document)
             errors = [error.message for error in validator.iter_errors(document)]

@@ -216,6 +216,18 @@ TEST_SUITE("sinks") {
              "UPDATE climate SET time = time - 100000000 WHERE sequence > 80 AND origin = 'hall'",
              "UPDATE climate SET time = time - 15000000 WHERE sequence = 40 AND origin = 'room'",
              "UPDATE climate SET time = time + 25000000 WHERE sequence > 150 AND origin = 'room'",
+             "UPDATE rtdata_gap SET first = first + 10000000, last = last + 10000000 WHERE kind = 'missed' AND run = 1",
+             "UPDATE rtdata_gap SET first = first - 10000000, last = last - 10000000 WHERE kind = 'missed' AND run = 1",
+             "UPDATE rtdata_ledger SET late = late + 1 WHERE origin = 'room' AND run = 1",
+             "UPDATE rtdata_ledger SET lateness = lateness + 1 WHERE origin = 'hall'",
+             "UPDATE rtdata_schedule SET late_after = 1000000000 WHERE origin = 'room' AND run = 1",
+             "UPDATE climate SET time = time + 1000 WHERE origin = 'hall' AND sequence = 70",
+             // A tick in two gaps of different kinds, and another one in none.
+             "UPDATE rtdata_gap SET first = first + 10000000, last = last + 10000000 WHERE kind = 'failed';"
+             "UPDATE rtdata_gap SET first = (SELECT last FROM rtdata_gap g WHERE g.run = rtdata_gap.run AND g.kind = "
+             "'failed'), last = last - first + (SELECT last FROM rtdata_gap g WHERE g.run = rtdata_gap.run AND g.kind "
+             "= "
+             "'failed') WHERE kind = 'missed'",
              "UPDATE rtdata_schedule SET first_due = first_due + 3600000000000, end = end + 3600000000000",
              "UPDATE rtdata_schedule SET first_due = first_due + 100000000, end = end + 100000000",
              "UPDATE rtdata_schedule SET period = period / 2, end = first_due + (end - first_due) / 2",
@@ -233,7 +245,6 @@ TEST_SUITE("sinks") {
     record(path);
     const std::string changed = folder / "changed.db";
     for (const std::string change : {
-             "UPDATE rtdata_ledger SET late = late + 1 WHERE origin = 'room'",
              "UPDATE rtdata_ledger SET lost = 3 WHERE origin = 'feed'",
              "UPDATE rtdata_gap SET reason = 'nothing'",
              "DELETE FROM rtdata_clock",

@@ -9,8 +9,11 @@
 #include <functional>
 #include <random>
 
+#include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/sqlite.hpp"
+#include "sensors/pty.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
 
@@ -101,6 +104,75 @@ TEST_SUITE("sinks") {
       CHECK(number(path, "SELECT lost IS NULL FROM rtdata_run WHERE run = 1") == (is_cut ? 1 : 0));
       CHECK(recordings::verified(path).verdict() == Verdict::sealed);
       if (!is_cut) check_sealed(path);
+    }
+  }
+
+  TEST_CASE("a device on another tier that fails until the kill leaves its gap") {
+    const LiveFolder live;
+    Directory directory;
+    const std::string path = directory / "run.db";
+    kill_in_child([&] {
+      Loop loop;
+      loop.on_error([](const ErrorReport&) {});
+      loop.runtime().on_log([](const LogRecord&) {});
+      Tier fast(loop, {.name = "fast"});
+      SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
+      Sensor<Number> sensor(fast.loop(), {.name = "a", .topic = "a", .rate = 1_kHz, .faulted_after = 1000000},
+                            [n = 0]() mutable -> Result<Number> {
+                              if (++n > 20) return Error{Errc::not_found, "cannot open", "device", "", ""};
+                              return Number{1};
+                            });
+      sensor.on_error([](const ErrorReport&) {});
+      const auto heard_of = [&] {  // by the main loop
+        std::uint64_t failed = 0;
+        for (const SensorStatus& one : loop.runtime().sensors()) failed += one.counts.failed;
+        return failed;
+      };
+      while (heard_of() < 300) loop.run_for(1ms);
+      ::raise(SIGKILL);
+    });
+    seal(path);
+    CHECK(recordings::verified(path).verdict() == Verdict::sealed);
+    const std::int64_t failed = number(path, "SELECT failed FROM rtdata_ledger WHERE run = 1 AND origin = 'a'");
+    CHECK(failed >= 300);
+    CHECK(number(path, "SELECT total(count)" + run_1 + " AND kind IN ('failed', 'joined')") >= failed);
+    CHECK(number(path, "SELECT taken FROM rtdata_ledger WHERE run = 1 AND origin = 'a'") == 20);
+  }
+
+  TEST_CASE("a line that is silent or unplugged until the kill leaves its gap") {
+    for (const bool is_unplugged : {false, true}) {
+      CAPTURE(is_unplugged);
+      const LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "run.db";
+      kill_in_child([&] {
+        Pty pty(directory / "tty");
+        pty.plug_in();
+        Loop loop;
+        loop.on_error([](const ErrorReport&) {});
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
+        SerialConfig config{.device = pty.path(), .fields = {{.name = "value"}}, .first_line = FirstLine::keep};
+        if (!is_unplugged) config.silence = 50ms;
+        SerialLineSensor line(loop, {.name = "a", .topic = "a"}, config);
+        line.on_error([](const ErrorReport&) {});
+        pty.send("1\n2\n");
+        while (line.counts().received < 2) loop.run_for(1ms);
+        if (is_unplugged) pty.unplug();
+        while (line.health() == Health::ok) loop.run_for(1ms);
+        while (sink.counts().stored < 2) loop.run_for(1ms);
+        loop.run_for(200ms);
+        ::raise(SIGKILL);
+      });
+      seal(path);
+      check_sealed(path);
+      CHECK(number(path, "SELECT count(*)" + run_1) == 1);
+      CHECK(number(path, "SELECT count(*)" + run_1 + " AND count IS NULL AND kind = '" +
+                             (is_unplugged ? "disconnected'" : "silent'")) == 1);
+      // Up to the end of what is known of the run, which nothing else has made longer.
+      CHECK(number(path, "SELECT last - first > 0" + run_1) == 1);
+      CHECK(number(path, "SELECT last = (SELECT ended FROM rtdata_run WHERE run = 1)" + run_1) == 1);
+      CHECK(number(path, "SELECT count(*) FROM a") == 2);
     }
   }
 

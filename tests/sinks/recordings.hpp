@@ -70,7 +70,9 @@ inline void make_older(const std::string& path, int format) {
       "DROP TABLE rtdata_escaped;"
       "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
       "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
-      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; DROP TABLE rtdata_checksum; UPDATE rtdata_run SET format = " +
+      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; ALTER TABLE rtdata_ledger DROP COLUMN one_a_read;"
+      "ALTER TABLE rtdata_ledger DROP COLUMN lateness; ALTER TABLE rtdata_schedule DROP COLUMN late_after; DROP TABLE "
+      "rtdata_checksum; UPDATE rtdata_run SET format = " +
           std::to_string(format));
   if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
   sql(path, "ALTER TABLE rtdata_error DROP COLUMN last");

@@ -274,10 +274,10 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-30 check refuses a rotation that makes no sense") {
-    const auto report = [](const std::string& settings) {
-      return plan_system(
-                 standard_registry(),
-                 parse_config(R"({"sensors": [], "sinks": [{"type": "file", "path": "run.csv", )" + settings + "}]}"))
+    Directory directory;
+    const auto report = [&](const std::string& settings) {
+      return plan_system(standard_registry(), parse_config(R"({"sensors": [], "sinks": [{"type": "file", "path": ")" +
+                                                           directory / "run.csv" + R"(", )" + settings + "}]}"))
           .report();
     };
     CHECK(report(R"("rotate": {"bytes": 100000, "time": "1 h"}, "keep": 5)").find("error") == std::string::npos);
@@ -287,7 +287,6 @@ TEST_SUITE("sinks") {
     CHECK(report(R"("rotate": {"size": 100000})").find("unknown key") != std::string::npos);
     CHECK(report(R"("keep": 5)").find("without `rotate`") != std::string::npos);
     CHECK(report(R"("rotate": {}, "keep": 5)").find("without `rotate`") != std::string::npos);
-    Directory directory;
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(FileSink(loop, {.path = directory / "run.jsonl", .keep = 5}), SetupError);
     CHECK_THROWS_AS(FileSink(loop, {.path = directory / "run.jsonl", .rotate = {.bytes = 5}}), SetupError);

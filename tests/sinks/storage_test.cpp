@@ -191,6 +191,58 @@ TEST_SUITE("sinks") {
     check_counts(path);
   }
 
+  TEST_CASE("US-26 a device that fails for years takes no other's room with its gaps, errors and changes of health") {
+    // Bad fails at every second tick, which is a gap a minute; right goes on at its rate. Once without, once with it.
+    std::int64_t rows[2] = {};
+    for (const bool has_bad : {false, true}) {
+      CAPTURE(has_bad);
+      const Folder folder;
+      const std::string path = folder / "run.db";
+      SensorCounts counts;
+      {
+        Loop loop{Loop::Manual{}};
+        loop.on_error([](const ErrorReport&) {});
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop,
+                        {.path = path, .max_bytes = SqliteConfig::least_max_bytes, .sink = {.batch_time = 10min}});
+        Sensor<Number> right(loop, {.name = "right", .rate = Rate::from_period(10s)}, [] { return Number{1}; });
+        Sensor<Number> bad;
+        if (has_bad) {
+          bad = Sensor<Number>(loop, {.name = "bad", .rate = Rate::from_period(30s), .faulted_after = 3},
+                               [n = 0]() mutable -> Reading<Number> {
+                                 if (++n % 2 == 0) return Error{Errc::io_failed, "no answer", "", "", ""};
+                                 return Number{2};
+                               });
+        }
+        loop.advance(24h * 14);
+        if (has_bad) counts = bad.counts();
+        loop.close();
+        CHECK(loop.runtime().sinks().front().counts.all_dropped() == 0);
+      }
+      rows[has_bad ? 1 : 0] = number(path, "SELECT count(*) FROM \"right\"");
+      check_counts(path);
+      if (!has_bad) continue;
+      CHECK(counts.failed > 20'000);
+      CHECK(number(path, "SELECT sum(count) FROM rtdata_gap") == static_cast<std::int64_t>(counts.failed));
+      CHECK(number(path, "SELECT sum(count) FROM rtdata_error WHERE object = 'sensor bad'") ==
+            static_cast<std::int64_t>(counts.failed));
+      CHECK(number(path, "SELECT sum(count) FROM rtdata_health WHERE name = 'bad'") ==
+            2 * static_cast<std::int64_t>(counts.failed));
+      CHECK(number(path, "SELECT count(*) FROM rtdata_gap") > 1000);
+      std::int64_t bytes = 0;  // of what says so
+      for (const char* of : {"rtdata_gap", "rtdata_error", "rtdata_health"})
+        bytes += 100 * number(path, std::string("SELECT count(*) FROM ") + of);
+      CHECK(bytes < static_cast<std::int64_t>(SqliteConfig::least_max_bytes / 5));
+      // The newest ones stand for themselves.
+      CHECK(
+          number(path,
+                 "SELECT count(*) FROM (SELECT count FROM rtdata_gap ORDER BY rowid DESC LIMIT 30) WHERE count = 1") ==
+          30);
+    }
+    MESSAGE(rows[0], " rows without, ", rows[1], " with it");
+    CHECK(rows[1] > rows[0] * 65 / 100);  // its data has a quarter of the rows
+  }
+
   TEST_CASE("US-26 a device whose clock is ahead takes no other's room, and makes nobody's rows too old") {
     Folder folder;
     for (const bool is_by_age : {false, true}) {

@@ -213,4 +213,28 @@ TEST_SUITE("sinks") {
       CHECK(configured(line, R"({"type": "file", "path": ")" + (directory / "x.jsonl") + "\"}").empty());
     }
   }
+
+  TEST_CASE("US-17 check finds files of two sinks that are one, where {topic} makes their names") {
+    const Directory directory;
+    const auto problems = [&](const std::string& sinks, const std::string& log = "x.log") {
+      return problems_of(
+          R"({"sensors": [{"name": "a", "type": "analog", "file": "adc", "rate": "1 Hz", "topic": "room/a"},
+        {"name": "b", "type": "analog", "file": "adc", "rate": "1 Hz", "topic": "b"}], "sinks": [)" +
+          sinks + R"(], "log": {"file": ")" + directory / log + R"("}})");
+    };
+    const auto sink = [&](const std::string& path, const std::string& topics = "#") {
+      return R"({"type": "file", "path": ")" + directory / path + R"(", "topics": [")" + topics + R"("], "name": ")" +
+             path + topics + R"("})";
+    };
+    CHECK(problems(sink("run-{topic}.jsonl") + "," + sink("run-c.jsonl")) == "");
+    const std::string told = problems(sink("run-room-a.jsonl") + "," + sink("run-{topic}.jsonl"));
+    CHECK(has(told, "sinks[1].path: the events of topic \"room/a\" go to \"" + directory / "run-room-a.jsonl"));
+    CHECK(has(told, "and the sink at f.json:2:"));
+    CHECK(has(told, " writes that file already; two writers on one file destroy it"));
+    CHECK_FALSE(has(told, "topic \"b\""));
+    CHECK(has(problems(sink("run-{topic}.jsonl") + "," + sink("run-b.jsonl")), "the events of topic \"b\" go to "));
+    CHECK(problems(sink("run-{topic}.jsonl", "room/#") + "," + sink("run-b.jsonl")) == "");
+    CHECK(has(problems(sink("{topic}-b", "room/a") + "," + sink("room-a-{topic}", "b")), "go to "));
+    CHECK(has(problems(sink("run-{topic}.log"), "run-b.log"), "log.file: the sink at "));
+  }
 }

@@ -154,7 +154,7 @@ TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule a
   CHECK(has(after("UPDATE rtdata_schedule SET scheduled = scheduled + 1"), "makes 1005"));
   CHECK(has(after("UPDATE rtdata_schedule SET period = period * 2"), "every 20 ms"));
   CHECK(has(after("INSERT INTO rtdata_schedule SELECT run, origin, topic, first_due + 1000000000, period, end, "
-                  "scheduled FROM rtdata_schedule"),
+                  "scheduled, late_after FROM rtdata_schedule"),
             "overlaps the one before"));
   CHECK(has(after("DELETE FROM rtdata_ledger WHERE origin = 'room'"), "999 rows, but the ledger does not know it"));
 }

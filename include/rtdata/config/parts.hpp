@@ -92,6 +92,8 @@ struct SinkPlan {
   ConfigItem item;
   /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics;
+  /// The file that a topic's events go to; empty: all go to `path`.
+  std::function<std::string(std::string_view topic)> file_of_topic;
   std::function<Owned<Sink>(Loop&)> make;
 };
 
@@ -176,7 +178,9 @@ class Registry {
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
   /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
-  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made.
+  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made. A
+  /// function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where `path` does
+  /// not: then two sinks on one are found too.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -191,6 +195,8 @@ class Registry {
           return refused_topics(config, topics);
         };
       }
+      if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
+        plan.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
       plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
       return plan;
     });

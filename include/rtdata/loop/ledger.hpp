@@ -30,6 +30,7 @@ struct SensorCounts {
   // Data, as far as reading and publishing touch it.
   std::uint64_t received = 0;  ///< samples that came, usable or not
   std::uint64_t published = 0;
+  std::uint64_t lateness = 0;  ///< with a schedule: ns from when each of those was due to its time, summed (mod 2^64)
   // Reads.
   std::uint64_t late = 0;    ///< part of taken
   std::uint64_t missed = 0;  ///< ticks at which nothing was begun (the loop was held, the last read still ran)
@@ -42,6 +43,7 @@ struct SensorCounts {
   std::uint64_t in_flight = 0;   ///< reads begun and not finished: 0 or 1
   bool has_schedule = false;
   bool lost_is_known = false;  ///< the source numbers its data
+  bool is_one_a_read = true;   ///< each read that was taken brought one sample, new or not, with the time of the read
 
   bool balances() const noexcept {
     return scheduled == taken + missed + failed + in_flight && received == published + repeated + filtered + unreadable;
@@ -101,8 +103,9 @@ struct Segment {
   Duration period{0};  ///< 0: no schedule
   Time end{};          ///< when the schedule ended, or the last tick that the loop has dealt with
   std::uint64_t scheduled = 0;
+  Duration late_after{0};  ///< reads that begin later than that after they were due are late
 
-  /// `scheduled` computed again from the other three.
+  /// `scheduled` computed again from the first three.
   std::uint64_t computed() const noexcept {
     if (period.count() <= 0 || end < first_due) return 0;
     return static_cast<std::uint64_t>((end - first_due) / period) + 1;

@@ -127,13 +127,16 @@ class SamplePort {
 
  private:
   friend class SensorNode;
-  SamplePort(SensorNode& sensor, Time time, const Tick* tick) : sensor_(&sensor), time_(time), tick_(tick) {}
+  SamplePort(SensorNode& sensor, MonotonicTime due, Time time, const Tick* tick)
+      : sensor_(&sensor), due_(due), time_(time), tick_(tick) {}
   SensorNode* sensor_;
+  MonotonicTime due_;
   Time time_;
   const Tick* tick_;        // of a read on the loop
   bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
   bool is_late_ = false;    // of one that is begun
   bool is_usable_ = false;  // a sample was handed over that can be decoded
+  bool has_sample_ = false;
   std::optional<Error> error_;
 };
 

@@ -27,6 +27,7 @@
 /// of another format); those of `Sink`.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -56,8 +57,9 @@ constexpr auto describe(type_tag<FileSync>) {
 struct FileRotation {
   static constexpr std::uint64_t least_bytes = 4096;
   static constexpr Duration least_time = std::chrono::seconds{1};
-  std::uint64_t bytes = 0;  ///< before the event that would make it larger; 0: never
-  Duration time{0};         ///< at the first event after each multiple of it (UTC: 1 h, 1 d); 0: never
+  std::optional<std::uint64_t> bytes = {};  ///< before the event that would make it larger
+  std::optional<Duration> time = {};        ///< at the first event after each multiple of it (UTC: 1 h, 1 d)
+  bool is_on() const noexcept { return bytes || time; }
 
   friend constexpr auto parameters(type_tag<FileRotation>) {
     return parameter_list(
@@ -99,6 +101,9 @@ struct FileConfig {
 /// A format that is not among `formats` is not looked at.
 std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
                                   const CodecRegistry& formats = CodecRegistry::standard());
+
+/// The path of the file that this topic's events go to.
+std::string file_of_topic(const FileConfig& config, std::string_view topic);
 
 class FileSink : public Sink {
  public:

@@ -275,6 +275,8 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
   return refused;
 }
 
+std::string file_of_topic(const FileConfig& config, std::string_view topic) { return path_of(config.path, topic); }
+
 void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
   const std::string wrong = Rotation::mistake(config);
   if (wrong.empty()) return;

@@ -62,10 +62,10 @@ std::int64_t period_of(std::int64_t time, Duration length) {
 
 std::string Rotation::mistake(const FileConfig& config) {
   const FileRotation& rotate = config.rotate;
-  if (rotate.bytes != 0 && rotate.bytes < FileRotation::least_bytes)
+  if (rotate.bytes && *rotate.bytes < FileRotation::least_bytes)
     return "`rotate.bytes` is less than " + std::to_string(FileRotation::least_bytes);
-  if (rotate.time.count() != 0 && rotate.time < FileRotation::least_time) return "`rotate.time` is less than 1 s";
-  if (config.keep != 0 && rotate.bytes == 0 && rotate.time.count() == 0)
+  if (rotate.time && *rotate.time < FileRotation::least_time) return "`rotate.time` is less than 1 s";
+  if (config.keep != 0 && !rotate.is_on())
     return "`keep` says how many files are kept, and without `rotate` there is one";
   return "";
 }
@@ -114,18 +114,18 @@ Result<void> Rotation::see_to(OutputFile& file, std::size_t index, std::size_t f
   if (states_.size() <= index) states_.resize(index + 1);
   State& state = states_[index];
   const FileRotation& rotate = config_.rotate;
-  const bool is_by_time = rotate.time.count() > 0;
-  const std::int64_t period = is_by_time ? period_of(to_nanoseconds(time), rotate.time) : 0;
+  const bool is_by_time = rotate.time.has_value();
+  const std::int64_t period = is_by_time ? period_of(to_nanoseconds(time), *rotate.time) : 0;
   const bool has_events = file.has_events(file.size_with(from));
   if (!state.is_known) {
     state.is_known = true;
-    state.period = is_by_time && has_events && from == 0 ? period_of(file.changed_at(), rotate.time) : period;
+    state.period = is_by_time && has_events && from == 0 ? period_of(file.changed_at(), *rotate.time) : period;
   } else if (!has_events) {
     state.period = std::max(state.period, period);
   }
   if (!file.is_new(from) || !has_events) return {};
   const bool is_over = is_by_time && period > state.period;
-  const bool is_full = rotate.bytes > 0 && file.size_with(file.buffer.size()) > rotate.bytes;
+  const bool is_full = rotate.bytes && file.size_with(file.buffer.size()) > *rotate.bytes;
   if (!is_over && !is_full) return {};
   const std::vector<std::byte> event(file.buffer.begin() + static_cast<std::ptrdiff_t>(from), file.buffer.end());
   file.buffer.resize(from);

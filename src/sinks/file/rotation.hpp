@@ -19,7 +19,7 @@ class Rotation {
   /// SetupError, bad-argument: settings that say nothing.
   explicit Rotation(const FileConfig& config);
 
-  bool is_on() const noexcept { return config_.rotate.bytes > 0 || config_.rotate.time.count() > 0; }
+  bool is_on() const noexcept { return config_.rotate.is_on(); }
   /// The event that has just been encoded, from this place in the file's buffer on, goes into a new file if it does not
   /// belong into this one. Errors: of writing what is before it.
   /// `index` counts the files of the sink.

@@ -68,9 +68,25 @@ std::string uri_of(const std::string& path, const char* parameters) {
 
 }  // namespace
 
+namespace {
+
+/// Whether the file cannot be read at all. SQLite calls a file damaged, too, whose disk was pulled out.
+bool is_unreadable(sqlite3* database) {
+  sqlite3_file* file = nullptr;
+  char byte = 0;
+  return sqlite3_file_control(database, "main", SQLITE_FCNTL_FILE_POINTER, &file) == SQLITE_OK && file != nullptr &&
+         file->pMethods != nullptr && (file->pMethods->xRead(file, &byte, 1, 0) & 0xff) == SQLITE_IOERR;
+}
+
+}  // namespace
+
 Error error_of(sqlite3* database, std::string_view doing) {
   const int code = sqlite3_extended_errcode(database);
   const char* file = sqlite3_db_filename(database, "main");
+  if ((code & 0xff) == SQLITE_CORRUPT && is_unreadable(database)) {
+    return {Errc::io_failed, std::string(doing), file != nullptr ? file : "",
+            "the disk does not answer: it cannot be read", "look at the disk, or plug it in again and start again"};
+  }
   const Errc kind = errc_of(code);
   std::string why = sqlite3_errmsg(database);
   if (const int system = sqlite3_system_errno(database); kind == Errc::io_failed && system != 0) {

@@ -35,7 +35,7 @@ struct LiveFile::Header {
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{3} << 32) | sizeof(LiveSlot);
+constexpr std::uint64_t layout = (std::uint64_t{4} << 32) | sizeof(LiveSlot);
 constexpr std::size_t header_bytes = 8192;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";

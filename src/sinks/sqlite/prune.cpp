@@ -15,7 +15,8 @@ constexpr std::int64_t least_pages = 16;  // that are freed in a transaction, if
 
 }  // namespace
 
-Pruner::Pruner(std::uint64_t max_bytes, Duration max_age) : max_bytes_(max_bytes), max_age_(max_age) {}
+Pruner::Pruner(std::uint64_t max_bytes, Duration max_age)
+    : max_bytes_(max_bytes), max_age_(max_age), share_(max_bytes) {}
 
 Result<void> Pruner::find_tables(Database& database) {
   auto count = database.integer("SELECT count(*) FROM rtdata_topic");
@@ -144,6 +145,7 @@ Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRang
 Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
+  if (auto held = share_.hold(database); !held) return held;
   auto begin = pages(database);
   if (!begin) return std::move(begin).error();
   Pages left = *begin;

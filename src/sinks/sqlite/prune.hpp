@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "rtdata/data/time.hpp"
+#include "sinks/sqlite/account_share.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
 
@@ -34,6 +35,7 @@ class Pruner {
   /// The statements are gone; before the database is closed.
   void close() noexcept {
     tables_.clear();
+    share_.close();
     for (Statement* statement : {&count_pruned_, &page_count_, &free_pages_}) *statement = Statement();
   }
 
@@ -68,6 +70,7 @@ class Pruner {
 
   std::uint64_t max_bytes_ = 0;
   Duration max_age_{0};
+  AccountShare share_;
   std::vector<Table> tables_;
   Statement count_pruned_;
   Statement page_count_;

@@ -212,7 +212,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();
   const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
-  const std::string unreadable = *version < sqlite::first_version_of_own_data_account ? "0" : "unreadable";
+  const std::string since_5 = *version < sqlite::first_version_of_own_data_account ? "0, 0, 0"
+                                                                                   : "unreadable, one_a_read, lateness";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
@@ -220,7 +221,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
       " last_sequence, pruned, rows_up_to, " +
-          carried + ", " + unreadable + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+          carried + ", " + since_5 + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -238,7 +239,9 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         sensor.lost_is_known = !row.is_null(13);
         entry.rows_up_to = row.integer(column++);
         entry.carried = count_of(row, column++);
-        sensor.unreadable = count_of(row, column);
+        sensor.unreadable = count_of(row, column++);
+        sensor.is_one_a_read = row.integer(column++) != 0;
+        sensor.lateness = count_of(row, column);
         return entry;
       });
 }
@@ -254,14 +257,18 @@ Result<std::vector<RecordedGap>> Recording::gaps(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedSegment>> Recording::schedule(std::int64_t run) const {
-  return all<RecordedSegment>(
-      *file_,
-      "SELECT origin, topic, first_due, period, end, scheduled FROM rtdata_schedule WHERE run = ? ORDER BY origin, "
-      "first_due",
-      run, [](const Statement& row) {
-        return RecordedSegment{string_of(row, 0), string_of(row, 1),
-                               Segment{time_of(row, 2), Duration{row.integer(3)}, time_of(row, 4), count_of(row, 5)}};
-      });
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  const std::string late_after = *version < sqlite::first_version_of_own_data_account ? "0" : "late_after";
+  return all<RecordedSegment>(*file_,
+                              "SELECT origin, topic, first_due, period, end, scheduled, " + late_after +
+                                  " FROM rtdata_schedule WHERE run = ? ORDER BY origin, first_due",
+                              run, [](const Statement& row) {
+                                return RecordedSegment{
+                                    string_of(row, 0), string_of(row, 1),
+                                    Segment{time_of(row, 2), Duration{row.integer(3)}, time_of(row, 4),
+                                            count_of(row, 5), Duration{row.integer(6)}}};
+                              });
 }
 
 Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const {

@@ -55,6 +55,7 @@ CREATE TABLE IF NOT EXISTS rtdata_schedule(  -- stretches of unchanged schedule
   run INTEGER NOT NULL, origin TEXT NOT NULL, topic TEXT NOT NULL,
   first_due INTEGER NOT NULL, period INTEGER NOT NULL, end INTEGER NOT NULL,
   scheduled INTEGER NOT NULL,       -- = (end - first_due) / period + 1
+  late_after INTEGER NOT NULL DEFAULT 0,  -- reads that began later than that after they were due are late
   PRIMARY KEY(run, origin, first_due)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_ledger(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
@@ -72,6 +73,8 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   rows_up_to INTEGER NOT NULL DEFAULT 0,       -- the topic table's last rowid when this was written
   carried INTEGER NOT NULL DEFAULT 0,          -- reads that were under way when the recording began
   unreadable INTEGER NOT NULL DEFAULT 0,       -- received and not to be decoded
+  one_a_read INTEGER NOT NULL DEFAULT 0,       -- each read taken brought one sample, with the time at which it began
+  lateness INTEGER NOT NULL DEFAULT 0,         -- of what was published, time minus when its read was due, summed mod 2^64
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
@@ -135,6 +138,9 @@ ALTER TABLE rtdata_ledger ADD COLUMN carried INTEGER NOT NULL DEFAULT 0;
 inline constexpr const char* from_version_4 = R"sql(
 ALTER TABLE rtdata_error ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE rtdata_ledger ADD COLUMN unreadable INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE rtdata_ledger ADD COLUMN one_a_read INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE rtdata_ledger ADD COLUMN lateness INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE rtdata_schedule ADD COLUMN late_after INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE rtdata_gap RENAME TO rtdata_gap_of_version_4;
 CREATE TABLE rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,

@@ -86,14 +86,16 @@ Result<void> write(Database& database, const KilledOrigin& killed, const Account
   if (auto done = ledger->run(); !done) return done;
   const Segment& segment = account.segment;
   if (segment.period.count() <= 0 || segment.scheduled == 0) return {};
-  auto schedule = prepare(database, killed,
-                          "INSERT INTO rtdata_schedule(run, topic, origin, first_due, period, end, scheduled) "
-                          "VALUES(?,?,?,?,?,?,?) ON CONFLICT(run, origin, first_due) DO UPDATE SET end = excluded.end, "
-                          "scheduled = excluded.scheduled, period = excluded.period");
+  auto schedule = prepare(
+      database, killed,
+      "INSERT INTO rtdata_schedule(run, topic, origin, first_due, period, end, scheduled, "
+      "late_after) VALUES(?,?,?,?,?,?,?,?) ON CONFLICT(run, origin, first_due) DO UPDATE SET end = excluded.end, "
+      "scheduled = excluded.scheduled, period = excluded.period, late_after = "
+      "excluded.late_after");
   if (!schedule) return std::move(schedule).error();
   schedule->bind(4, to_nanoseconds(segment.first_due)).bind(5, segment.period.count());
   schedule->bind(6, to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
-  schedule->bind(7, signed_of(segment.scheduled));
+  schedule->bind(7, signed_of(segment.scheduled)).bind(8, segment.late_after.count());
   return schedule->run();
 }
 

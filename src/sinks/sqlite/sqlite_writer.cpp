@@ -261,7 +261,8 @@ Result<void> SqliteWriter::prepare_account() {
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to, carried, unreadable) VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried, unreadable, one_a_read, lateness) "
+       "VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -270,11 +271,13 @@ Result<void> SqliteWriter::prepare_account() {
        "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
-       "carried=excluded.carried, unreadable=excluded.unreadable"},
+       "carried=excluded.carried, unreadable=excluded.unreadable, one_a_read=excluded.one_a_read, "
+       "lateness=excluded.lateness"},
       {schedule_,
-       "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled) VALUES(?,?,?,?,?,?,?) "
+       "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled, late_after) "
+       "VALUES(?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
-       "period=excluded.period"},
+       "period=excluded.period, late_after=excluded.late_after"},
       {slot_,
        "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, "
        "in_flight, late, "
@@ -444,7 +447,8 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
     schedule_.bind(5, segment.period.count())
         .bind(6, to_nanoseconds(segment.end))
-        .bind(7, as_integer(segment.scheduled));
+        .bind(7, as_integer(segment.scheduled))
+        .bind(8, segment.late_after.count());
     return schedule_.run();
   };
   for (const Account::SegmentEntry& entry : account.segments) {
@@ -475,7 +479,8 @@ Result<void> SqliteWriter::write_account(const Batch& batch, const Account& acco
     ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
     ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
     ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
-    ledger_.bind(26, as_integer(s.unreadable));
+    ledger_.bind(26, as_integer(s.unreadable)).bind(27, std::int64_t{s.has_schedule && s.is_one_a_read});
+    ledger_.bind(28, as_integer(s.lateness));
     if (auto done = ledger_.run(); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;

@@ -154,6 +154,35 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
   return {};
 }
 
+Result<OfRun> OfRun::load(const Recording& recording, std::int64_t run) {
+  OfRun loaded;
+  auto ledger = recording.ledger(run);
+  if (!ledger) return std::move(ledger).error();
+  auto schedule = recording.schedule(run);
+  if (!schedule) return std::move(schedule).error();
+  auto gaps = recording.gaps(run);
+  if (!gaps) return std::move(gaps).error();
+  loaded.ledger = std::move(*ledger);
+  loaded.schedule = std::move(*schedule);
+  loaded.gaps = std::move(*gaps);
+  for (const RecordedSegment& one : loaded.schedule)
+    loaded.segments_of[origin_key(one.topic, one.origin)].push_back(&one);
+  for (const RecordedGap& one : loaded.gaps) loaded.gaps_of[origin_key(one.topic, one.origin)].push_back(&one);
+  return loaded;
+}
+
+const std::vector<const RecordedSegment*>& OfRun::segments(const std::string& key) const {
+  static const std::vector<const RecordedSegment*> none;
+  const auto found = segments_of.find(key);
+  return found != segments_of.end() ? found->second : none;
+}
+
+const std::vector<const RecordedGap*>& OfRun::gaps_in(const std::string& key) const {
+  static const std::vector<const RecordedGap*> none;
+  const auto found = gaps_of.find(key);
+  return found != gaps_of.end() ? found->second : none;
+}
+
 }  // namespace detail
 
 std::string_view name_of(Verdict verdict) noexcept {
@@ -171,34 +200,6 @@ std::string_view name_of(Verdict verdict) noexcept {
   }
 }
 
-namespace {
-
-/// Schedule and gaps of a run, by origin.
-struct OfRun {
-  std::vector<RecordedSegment> schedule;
-  std::vector<RecordedGap> gaps;
-  std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
-  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
-
-  static Result<OfRun> load(const Recording& recording, std::int64_t run, bool is_wanted) {
-    OfRun loaded;
-    if (!is_wanted) return loaded;
-    auto schedule = recording.schedule(run);
-    if (!schedule) return std::move(schedule).error();
-    auto gaps = recording.gaps(run);
-    if (!gaps) return std::move(gaps).error();
-    loaded.schedule = std::move(*schedule);
-    loaded.gaps = std::move(*gaps);
-    for (const RecordedSegment& one : loaded.schedule)
-      loaded.segments_of[detail::origin_key(one.topic, one.origin)].push_back(&one);
-    for (const RecordedGap& one : loaded.gaps)
-      loaded.gaps_of[detail::origin_key(one.topic, one.origin)].push_back(&one);
-    return loaded;
-  }
-};
-
-}  // namespace
-
 Result<VerifyReport> verify(const Recording& recording) {
   auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
@@ -212,15 +213,15 @@ Result<VerifyReport> verify(const Recording& recording) {
   auto infos = recording.runs();
   if (!infos) return std::move(infos).error();
   std::map<std::int64_t, detail::OriginMap> rows;
+  std::map<std::int64_t, detail::OfRun> accounts;
   for (RunInfo& info : *infos) {
     const bool has_ticks = info.state == RunState::closed && info.format >= sqlite::first_version_of_own_data_account;
-    auto of_run = OfRun::load(recording, info.run, has_ticks);
-    if (!of_run) return std::move(of_run).error();
-    auto ledger = recording.ledger(info.run);
-    if (!ledger) return std::move(ledger).error();
+    auto loaded = detail::OfRun::load(recording, info.run);
+    if (!loaded) return std::move(loaded).error();
+    const detail::OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
     detail::OriginMap& origins = rows[info.run];
     const bool is_ended = info.state != RunState::recording;
-    for (const LedgerEntry& entry : *ledger) {
+    for (const LedgerEntry& entry : of_run.ledger) {
       detail::OriginRows& origin = origins[detail::origin_key(entry.topic, entry.origin)];
       origin.topic = entry.topic;
       origin.origin = entry.origin;
@@ -233,7 +234,7 @@ Result<VerifyReport> verify(const Recording& recording) {
       origin.is_first_carried = entry.carried != 0;
       if (has_ticks && detail::TickCheck::is_held(entry)) {
         const std::string key = detail::origin_key(entry.topic, entry.origin);
-        origin.ticks.emplace(entry, of_run->segments_of[key], of_run->gaps_of[key]);
+        origin.ticks.emplace(entry, of_run.segments(key), of_run.gaps_in(key));
       }
     }
     RunReport& run = report.runs.emplace_back();
@@ -272,7 +273,7 @@ Result<VerifyReport> verify(const Recording& recording) {
   if (*version >= sqlite::first_version_with_checksums)
     detail::check_topics(*checksums, *topics, numbers, report.problems);
   for (RunReport& run : report.runs) {
-    if (auto done = detail::verify_run(recording, rows[run.info.run], *checksums, run); !done)
+    if (auto done = detail::verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
       return std::move(done).error();
   }
   return report;

@@ -42,6 +42,17 @@ std::string missing_text(const LedgerEntry& entry, const OriginRows& rows) {
   return text + (count == 1 ? " is missing" : " are missing");
 }
 
+void check_lateness(const Findings& found, const std::string& place, const SensorCounts& s, const TickCheck& ticks) {
+  const auto lateness = ticks.lateness();
+  if (!lateness) return;
+  if (lateness->late != s.late)
+    found.problem(place + plural(lateness->late, "late row") + ", the ledger says " + number(s.late) + " were late.");
+  if (lateness->sum != s.lateness) {
+    found.problem(place + "its rows are late by " + number(lateness->sum) + " ns in all, the ledger says " +
+                  number(s.lateness) + " ns: a gap, or rows, are not where they were.");
+  }
+}
+
 void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRows& rows) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const std::uint64_t expected = entry.stored - entry.pruned;
@@ -66,6 +77,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     for (const std::string& sentence : rows.ticks->sentences()) found.problem(place + sentence + ".");
     if (rows.ticks->more() != 0)
       found.problem(place + plural(rows.ticks->more(), "more row") + " or gaps do not agree with the schedule.");
+    check_lateness(found, place, entry.sensor, *rows.ticks);
   }
   if (rows.rows_after != 0) {
     found.note(place + plural(rows.rows_after, "row") + " came after the last account and cannot be checked.");
@@ -358,8 +370,7 @@ void note_end(const Findings& found) {
 
 }  // namespace
 
-Result<void> verify_run(const Recording& recording, const OriginMap& rows, const Checksums& checksums,
-                        RunReport& report) {
+Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report) {
   const RunInfo& info = report.info;
   std::vector<std::string> left_open;
   const Findings found{report, info.state == RunState::closed, left_open};
@@ -367,29 +378,17 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, const
                    : info.state == RunState::sealed ? Verdict::sealed
                    : is_alive(info)                 ? Verdict::recording
                                                     : Verdict::unsealed;
-  auto ledger = recording.ledger(info.run);
-  if (!ledger) return std::move(ledger).error();
-  auto schedule = recording.schedule(info.run);
-  if (!schedule) return std::move(schedule).error();
-  auto gaps = recording.gaps(info.run);
-  if (!gaps) return std::move(gaps).error();
-  report.gaps = gaps->size();
-
-  std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
-  for (const RecordedSegment& segment : *schedule)
-    segments_of[origin_key(segment.topic, segment.origin)].push_back(&segment);
-  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
-  for (const RecordedGap& gap : *gaps) gaps_of[origin_key(gap.topic, gap.origin)].push_back(&gap);
-
+  report.gaps = of_run.gaps.size();
   std::unordered_map<std::string, bool> has_account;
-  for (const LedgerEntry& entry : *ledger) {
+  for (const LedgerEntry& entry : of_run.ledger) {
     const std::string key = origin_key(entry.topic, entry.origin);
     has_account[key] = true;
     add_up(report, entry);
     check_rows(found, entry, rows.at(key));
     check_account(found, entry);
-    if (entry.sensor.has_schedule || segments_of.contains(key)) check_schedule(found, entry, segments_of[key]);
-    check_gaps(found, entry, segments_of[key], gaps_of[key]);
+    const auto& segments = of_run.segments(key);
+    if (entry.sensor.has_schedule || !segments.empty()) check_schedule(found, entry, segments);
+    check_gaps(found, entry, segments, of_run.gaps_in(key));
   }
   std::vector<std::string> unaccounted;
   for (const auto& [key, origin] : rows) {
@@ -415,8 +414,8 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, const
     std::sort(sentences.begin(), sentences.end());
     for (std::string& sentence : sentences) found.problem(std::move(sentence));
   };
-  strays(segments_of, "stretch of schedule");
-  strays(gaps_of, "gap");
+  strays(of_run.segments_of, "stretch of schedule");
+  strays(of_run.gaps_of, "gap");
   check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);

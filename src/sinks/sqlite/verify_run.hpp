@@ -84,9 +84,22 @@ struct Findings {
 /// Compares the checksums of one run with what was found.
 void check_checksums(const Findings& found, const OriginMap& rows, const Checksums& checksums);
 
+/// The account of a run, by origin.
+struct OfRun {
+  std::vector<LedgerEntry> ledger;
+  std::vector<RecordedSegment> schedule;
+  std::vector<RecordedGap> gaps;
+  std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
+  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
+
+  static Result<OfRun> load(const Recording& recording, std::int64_t run);
+  /// In order of time; none: empty.
+  const std::vector<const RecordedSegment*>& segments(const std::string& key) const;
+  const std::vector<const RecordedGap*>& gaps_in(const std::string& key) const;
+};
+
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
-Result<void> verify_run(const Recording& recording, const OriginMap& rows, const Checksums& checksums,
-                        RunReport& report);
+Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report);
 
 /// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
 bool is_account_known(const RunInfo& run);

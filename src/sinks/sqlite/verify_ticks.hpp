@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,9 +10,10 @@
 
 namespace rtdata::detail {
 
-/// For an origin of which each read brought one sample, in a closed run: each tick of its schedule is a row or lies in
-/// exactly one gap. The row of the n-th tick that lies in none begins at that tick or later, and before the tick after the
-/// next one that was taken; where reads brought nothing new, each row has so many ticks more to choose from.
+/// For an origin of which each read brought one sample with the time of the read, in a closed run: each tick of its schedule
+/// is a row or lies in exactly one gap. The row of the n-th tick that lies in none begins at that tick or later, and before
+/// the tick after the next one that was taken; where reads brought nothing new, each row has so many ticks more to choose
+/// from. Where there is no such choice, the rows are as late as the ledger says, and so many of them.
 class TickCheck {
  public:
   static constexpr std::size_t most_sentences = 5;
@@ -23,6 +25,15 @@ class TickCheck {
             const std::vector<const RecordedGap*>& gaps);
 
   void add(std::int64_t time, std::uint64_t sequence);
+  /// What the rows say of how late they are: only when the tick of each is known and all of them are there.
+  struct Lateness {
+    std::uint64_t late;
+    std::uint64_t sum;
+  };
+  std::optional<Lateness> lateness() const noexcept {
+    if (!is_exact_ || rows_ != taken_) return std::nullopt;
+    return lateness_;
+  }
   const std::vector<std::string>& sentences() const noexcept { return sentences_; }
   std::uint64_t more() const noexcept { return mistakes_ - sentences_.size(); }
 
@@ -35,6 +46,7 @@ class TickCheck {
     std::uint64_t ticks;
     std::uint64_t taken;
     std::uint64_t before;  // taken in all that came before
+    std::int64_t late_after;
     std::int64_t earliest(std::uint64_t n) const noexcept {
       return first + static_cast<std::int64_t>(n - before) * period;
     }
@@ -42,9 +54,10 @@ class TickCheck {
       return first + static_cast<std::int64_t>(ticks - taken + n - before) * period;
     }
   };
-  void add_segment(std::size_t number, const Segment& segment, const std::vector<const RecordedGap*>& gaps,
+  /// `before`: gaps that begin then or later are another segment's.
+  void add_segment(std::size_t number, const Segment& segment, Time before, const std::vector<const RecordedGap*>& gaps,
                    std::size_t& next_gap);
-  void add_stretch(std::size_t segment, std::int64_t first, std::int64_t period, std::uint64_t ticks,
+  void add_stretch(std::size_t segment, const Segment& of, std::int64_t first_tick, std::uint64_t ticks,
                    std::uint64_t missing);
   /// Of the n-th tick that was taken; null when there are not so many.
   const Stretch* find(std::uint64_t n, std::size_t& near) const;
@@ -58,7 +71,9 @@ class TickCheck {
   std::size_t lower_ = 0, upper_ = 0;
   std::vector<std::string> sentences_;
   std::uint64_t mistakes_ = 0;
-  bool is_unclear_ = false;  // which ticks were taken: rows are not held to them
+  bool is_exact_;  // which tick a row is of
+  std::uint64_t rows_ = 0;
+  Lateness lateness_{};
 };
 
 }  // namespace rtdata::detail

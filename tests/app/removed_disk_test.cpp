@@ -1,0 +1,147 @@
+// A disk that is taken away while it is recorded onto: a small ext4 in a file, mounted, and shut down or unmounted.
+#include <doctest/doctest.h>
+#include <fcntl.h>
+#include <sys/ioctl.h>
+#include <sys/mount.h>
+#include <unistd.h>
+
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "app/control_socket.hpp"
+#include "app/runtime_folder.hpp"
+#include "paths.hpp"
+
+using rtdata::app::ControlClient;
+using rtdata::app::running_instances;
+using rtdata::test::Folder;
+using rtdata::test::Process;
+using rtdata::test::RuntimeFolder;
+
+namespace {
+
+const std::string program = rtdata::test::built("rtdata_test_program");
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+std::size_t count_of(const std::string& text, const std::string& part) {
+  std::size_t count = 0;
+  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + part.size())) ++count;
+  return count;
+}
+
+/// `stick` in the folder.
+class Stick {
+ public:
+  explicit Stick(const Folder& folder) : folder_(folder) {
+    folder.write("image", "");
+    std::filesystem::resize_file(folder.path() + "/image", 128 << 20);
+    std::filesystem::create_directory(path());
+    is_made_ = call("mkfs.ext4 -q -F image") && mount();
+  }
+  Stick(const Stick&) = delete;
+  ~Stick() {
+    if (is_made_) ::umount2(path().c_str(), MNT_DETACH);
+  }
+  explicit operator bool() const { return is_made_; }
+  std::string path() const { return folder_.path() + "/stick"; }
+  bool mount() { return call("mount -o loop image stick"); }
+  /// Pulled out: what was not written is lost, and whatever is asked of it from then on fails with EIO.
+  bool pull() const {
+    constexpr unsigned long shutdown = _IOR('X', 125, std::uint32_t);  // EXT4_IOC_SHUTDOWN
+    std::uint32_t without_writing = 2;
+    const int fd = ::open(path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    const bool is_done = ::ioctl(fd, shutdown, &without_writing) == 0;
+    ::close(fd);
+    return is_done;
+  }
+  /// As `umount -l`: gone from its folder; who has files open may go on with them.
+  bool detach() const { return ::umount2(path().c_str(), MNT_DETACH) == 0; }
+
+ private:
+  bool call(const std::string& command) const {
+    Process process(folder_, "/bin/sh", {"-c", command + " 2>&1"});
+    return process.end() == 0;
+  }
+  const Folder& folder_;
+  bool is_made_ = false;
+};
+
+/// How many events each sink has stored.
+std::map<std::string, std::uint64_t> stored(ControlClient& client) {
+  const auto answer = client.ask(R"({"request":"status"})", std::chrono::seconds{30});
+  REQUIRE(answer);
+  std::map<std::string, std::uint64_t> counts;
+  const auto status = nlohmann::json::parse(*answer);
+  for (const auto& sink : status["sinks"])
+    counts[sink["name"].get<std::string>()] = sink["stored"].get<std::uint64_t>();
+  return counts;
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE(
+      "US-26 a disk that is pulled out or unmounted while it is recorded onto costs its own sinks only, and is told") {
+    for (const bool is_pulled : {true, false}) {
+      CAPTURE(is_pulled);
+      const Folder folder;
+      Stick stick(folder);
+      if (!stick) {
+        MESSAGE("skipped: mounting a file system in a file needs root, mkfs.ext4 and a loop device");
+        return;
+      }
+      folder.write("bench.json", R"({ "loop": {"hold_limit": "1 min"},
+        "sensors": [ {"name": "a", "type": "counter", "rate": "200 Hz", "topic": "count/a"} ],
+        "sinks": [ {"type": "sqlite", "path": "stick/run.db", "batch_time": "20 ms", "profile": "safe", "close_deadline": "1 s"},
+                   {"type": "file", "path": "stick/run.jsonl", "batch_time": "20 ms", "close_deadline": "1 s"},
+                   {"type": "sqlite", "path": "good.db"} ] })");
+      const RuntimeFolder runtime;
+      Process run(folder, program, {"run", "bench.json", "--fail-on-loss"});
+      REQUIRE(run.wait_for("running bench"));
+      auto client = ControlClient::connect(running_instances().at(0).path);
+      REQUIRE(client);
+      for (auto now = stored(*client); now["stick/run.db"] < 50 || now["stick/run.jsonl"] < 50;) now = stored(*client);
+      REQUIRE((is_pulled ? stick.pull() : stick.detach()));
+      REQUIRE(run.wait_for("sink stick/run.db"));
+      REQUIRE(run.wait_for("sink stick/run.jsonl"));
+      const std::uint64_t then = stored(*client)["good.db"];
+      while (stored(*client)["good.db"] < then + 100) {
+      }
+      run.signal(SIGINT);
+      CHECK(run.end() == 3);
+      CHECK(has(run.out, "ledger balances; "));
+      CHECK(has(run.out, "something was lost"));
+      CHECK(count_of(run.err, "error: sink good.db") == 0);
+      CHECK_FALSE(has(run.err, "malformed"));
+      const std::string error = is_pulled ? "error: sink stick/run.db: cannot use the recording: "
+                                          : "error: sink stick/run.db: recording has ended: stick/run.db: the file was "
+                                            "deleted or moved: leave it where it is while it is recorded into";
+      CHECK(has(run.err, error));
+      CHECK(has(run.err, is_pulled
+                             ? "error: sink stick/run.jsonl: cannot write the file: stick/run.jsonl: Input/output error"
+                             : "error: sink stick/run.jsonl: the file was moved: stick/run.jsonl"));
+      if (!is_pulled) CHECK(count_of(run.err, "error: sink stick/run.db") == 1);  // the other is tried again and again
+
+      // The recording on the good disk has all of it, what happened to the others too.
+      Process good(folder, program, {"verify", "good.db"});
+      CHECK(good.end() == 0);
+      CHECK(has(good.out, "balanced"));
+      Process errors(folder, program, {"info", "good.db"});
+      CHECK(errors.end() == 0);
+
+      // What is on the disk is a recording: the next start says what it lacks.
+      REQUIRE(((!is_pulled || ::umount2(stick.path().c_str(), MNT_DETACH) == 0) && stick.mount()));
+      Process again(folder, program, {"run", "bench.json", "--for", "100ms"});
+      CHECK(again.end() == 0);
+      CHECK(has(again.err, "ended without closing"));
+      Process verify(folder, program, {"verify", "stick/run.db"});
+      // A disk that is shut down in the middle of a sync may have said that rows are on it which are not there afterwards:
+      // what the program knows of them has survived, and verify says that they lack.
+      const int status = verify.end();
+      const bool has_lost_rows = is_pulled && has(verify.out, ", the checksum is of ");
+      CHECK(status == (has_lost_rows ? 1 : 0));
+      CHECK(has(verify.out, has_lost_rows ? "not balanced" : "sealed"));
+    }
+  }
+}
