@@ -52,7 +52,19 @@ if [ -x "$work/prefix/bin/rtdata" ]; then
     chmod "$(setting RuntimeDirectoryMode)" "$runtime"
     cp "$source/examples/host.json" "$work/etc/bench.json"
     cd "$work/state"
-    $(setting ExecStartPre) >check.log
+    # A mistake in the configuration ends the main process with a status that systemd does not restart it after; what would
+    # run before it, is restarted whatever its status.
+    for kind in Condition Assert ExecStartPre ExecCondition; do
+        case "$kind $(grep "^$kind.*=" "$unit")" in
+        "Assert AssertPathExists=/etc/rtdata/%i.json" | "Condition " | "ExecStartPre " | "ExecCondition ") ;;
+        *) echo "the unit has another $kind" >&2; exit 1 ;;
+        esac
+    done
+    echo '{"sensors": [{"nme": "a"}]}' >"$work/etc/wrong.json"
+    status=0
+    $(setting ExecStart | sed 's|bench\.json|wrong.json|') >wrong.log 2>&1 || status=$?
+    grep -q '"type" is missing' wrong.log
+    setting RestartPreventExitStatus | grep -qx "$status"
     env -u RTDATA_RUNTIME_DIR RUNTIME_DIRECTORY="$runtime" $(setting ExecStart) >run.log 2>&1 &
     service=$!
     tries=0
