@@ -102,6 +102,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   ExportConfig config;
   config.format = options.format;
   config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
+  config.existing = options.existing == ExportOptions::Existing::replace ? ExportConfig::Existing::replace
+                                                                         : ExportConfig::Existing::refuse;
   config.time = is_utc ? ExportTime::utc : ExportTime::recorded;
   config.time_text = is_utc ? ExportConfig::TimeText::iso8601 : ExportConfig::TimeText::nanoseconds;
   config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
@@ -112,6 +114,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     auto count = export_rows(*recording, config, out);
     if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
+    if (count->rows + count->refused == 0)
+      err << "rtdata: no rows: " << recording->path() << " has none of what was asked for\n";
     return tell_refused(err, *count);
   }
   auto counts = export_files(*recording, config, options.folder);

@@ -182,6 +182,8 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
   command.add_option("--format", options->format, "csv, json, jsonl or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
+  command.add_flag_callback(
+      "--overwrite", [options] { options->existing = Export::Existing::replace; }, "Replace files in the folder");
   command.add_option("--run", options->run, "Only this run")->type_name("NUMBER");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
