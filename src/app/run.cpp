@@ -181,8 +181,11 @@ class Run {
   }
 
   void tell_start(const SystemPlan& plan) {
-    std::string text = "running " + plan.settings.name + ": " + std::to_string(plan.sensors.size()) + " sensors, " +
-                       std::to_string(plan.sinks.size()) + " sinks";
+    const auto counted = [](std::size_t count, const char* what) {
+      return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+    };
+    std::string text = "running " + plan.settings.name + ": " + counted(plan.sensors.size(), "sensor") + ", " +
+                       counted(plan.sinks.size(), "sink");
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";

@@ -48,7 +48,7 @@ TEST_SUITE("app") {
     CHECK(has(run.out, "ledger balances"));
     CHECK(has(run.out, "count/a"));
     CHECK(has(run.out, "bench.jsonl"));
-    CHECK(has(run.err, "running bench: 1 sensors, 2 sinks, for 300 ms; log bench.log"));
+    CHECK(has(run.err, "running bench: 1 sensor, 2 sinks, for 300 ms; log bench.log"));
     // What the table says was stored is in the file.
     const std::string lines = folder.read("bench.jsonl");
     const auto at = run.out.find("\nbench.jsonl  ");
@@ -517,5 +517,77 @@ TEST_SUITE("app") {
       CHECK(wrong.end() == 1);
       CHECK_FALSE(wrong.err.empty());
     }
+  }
+
+  TEST_CASE("NFR-5 what is mistyped on the command line is named, with what was probably meant") {
+    const Folder folder;
+    const std::vector<std::pair<std::vector<std::string>, std::string>> cases{
+        {{"vrify", "bench.db"},
+         "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
+        {{"record", "x"},
+         "rtdata: there is no command \"record\"; there are init, run, top, bench, check, types, verify, info, export; "
+         "`rtdata --help` explains them\n"},
+        {{"bench.json"},
+         "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
+        {{"bench.db"},
+         "rtdata: there is no command \"bench.db\"; that recording is summed up by: rtdata info bench.db\n"},
+        {{"run", "--fro", "2s"},
+         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+        {{"run", "x.json", "--fro=2s"},
+         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+        {{"info", "bench.db", "--zz"},
+         "rtdata info: there is no option --zz; `rtdata info --help` lists what there is\n"},
+        {{"check", "a.json", "b.json"},
+         "rtdata check: it has one argument too many, b.json; `rtdata check --help` lists what there is\n"}};
+    for (const auto& [arguments, told] : cases) {
+      Process wrong(folder, shipped, arguments);
+      CHECK(wrong.end() == 1);
+      CHECK(wrong.err == told);
+    }
+    // Each command's help has examples of its own.
+    for (const char* command : {"init", "check", "verify", "info", "export", "run", "top", "bench", "types"}) {
+      Process help(folder, shipped, {command, "--help"});
+      CHECK(help.end() == 0);
+      CHECK_MESSAGE(has(help.out, std::string("\n  rtdata ") + command), command);
+      CHECK_MESSAGE(!has(help.out, "look at it while it runs"), command);
+    }
+  }
+
+  TEST_CASE("NFR-5 types host says what this machine has") {
+    const Folder folder;
+    Process types(folder, shipped, {"types", "host"});
+    CHECK(types.end() == 0);
+    CHECK(has(types.out, "\n  on this machine:\n"));
+    CHECK(has(types.out, "\n    process\n"));
+    CHECK(has(types.out, "\n    memory\n"));
+    folder.write("host.json", R"({"sensors": [{"name": "f", "type": "host", "quantity": "network", "device": "none",
+      "rate": "10 Hz"}], "sinks": [{"type": "console"}]})");
+    Process run(folder, shipped, {"run", "host.json", "--for", "50ms"});
+    run.end();
+    CHECK(has(run.err, "`rtdata types host` lists what there is"));
+  }
+
+  TEST_CASE("NFR-5 a time without its zone, and a size with a unit, are answered with what to write") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+      "sinks": [{"type": "file", "path": "a.jsonl", "rotate": {"bytes": "2 MB"}},
+                {"type": "file", "path": "b.jsonl", "rotate": {"bytes": "much"}}]})");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 2);
+    CHECK(has(check.out, "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000\n"));
+    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\"\n"));
+    folder.write("good.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "good.json", "--for", "100ms"});
+    REQUIRE(run.end() == 0);
+    CHECK(has(run.err, "running good: 1 sensor, 1 sink, for"));
+    Process from(folder, "/bin/sh", {"-c", "TZ=XYZ-2 " + shipped + " export run.db --from '2026-03-01 12:00'"});
+    CHECK(from.end() == 1);
+    CHECK(has(from.err,
+              "its time zone is missing: write \"2026-03-01 12:00Z\" for UTC, or \"2026-03-01 12:00+02:00\", "
+              "as this machine's is"));
+    Process format(folder, shipped, {"export", "run.db", "--format", "jsn"});
+    CHECK(format.end() == 1);
+    CHECK(has(format.err, "did you mean json? (json and jsonl are one: an object a line)"));
   }
 }

@@ -23,7 +23,11 @@ Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecR
     return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601
                                                                                : CsvConfig::TimeFormat::nanoseconds});
   }
-  return registry.make(config.format == "jsonl" ? "json" : config.format);
+  auto codec = registry.make(config.format == "jsonl" ? "json" : config.format);
+  if (codec || codec.error().advice.find("json") == std::string::npos) return codec;
+  Error error = std::move(codec).error();
+  error.advice += " (json and jsonl are one: an object a line)";
+  return error;
 }
 
 std::string cell(const std::string& text) {
