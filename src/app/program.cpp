@@ -44,10 +44,8 @@ using Action = std::function<int(const Registry&)>;
 
 Action prepare_init(CLI::App& command) {
   const auto file = std::make_shared<std::string>("rtdata.json");
+  command.footer("example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
-  command.footer(
-      "example:\n  rtdata init bench.json\nIt has gentle rates and limits; `rtdata types` lists what else can be "
-      "configured.");
   return [file](const Registry& registry) { return app::init(registry, *file); };
 }
 
@@ -105,8 +103,8 @@ Action prepare_run(CLI::App& command) {
 
 Action prepare_check(CLI::App& command) {
   const auto file = std::make_shared<std::string>();
-  command.add_option("FILE", *file, "The configuration")->required();
   command.footer("example:\n  rtdata check bench.json\nexit status:\n  0  no mistake, perhaps warnings\n  2  mistakes");
+  command.add_option("FILE", *file, "The configuration")->required();
   return [file](const Registry& registry) { return app::check(registry, *file); };
 }
 
@@ -166,30 +164,30 @@ Action prepare_bench(CLI::App& command) {
 #ifdef RTDATA_WITH_SQLITE
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
-  command.add_option("DB", options->database, "The recording")->required();
-  command.add_flag_callback(
-      "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   command.footer(
       "example:\n  rtdata verify bench.db\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
       "     so up to the kill or power cut that ended it; or being recorded\n"
       "  1  not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_flag_callback(
+      "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   return [options](const Registry&) { return app::verify(*options, std::cout, std::cerr); };
 }
 
 Action prepare_info(CLI::App& command) {
   const auto options = std::make_shared<app::InfoOptions>();
+  command.footer(
+      "examples:\n  rtdata info bench.db\n  rtdata info bench.db --run 1 --gaps\n"
+      "Of each origin, the sensor that events come from: its rate, and how much later\n"
+      "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
   command.add_flag_callback(
       "--gaps", [options] { options->gaps = app::InfoOptions::Gaps::listed; }, "List the gaps of the run, in UTC");
   command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
-  command.footer(
-      "examples:\n  rtdata info bench.db\n  rtdata info bench.db --run 1 --gaps\n"
-      "Of each origin, the sensor that events come from: its rate, and how much later\n"
-      "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
   return [options](const Registry&) { return app::info(*options, std::cout, std::cerr); };
 }
 
