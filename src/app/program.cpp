@@ -44,7 +44,8 @@ using Action = std::function<int(const Registry&)>;
 
 Action prepare_init(CLI::App& command) {
   const auto file = std::make_shared<std::string>("rtdata.json");
-  command.footer("example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
+  command.footer(
+      "example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
   return [file](const Registry& registry) { return app::init(registry, *file); };
 }

@@ -2,7 +2,6 @@
 
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
-#include "rtdata/config/convert.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"

@@ -122,7 +122,8 @@ TEST_SUITE("sinks") {
       CHECK(app::info({.database = path, .gaps = app::InfoOptions::Gaps::listed}, changed, err) == 0);
       return changed.str();
     };
-    CHECK(told("joined", "several").find("several gaps joined, 2 together, for several reasons\n") != std::string::npos);
+    CHECK(told("joined", "several").find("several gaps joined, 2 together, for several reasons\n") !=
+          std::string::npos);
     CHECK(told("joined", "timed-out").find("several gaps joined, 2 together: timed-out\n") != std::string::npos);
     CHECK(told("disconnected", "disconnected").find("disconnected 2\n") != std::string::npos);
     CHECK(told("failed", "io-failed").find("failed 2: io-failed\n") != std::string::npos);
