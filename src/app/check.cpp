@@ -1,7 +1,9 @@
 #include <iostream>
 
+#include "app/growth.hpp"
 #include "app/log_file.hpp"
 #include "app/subcommands.hpp"
+#include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata::app {
@@ -14,18 +16,25 @@ int check(const Registry& registry, const std::string& file) {
               << std::endl;
     return exit_configuration;
   }
+  warn_of_growth(plan, growth_span);
+  plan.hide_secrets();
   for (const Problem& warning : plan.warnings) {
     std::cout << "warning: " << warning.text() << "\n" << plan.document.excerpt(warning);
   }
-  for (const LoopLoad& load : plan.loads()) {
-    std::cout << load.text() << "\n";
-    for (const LaneLoad& lane : load.lanes) std::cout << "  " << lane.text() << "\n";
+  const std::vector<LoopLoad> loads = plan.loads();
+  if (!loads.empty()) std::cout << "how long readings may hold each loop, at worst, of its shortest period:\n";
+  for (const LoopLoad& load : loads) {
+    std::cout << "  " << load.text() << "\n";
+    for (const LaneLoad& lane : load.lanes) std::cout << "    " << lane.text() << "\n";
+  }
+  for (const Growth& growth : growth_of(plan)) {
+    if (!growth.is_limited) std::cout << hide_secrets(growth.text(plan), plan.secrets) << "\n";
   }
   const auto counted = [](std::size_t count, const char* what) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };
-  std::cout << "ok: " << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink")
-            << std::endl;
+  std::cout << (plan.warnings.empty() ? "ok: " : "ok, with " + counted(plan.warnings.size(), "warning") + ": ")
+            << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink") << std::endl;
   return exit_good;
 }
 

@@ -33,6 +33,8 @@ struct ExportOptions {
   std::string topic = "#";
   std::string format = "csv";  // csv, json or jsonl, raw
   std::string folder = {};     // a file a topic in it; empty: everything to `out`
+  enum class Existing { refuse, replace };
+  Existing existing = Existing::refuse;  // replace: --overwrite
   std::optional<std::int64_t> run = {};
   std::optional<std::string> origin = {};
   std::string from = {};   // first time taken, ISO 8601 or ns, as recorded; empty: from the start

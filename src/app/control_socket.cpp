@@ -408,8 +408,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance",
-                     "it has ended, or others have asked it more lately: it has 8 clients at a time", "look again"};
+        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves others, who came later: 8 at most",
+                     "look again when fewer look at it"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
     }

@@ -1,7 +1,11 @@
 #include "rtdata/sinks/export.hpp"
 
+#include <time.h>
+
 #include <algorithm>
+#include <array>
 #include <charconv>
+#include <ctime>
 #include <ostream>
 #include <set>
 
@@ -11,6 +15,16 @@
 namespace rtdata::app {
 namespace {
 
+/// "+01:00", this machine's at that time of its own.
+std::string zone_at(Time time) {
+  const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
+  std::tm here{};
+  std::array<char, 8> text{};
+  if (::localtime_r(&seconds, &here) == nullptr || std::strftime(text.data(), text.size(), "%z", &here) != 5)
+    return "+00:00";
+  return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
+}
+
 /// ISO 8601 or ns since the epoch.
 Result<std::optional<Time>> parse_time(const std::string& text) {
   if (text.empty()) return std::optional<Time>{};
@@ -18,6 +32,10 @@ Result<std::optional<Time>> parse_time(const std::string& text) {
   const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), ns);
   if (failed == std::errc{} && end == text.data() + text.size()) return std::optional{from_nanoseconds(ns)};
   auto time = parse_iso8601(text);
+  if (const auto utc = parse_iso8601(text + "Z"); !time && utc) {
+    return Error{Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
+                 "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"};
+  }
   if (!time) return std::move(time).error();
   return std::optional{*time};
 }
@@ -102,6 +120,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   ExportConfig config;
   config.format = options.format;
   config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
+  config.existing = options.existing == ExportOptions::Existing::replace ? ExportConfig::Existing::replace
+                                                                         : ExportConfig::Existing::refuse;
   config.time = is_utc ? ExportTime::utc : ExportTime::recorded;
   config.time_text = is_utc ? ExportConfig::TimeText::iso8601 : ExportConfig::TimeText::nanoseconds;
   config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
@@ -112,6 +132,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     auto count = export_rows(*recording, config, out);
     if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
+    if (count->rows + count->refused == 0)
+      err << "rtdata: no rows: " << recording->path() << " has none of what was asked for\n";
     return tell_refused(err, *count);
   }
   auto counts = export_files(*recording, config, options.folder);

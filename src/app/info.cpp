@@ -184,6 +184,16 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   return content;
 }
 
+/// "missed 12: reason", "disconnected: reason"; of gaps that were joined, how many there were together.
+std::string described(const RecordedGap& gap) {
+  if (gap.kind == "joined") {
+    return "several gaps joined" + (gap.count > 0 ? ", " + std::to_string(gap.count) + " together" : std::string()) +
+           (gap.reason.empty() || gap.reason == "several" ? ", for several reasons" : ": " + gap.reason);
+  }
+  return gap.kind + (gap.count > 0 ? " " + std::to_string(gap.count) : "") +
+         (gap.reason.empty() || gap.reason == gap.kind ? "" : ": " + gap.reason);
+}
+
 void print_gaps(const Content& content, std::ostream& out) {
   out << "\ngaps of run " << content.shown->run << " (UTC)\n";
   if (content.gaps.empty()) out << "  none\n";
@@ -192,8 +202,7 @@ void print_gaps(const Content& content, std::ostream& out) {
     std::string line;
     detail::wrap(line, "  ",
                  to_iso8601(from) + (gap.last == gap.first ? "" : " to " + to_iso8601(until)) + " " + gap.origin +
-                     " on " + gap.topic + ": " + gap.kind + (gap.count > 0 ? " " + std::to_string(gap.count) : "") +
-                     (gap.reason.empty() ? "" : ": " + gap.reason));
+                     " on " + gap.topic + ": " + described(gap));
     out << line;
   }
 }

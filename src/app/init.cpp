@@ -9,6 +9,7 @@
 #include "app/async_writer.hpp"
 #include "app/starter.hpp"
 #include "app/subcommands.hpp"
+#include "rtdata/config/format.hpp"
 
 namespace rtdata::app {
 
@@ -26,11 +27,24 @@ std::string write_schema(const Registry& registry, const std::string& file) {
 }  // namespace
 
 int init(const Registry& registry, const std::string& file) {
+  if (const ConfigFormats formats; formats.find(file) == nullptr) {
+    std::string known;
+    for (const std::string& extension : formats.extensions())
+      if (!extension.empty()) known += (known.empty() ? "" : ", ") + extension;
+    const Error error{Errc::bad_argument, "cannot write the starter file", file,
+                      "`rtdata run` reads no configuration with this extension", "let its name end with " + known};
+    std::cerr << "rtdata: " << error.text() << std::endl;
+    return exit_other;
+  }
   const std::string text = starter_file(registry, file);
   const int fd = ::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
   if (fd < 0) {
-    const Error error = system_error(errno, "cannot write the starter file", file,
-                                     errno == EEXIST ? "choose another name, or move that file away" : "");
+    const int failed = errno;
+    const std::string folder = std::filesystem::path(file).parent_path().string();
+    const Error error = system_error(failed, "cannot write the starter file", file,
+                                     failed == EEXIST ? "choose another name, or move that file away"
+                                     : failed == ENOENT && !folder.empty() ? "make the folder first: mkdir -p " + folder
+                                                                           : "");
     std::cerr << "rtdata: " << error.text() << std::endl;
     return exit_other;
   }

@@ -44,6 +44,8 @@ using Action = std::function<int(const Registry&)>;
 
 Action prepare_init(CLI::App& command) {
   const auto file = std::make_shared<std::string>("rtdata.json");
+  command.footer(
+      "example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
   return [file](const Registry& registry) { return app::init(registry, *file); };
 }
@@ -86,7 +88,11 @@ Action prepare_run(CLI::App& command) {
       .add_option("--log", given->options.log_file,
                   "The log file; default: as the configuration says, or its name with .log, in the working directory")
       ->type_name("FILE");
-  command.footer("example:\n  rtdata run bench.json --for 10s --fail-on-loss");
+  command.footer(
+      "example:\n  rtdata run bench.json --for 10s --fail-on-loss\nexit status:\n"
+      "  0  every tick and event is accounted for, and all is stored\n  1  it is not, or another error\n"
+      "  2  mistakes in the configuration: nothing was started\n"
+      "  3  with --fail-on-loss: something was missed, failed, unreadable, lost or\n     dropped");
   return [given](const Registry& registry) {
     if (!given->duration.empty()) {
       given->options.duration = span_of("--for", given->duration);
@@ -98,6 +104,7 @@ Action prepare_run(CLI::App& command) {
 
 Action prepare_check(CLI::App& command) {
   const auto file = std::make_shared<std::string>();
+  command.footer("example:\n  rtdata check bench.json\nexit status:\n  0  no mistake, perhaps warnings\n  2  mistakes");
   command.add_option("FILE", *file, "The configuration")->required();
   return [file](const Registry& registry) { return app::check(registry, *file); };
 }
@@ -158,6 +165,12 @@ Action prepare_bench(CLI::App& command) {
 #ifdef RTDATA_WITH_SQLITE
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
+  command.footer(
+      "example:\n  rtdata verify bench.db\nexit status:\n"
+      "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
+      "     so up to the kill or power cut that ended it; or being recorded\n"
+      "  1  not balanced, or not sealed yet: record into it again\n"
+      "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording")->required();
   command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
@@ -166,6 +179,10 @@ Action prepare_verify(CLI::App& command) {
 
 Action prepare_info(CLI::App& command) {
   const auto options = std::make_shared<app::InfoOptions>();
+  command.footer(
+      "examples:\n  rtdata info bench.db\n  rtdata info bench.db --run 1 --gaps\n"
+      "Of each origin, the sensor that events come from: its rate, and how much later\n"
+      "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
   command.add_flag_callback(
@@ -182,6 +199,8 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
   command.add_option("--format", options->format, "csv, json, jsonl or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
+  command.add_flag_callback(
+      "--overwrite", [options] { options->existing = Export::Existing::replace; }, "Replace files in the folder");
   command.add_option("--run", options->run, "Only this run")->type_name("NUMBER");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
@@ -217,6 +236,37 @@ constexpr Command commands[] = {
 #endif
 };
 
+/// What is wrong with a first argument that is no command.
+std::string wrong_command(const std::string& word) {
+  std::vector<std::string> names;
+  std::string list;
+  for (const Command& command : commands) {
+    names.emplace_back(command.name);
+    list.append(list.empty() ? "" : ", ").append(command.name);
+  }
+  std::string text = "there is no command \"" + word + "\"";
+  if (word.ends_with(".json")) return text + "; that configuration is run by: rtdata run " + word;
+  if (word.ends_with(".db")) return text + "; that recording is summed up by: rtdata info " + word;
+  const std::string nearest = nearest_name(word, names);
+  return text + (nearest.empty() ? "; there are " + list : " (did you mean \"" + nearest + "\"?)") +
+         "; `rtdata --help` explains them";
+}
+
+/// What is wrong with arguments of a command that it does not know.
+std::string wrong_argument(const CLI::App& command) {
+  const std::vector<std::string> left = command.remaining();
+  const auto option = std::find_if(left.begin(), left.end(),
+                                   [](const std::string& word) { return word.starts_with("-"); });
+  if (option == left.end()) return "it has one argument too many, " + (left.empty() ? "" : left.front());
+  const std::string name = option->substr(0, option->find('='));
+  std::vector<std::string> names;
+  for (const CLI::Option* known : command.get_options()) {
+    for (const std::string& one : known->get_lnames()) names.push_back("--" + one);
+  }
+  const std::string nearest = nearest_name(name, names);
+  return "there is no option " + name + (nearest.empty() ? "" : " (did you mean " + nearest + "?)");
+}
+
 int parse_and_run(const Registry& registry, int argc, char** argv) {
   CLI::App program{"rtdata acquires data from sensors into recordings, and accounts for every sample.", "rtdata"};
   program.set_version_flag("--version", "rtdata " RTDATA_VERSION);
@@ -227,6 +277,10 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   const std::string_view first = argc > 1 ? argv[1] : "";
   const bool is_named = std::any_of(std::begin(commands), std::end(commands),
                                     [&](const Command& command) { return command.name == first; });
+  if (!is_named && !first.empty() && !first.starts_with("-")) {
+    std::cerr << "rtdata: " << wrong_command(std::string(first)) << std::endl;
+    return app::exit_other;
+  }
   std::vector<std::pair<const CLI::App*, Action>> prepared;
   for (const Command& command : commands) {
     if (is_named && command.name != first) continue;
@@ -235,6 +289,12 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   }
   try {
     program.parse(argc, argv);
+  } catch (const CLI::ExtrasError& error) {
+    if (!is_named) return program.exit(error) == 0 ? app::exit_good : app::exit_other;
+    const std::string name(first);
+    std::cerr << "rtdata " << name << ": " << wrong_argument(*prepared.front().first) << "; `rtdata " << name
+              << " --help` lists what there is" << std::endl;
+    return app::exit_other;
   } catch (const CLI::ParseError& error) {
     return program.exit(error) == 0 ? app::exit_good : app::exit_other;
   }

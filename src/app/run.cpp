@@ -1,6 +1,7 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <cstring>
 #include <iostream>
@@ -8,6 +9,7 @@
 #include "app/account.hpp"
 #include "app/async_writer.hpp"
 #include "app/control_socket.hpp"
+#include "app/growth.hpp"
 #include "app/live_view.hpp"
 #include "app/log.hpp"
 #include "app/log_file.hpp"
@@ -37,6 +39,7 @@ class Run {
     messages_.open(STDERR_FILENO);
     SystemPlan plan = plan_system(registry_, load_config(options_.file));
     secrets_ = plan.secrets;
+    warn_of_growth(plan, options_.duration.value_or(growth_span));
     open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
@@ -61,6 +64,9 @@ class Run {
     const std::size_t before = plan.problems.size();
     check_log_file(file, plan);
     if (plan.problems.size() != before) return;  // it is another's file
+    // Probably a mistyped name: a log beside it would only be in the way.
+    const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
+    if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
     if (auto opened = log_.open(file, settings); !opened) {
       say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
     }
@@ -175,8 +181,11 @@ class Run {
   }
 
   void tell_start(const SystemPlan& plan) {
-    std::string text = "running " + plan.settings.name + ": " + std::to_string(plan.sensors.size()) + " sensors, " +
-                       std::to_string(plan.sinks.size()) + " sinks";
+    const auto counted = [](std::size_t count, const char* what) {
+      return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+    };
+    std::string text = "running " + plan.settings.name + ": " + counted(plan.sensors.size(), "sensor") + ", " +
+                       counted(plan.sinks.size(), "sink");
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";

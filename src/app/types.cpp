@@ -5,6 +5,7 @@
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
+#include "rtdata/sensors/host.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -30,6 +31,20 @@ std::string described(const TypeInfo& type) {
   Table table({"parameter", "type", "unit", "default", "meaning"});
   add_parameters(table, type.parameters, "");
   return type.name + "  " + type.doc + "\n" + (table.empty() ? "" : table.text("  "));
+}
+
+/// What of the type `host` this machine has.
+std::string on_this_machine() {
+  std::string text = "  on this machine:\n";
+  for (const HostSensorInfo& info : available_host_sensors()) {
+    ConfigItem quantity;
+    ConfigValue<HostQuantity>::write(info.what, quantity);
+    text += "    " + *quantity.as_string();
+    if (!info.device.empty()) text += ", device " + info.device;
+    if (!info.name.empty() && info.name != info.device) text += " (" + info.name + ")";
+    text += "\n";
+  }
+  return text;
 }
 
 void print_all(const char* title, const std::vector<TypeInfo>& types) {
@@ -64,6 +79,7 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
       if (type.name != name) continue;
       ++found;
       std::cout << (format == TypesAs::schema ? type.schema() + "\n" : described(type));
+      if (format == TypesAs::text && types == &registry.sensors() && name == "host") std::cout << on_this_machine();
     }
   }
   if (found > 0) return exit_good;

@@ -3,6 +3,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <utility>
 
 namespace rtdata {
 namespace config_detail {
@@ -15,6 +16,31 @@ bool wrong_type(const ConfigItem& item, std::string_view wanted, Problems& probl
 
 bool out_of_range(const ConfigItem& item, const std::string& least, const std::string& most, Problems& problems) {
   problems.add(item.problem("out-of-range", item.number_text() + " is out of range: " + least + " to " + most));
+  return false;
+}
+
+/// "1 GB" as a number of bytes; empty when the text is no such size.
+std::string bytes_of(std::string_view text) {
+  constexpr std::pair<std::string_view, double> units[] = {
+      {"B", 1},           {"kB", 1e3},           {"KB", 1e3}, {"MB", 1e6}, {"GB", 1e9}, {"TB", 1e12}, {"KiB", 1024.0},
+      {"MiB", 1048576.0}, {"GiB", 1073741824.0}, {"k", 1e3},  {"K", 1e3},  {"M", 1e6},  {"G", 1e9}};
+  double number = 0;
+  const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (failed != std::errc{}) return "";
+  text.remove_prefix(static_cast<std::size_t>(end - text.data()));
+  while (text.starts_with(' ')) text.remove_prefix(1);
+  for (const auto& [name, bytes] : units) {
+    if (text == name && number >= 0 && number * bytes < 9e15) return std::to_string(std::llround(number * bytes));
+  }
+  return "";
+}
+
+/// For what was meant as a number of bytes, the number.
+bool not_whole(const ConfigItem& item, Problems& problems) {
+  const std::string* text = item.as_string();
+  const std::string bytes = text != nullptr ? bytes_of(*text) : "";
+  if (bytes.empty()) return wrong_type(item, "a whole number", problems);
+  problems.add(item.problem("wrong-type", "expected a whole number, got " + item.describe() + ": write " + bytes));
   return false;
 }
 
@@ -59,7 +85,7 @@ bool read_signed(const ConfigItem& item, std::int64_t least, std::int64_t most, 
         return out_of_range(item, std::to_string(least), std::to_string(most), problems);
     }
   } else {
-    return wrong_type(item, "a whole number", problems);
+    return not_whole(item, problems);
   }
   if (out < least || out > most) return out_of_range(item, std::to_string(least), std::to_string(most), problems);
   return true;
@@ -84,7 +110,7 @@ bool read_unsigned(const ConfigItem& item, std::uint64_t most, std::uint64_t& ou
     if (small < 0) return out_of_range(item, "0", std::to_string(most), problems);
     out = static_cast<std::uint64_t>(small);
   } else {
-    return wrong_type(item, "a whole number", problems);
+    return not_whole(item, problems);
   }
   if (out > most) return out_of_range(item, "0", std::to_string(most), problems);
   return true;

@@ -174,6 +174,11 @@ class AcrossItems {
 
   void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
     for (const SinkPlan& sink : sinks) {
+      const bool is_idle = std::none_of(sink.topics.begin(), sink.topics.end(), [&](const std::string& pattern) {
+        return pattern.starts_with("$") || std::any_of(topics_.begin(), topics_.end(), [&](const auto& topic) {
+                 return topic_matches(pattern, topic.first);
+               });
+      });
       const ConfigItem& list = child_or_self(sink.item, "topics");
       for (std::size_t i = 0; i < sink.topics.size(); ++i) {
         const std::string& pattern = sink.topics[i];
@@ -183,8 +188,30 @@ class AcrossItems {
         std::vector<std::string> names;
         for (const auto& [name, sensor] : topics_) names.push_back(name);
         plan_.warnings.add((element != nullptr ? *element : list)
-                               .problem("matches-nothing", "no sensor of this file publishes on \"" + pattern + "\"",
+                               .problem("matches-nothing",
+                                        "no sensor of this file publishes on \"" + pattern + "\"" +
+                                            (is_idle ? ", and nothing goes to this sink" : ""),
                                         nearest_name(pattern, names)));
+      }
+    }
+  }
+
+  /// C and F are coulomb and farad, which no temperature has.
+  void warn_of_units(const std::vector<SensorPlan>& sensors) {
+    for (const SensorPlan& sensor : sensors) {
+      if (sensor.description == nullptr) continue;
+      for (const Leaf& leaf : sensor.description->leaves()) {
+        const bool is_coulomb = leaf.unit == "C";
+        const std::string names = lower(sensor.name + " " + sensor.topic + " " + leaf.path);
+        if ((!is_coulomb && leaf.unit != "F") || names.find("temp") == std::string::npos) continue;
+        const ConfigItem& fields = child_or_self(sensor.item, "fields");
+        const ConfigItem& unit = child_or_self(sensor.item, "unit");
+        plan_.warnings.add((fields.path() != sensor.item.path() ? fields : unit)
+                               .problem("unlikely-unit", std::string("the unit ") + (is_coulomb ? "C of " : "F of ") +
+                                                             leaf.path + " is the " +
+                                                             (is_coulomb ? "coulomb" : "farad") + "; degrees are " +
+                                                             (is_coulomb ? "Cel" : "[degF]")));
+        break;
       }
     }
   }
@@ -451,6 +478,7 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   across.check_taken(sinks);
   if (all_sensors_known && !sensors.empty()) {
     across.warn_of_patterns(sinks);
+    across.warn_of_units(sensors);
     across.warn_of_tiers(sensors, root);
   }
   look_at_items(registry, root, plan);

@@ -200,12 +200,12 @@ Result<Time> parse_iso8601(std::string_view text) {
       !take_digits(text, 2, day)) {
     return not_a_time(all, "it does not start with a date such as 2026-03-01");
   }
-  if (!take(text, "Tt ") || !take_digits(text, 2, hour) || !take(text, ":") || !take_digits(text, 2, minute) ||
-      !take(text, ":") || !take_digits(text, 2, seconds)) {
-    return not_a_time(all, "no time of day such as T12:00:00 follows the date");
-  }
+  if (!take(text, "Tt ") || !take_digits(text, 2, hour) || !take(text, ":") || !take_digits(text, 2, minute))
+    return not_a_time(all, "no time of day such as T12:00 or T12:00:00 follows the date");
+  const bool has_seconds = take(text, ":");
+  if (has_seconds && !take_digits(text, 2, seconds)) return not_a_time(all, "no seconds such as 00 follow the minutes");
   std::uint64_t fraction = 0;
-  if (take(text, ".,")) {
+  if (has_seconds && take(text, ".,")) {
     std::size_t count = 0;
     for (; count < text.size() && is_digit(text[count]); ++count) {
       if (count == 9) return not_a_time(all, "it has more than nine decimals");

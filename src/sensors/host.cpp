@@ -18,7 +18,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_read = "cannot read this computer's counters";
-constexpr const char* not_here = "this machine or its kernel has none; available_host_sensors() lists what there is";
+constexpr const char* not_here = "this machine or its kernel has none; `rtdata types host` lists what there is";
 
 /// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
 class ProcFile {

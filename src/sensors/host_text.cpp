@@ -48,7 +48,7 @@ Error bad(const char* file) {
 Error missing(const char* file, std::string_view device) {
   return {Errc::not_found, "cannot read this computer's counters", file,
           "there is no \"" + std::string(device) + "\" in it",
-          "check `device`; available_host_sensors() lists what there is"};
+          "check `device`; `rtdata types host` lists what there is"};
 }
 
 }  // namespace

@@ -48,7 +48,7 @@ TEST_SUITE("app") {
     CHECK(has(run.out, "ledger balances"));
     CHECK(has(run.out, "count/a"));
     CHECK(has(run.out, "bench.jsonl"));
-    CHECK(has(run.err, "running bench: 1 sensors, 2 sinks, for 300 ms; log bench.log"));
+    CHECK(has(run.err, "running bench: 1 sensor, 2 sinks, for 300 ms; log bench.log"));
     // What the table says was stored is in the file.
     const std::string lines = folder.read("bench.jsonl");
     const auto at = run.out.find("\nbench.jsonl  ");
@@ -141,7 +141,10 @@ TEST_SUITE("app") {
     folder.write("good.json", bench);
     Process good(folder, program, {"check", "good.json"});
     CHECK(good.end() == 0);
-    CHECK(good.out == "main: 1 sensor, worst not known of 10 ms (0 of 1 declared)\nok: 1 sensor, 2 sinks\n");
+    CHECK(
+        good.out.starts_with("how long readings may hold each loop, at worst, of its shortest period:\n"
+                             "  main: 1 sensor, worst not known of 10 ms (0 of 1 declared)\nbench.jsonl: about "));
+    CHECK(good.out.ends_with("\nok: 1 sensor, 2 sinks\n"));
     CHECK_FALSE(folder.has("bench.jsonl"));
   }
 
@@ -154,7 +157,7 @@ TEST_SUITE("app") {
       "sinks": [ {"type": "discard"} ] })");
     Process check(folder, program, {"check", "bench.json"});
     CHECK(check.end() == 0);
-    CHECK(has(check.out, "main: 1 sensor, worst 50 us of 100 ms, 0 %\n  lane /tmp/no converter: 1 sensor, 5 %\n"));
+    CHECK(has(check.out, "  main: 1 sensor, worst 50 us of 100 ms, 0 %\n    lane /tmp/no converter: 1 sensor, 5 %\n"));
     CHECK(has(check.out, "fast: 2 sensors, worst 1.8 ms of 2 ms, 90 %\n"));
     CHECK(has(check.out,
               "warning: bench.json:2:61: sensors[0].rate: the readings of tier \"fast\" take too much of its time"));
@@ -420,11 +423,11 @@ TEST_SUITE("app") {
     const auto schema = nlohmann::json::parse(folder.read("rtdata.schema.json"));
     CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"].size() >= 3);
     const std::string text = folder.read("first.json");
-    CHECK(has(text, "\"1 kHz\""));
     CHECK(has(text, "\"first.jsonl\""));
     Process check(folder, shipped, {"check", "first.json"});
     CHECK(check.end() == 0);
     CHECK_FALSE(has(check.out, "warning"));
+    CHECK_FALSE(has(check.out, "without limit"));
     Process run(folder, shipped, {"run", "first.json", "--for", "300ms"});
     CHECK(run.end() == 0);
     CHECK(has(folder.read("first.jsonl"), "host/process"));
@@ -432,6 +435,44 @@ TEST_SUITE("app") {
     CHECK(again.end() == 1);
     CHECK(has(again.err, "first.json: File exists"));
     CHECK(folder.read("first.json") == text);
+  }
+
+  TEST_CASE("NFR-5 init writes what run reads, and says what is missing") {
+    const Folder folder;
+    Process other(folder, shipped, {"init", "first.yaml"});
+    CHECK(other.end() == 1);
+    CHECK(has(other.err,
+              "first.yaml: `rtdata run` reads no configuration with this extension: let its name end with .json"));
+    CHECK(folder.read("first.yaml").empty());
+    Process deep(folder, shipped, {"init", "sub/first.json"});
+    CHECK(deep.end() == 1);
+    CHECK(has(deep.err, "make the folder first: mkdir -p sub"));
+    Process bare(folder, shipped, {"init", "first"});
+    CHECK(bare.end() == 0);
+    Process check(folder, shipped, {"check", "first"});
+    CHECK(check.end() == 0);
+  }
+
+  TEST_CASE("NFR-5 a configuration that cannot be read leaves no log file, unless one is named") {
+    const Folder folder;
+    Process run(folder, shipped, {"run", "nofile.json"});
+    CHECK(run.end() == 2);
+    CHECK(has(run.err, "nofile.json: cannot read the configuration: No such file or directory"));
+    CHECK(::access((folder.path() + "/nofile.log").c_str(), F_OK) != 0);
+    Process named(folder, shipped, {"run", "nofile.json", "--log", "service.log"});
+    CHECK(named.end() == 2);
+    CHECK(has(folder.read("service.log"), "[cannot-read]"));
+  }
+
+  TEST_CASE("check counts its warnings, and says what grows without limit") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"}],
+      "sinks": [{"type": "file", "path": "run.jsonl", "topics": ["count/b", "#"]}]})");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 0);
+    CHECK(has(check.out, "\nrun.jsonl: about "));
+    CHECK(has(check.out, " a day, without limit\n"));
+    CHECK(has(check.out, "\nok, with 1 warning: 1 sensor, 1 sink\n"));
   }
 
   TEST_CASE("output that is lost is told, and is exit status 1; a reader that goes away is not") {
@@ -496,5 +537,77 @@ TEST_SUITE("app") {
       CHECK(wrong.end() == 1);
       CHECK_FALSE(wrong.err.empty());
     }
+  }
+
+  TEST_CASE("NFR-5 what is mistyped on the command line is named, with what was probably meant") {
+    const Folder folder;
+    const std::vector<std::pair<std::vector<std::string>, std::string>> cases{
+        {{"vrify", "bench.db"},
+         "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
+        {{"record", "x"},
+         "rtdata: there is no command \"record\"; there are init, run, top, bench, check, types, verify, info, export; "
+         "`rtdata --help` explains them\n"},
+        {{"bench.json"},
+         "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
+        {{"bench.db"},
+         "rtdata: there is no command \"bench.db\"; that recording is summed up by: rtdata info bench.db\n"},
+        {{"run", "--fro", "2s"},
+         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+        {{"run", "x.json", "--fro=2s"},
+         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+        {{"info", "bench.db", "--zz"},
+         "rtdata info: there is no option --zz; `rtdata info --help` lists what there is\n"},
+        {{"check", "a.json", "b.json"},
+         "rtdata check: it has one argument too many, b.json; `rtdata check --help` lists what there is\n"}};
+    for (const auto& [arguments, told] : cases) {
+      Process wrong(folder, shipped, arguments);
+      CHECK(wrong.end() == 1);
+      CHECK(wrong.err == told);
+    }
+    // Each command's help has examples of its own.
+    for (const char* command : {"init", "check", "verify", "info", "export", "run", "top", "bench", "types"}) {
+      Process help(folder, shipped, {command, "--help"});
+      CHECK(help.end() == 0);
+      CHECK_MESSAGE(has(help.out, std::string("\n  rtdata ") + command), command);
+      CHECK_MESSAGE(!has(help.out, "look at it while it runs"), command);
+    }
+  }
+
+  TEST_CASE("NFR-5 types host says what this machine has") {
+    const Folder folder;
+    Process types(folder, shipped, {"types", "host"});
+    CHECK(types.end() == 0);
+    CHECK(has(types.out, "\n  on this machine:\n"));
+    CHECK(has(types.out, "\n    process\n"));
+    CHECK(has(types.out, "\n    memory\n"));
+    folder.write("host.json", R"({"sensors": [{"name": "f", "type": "host", "quantity": "network", "device": "none",
+      "rate": "10 Hz"}], "sinks": [{"type": "console"}]})");
+    Process run(folder, shipped, {"run", "host.json", "--for", "50ms"});
+    run.end();
+    CHECK(has(run.err, "`rtdata types host` lists what there is"));
+  }
+
+  TEST_CASE("NFR-5 a time without its zone, and a size with a unit, are answered with what to write") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+      "sinks": [{"type": "file", "path": "a.jsonl", "rotate": {"bytes": "2 MB"}},
+                {"type": "file", "path": "b.jsonl", "rotate": {"bytes": "much"}}]})");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 2);
+    CHECK(has(check.out, "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000\n"));
+    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\"\n"));
+    folder.write("good.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "good.json", "--for", "100ms"});
+    REQUIRE(run.end() == 0);
+    CHECK(has(run.err, "running good: 1 sensor, 1 sink, for"));
+    Process from(folder, "/bin/sh", {"-c", "TZ=XYZ-2 " + shipped + " export run.db --from '2026-03-01 12:00'"});
+    CHECK(from.end() == 1);
+    CHECK(has(from.err,
+              "its time zone is missing: write \"2026-03-01 12:00Z\" for UTC, or \"2026-03-01 12:00+02:00\", "
+              "as this machine's is"));
+    Process format(folder, shipped, {"export", "run.db", "--format", "jsn"});
+    CHECK(format.end() == 1);
+    CHECK(has(format.err, "did you mean json? (json and jsonl are one: an object a line)"));
   }
 }

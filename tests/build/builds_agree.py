@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
 """The CMake and the meson build are made from the same lists of sources, targets, version and needed libraries."""
+import json
 import pathlib
 import re
 import sys
@@ -12,6 +13,10 @@ problems = []
 version = re.search(r"project\(rtdata VERSION ([\d.]+)", cmake).group(1)
 if f"version: '{version}'" not in meson:
     problems.append(f"CMake builds version {version}, meson another")
+
+description = re.search(r'DESCRIPTION "([^"]+)"', cmake).group(1)
+if f"description = '{description}'" not in meson:
+    problems.append(f"CMake describes it as {description!r}, meson otherwise")
 
 lists = sorted(p.relative_to(root).as_posix() for folder in ("src", "tests") for p in root.glob(f"{folder}/**/*.sources"))
 for name in lists:
@@ -40,6 +45,16 @@ for name in sorted(p.relative_to(root).as_posix() for p in (root / "packaging").
     for build, text in (("CMake", cmake), ("meson", meson)):
         if name not in text:
             problems.append(f"{build} does not install {name}")
+
+# A user's build has no tests in it.
+if not re.search(r'option\(RTDATA_TESTS "[^"]*" OFF\)', cmake):
+    problems.append("CMake builds the tests unless told otherwise")
+for call in re.findall(r"^ *executable\((?:[^()]|\([^()]*\))*\)", meson, re.M):
+    if "doctest" in call and "build_by_default: false" not in call:
+        problems.append("meson builds tests unless told otherwise: " + call.split("'")[1])
+presets = json.loads((root / "CMakePresets.json").read_text())["configurePresets"]
+if presets[0]["name"] != "base" or presets[0]["cacheVariables"].get("RTDATA_TESTS") != "ON":
+    problems.append("the presets do not build the tests")
 
 for problem in problems:
     print(problem)

@@ -219,6 +219,12 @@ TEST_SUITE("config") {
     CHECK(warnings(serial(R"({"name": "x", "unit": "V", "scale": 2})", R"(, "separator": ";")")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "unit": "Volts"})", "")),
               "sensors[0].fields[0].unit: \"Volts\" is no unit"));
+    // What is a temperature by its name.
+    CHECK(has(warnings(serial(R"({"name": "temperature", "unit": "C"})", "")),
+              "sensors[0].fields: the unit C of temperature is the coulomb; degrees are Cel\n"));
+    CHECK(has(warnings(analog(R"(, "unit": "F", "topic": "oven/Temp")")),
+              "sensors[0].unit: the unit F of value is the farad; degrees are [degF]\n"));
+    CHECK(warnings(serial(R"({"name": "charge", "unit": "C"}, {"name": "temperature", "unit": "Cel"})", "")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "length": 9})", "")),
               "sensors[0].fields[0].length: it means nothing with `type` double, only with text"));
     CHECK(has(warnings(serial(R"({"name": "x"})", R"(, "format": "json", "separator": ";")")),

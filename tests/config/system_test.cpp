@@ -434,6 +434,12 @@ f.json:16:38: sinks[2].when_full
               .warnings.text() ==
           "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean "
           "\"pressure\"?)\n");
+    // All that a sink takes is mistyped: nothing would be kept.
+    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "counter", "rate": "1 Hz"}],
+  "sinks": [{"type": "discard", "topics": ["presure"]}]})")
+              .warnings.text() ==
+          "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\", and nothing goes to this "
+          "sink (did you mean \"pressure\"?)\n");
     const SystemPlan empty = planned(R"({"sensors": []})");
     CHECK(empty.good());
     CHECK(empty.warnings.text() == "f.json:1:13: sensors: there are no sensors: nothing will be recorded\n");

@@ -97,5 +97,6 @@ sed -n '/^<!-- test: fresh machine -->$/,/^```$/p' README.md | sed '/^<!--/d; /^
 [ -s build/debian13/readme.sh ]
 echo "== the README's commands"
 inside sh -euxc '. build/readme.sh'
-echo "== the tests"
+echo "== the tests, which users do not build"
+inside sh -euxc 'cmake -S . -B build/release -DRTDATA_TESTS=ON >/dev/null && cmake --build build/release --parallel'
 inside sh -euc 'cd build/release && exec ctest --output-on-failure --timeout 600 -LE slow'

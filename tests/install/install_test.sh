@@ -52,7 +52,19 @@ if [ -x "$work/prefix/bin/rtdata" ]; then
     chmod "$(setting RuntimeDirectoryMode)" "$runtime"
     cp "$source/examples/host.json" "$work/etc/bench.json"
     cd "$work/state"
-    $(setting ExecStartPre) >check.log
+    # A mistake in the configuration ends the main process with a status that systemd does not restart it after; what would
+    # run before it, is restarted whatever its status.
+    for kind in Condition Assert ExecStartPre ExecCondition; do
+        case "$kind $(grep "^$kind.*=" "$unit")" in
+        "Assert AssertPathExists=/etc/rtdata/%i.json" | "Condition " | "ExecStartPre " | "ExecCondition ") ;;
+        *) echo "the unit has another $kind" >&2; exit 1 ;;
+        esac
+    done
+    echo '{"sensors": [{"nme": "a"}]}' >"$work/etc/wrong.json"
+    status=0
+    $(setting ExecStart | sed 's|bench\.json|wrong.json|') >wrong.log 2>&1 || status=$?
+    grep -q '"type" is missing' wrong.log
+    setting RestartPreventExitStatus | grep -qx "$status"
     env -u RTDATA_RUNTIME_DIR RUNTIME_DIRECTORY="$runtime" $(setting ExecStart) >run.log 2>&1 &
     service=$!
     tries=0
@@ -76,13 +88,25 @@ cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
 cmake --build out -j "$(nproc)" >>cmake.log || { cat cmake.log >&2; exit 1; }
 check out/record
-if [ -x out/own_types ]; then
-    out/own_types check "$source/examples/06_own_types.json"
+# The program with types of its own, made in the way $1: it knows them, and records with them.
+check_own_types() {
+    "$2" check "$source/examples/06_own_types.json"
+    "$2" types wave
+    "$2" run "$source/examples/06_own_types.json" --for 200ms >own.log 2>&1 || { cat own.log >&2; exit 1; }
+    echo "own types, $1: good"
+}
+if [ -x "$work/prefix/bin/rtdata" ]; then
+    check_own_types CMake out/own_types
 fi
 
 project pkg_config
-PKG_CONFIG_PATH="$pkgconfig" sh build.sh
+cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
+PKG_CONFIG_PATH="$pkgconfig" sh build.sh record rtdata-sqlite
 LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check ./record
+if [ -x "$work/prefix/bin/rtdata" ]; then
+    PKG_CONFIG_PATH="$pkgconfig" sh build.sh own_types rtdata-program
+    LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check_own_types pkg-config ./own_types
+fi
 
 project add_subdirectory
 cmake -S . -B out -DRTDATA_TREE="$source" -DCMAKE_BUILD_TYPE=Debug >cmake.log

@@ -83,6 +83,34 @@ TEST_CASE("FW-5 a folder gets a file a topic") {
   CHECK(out.str().find("climate.csv: 999 rows") != std::string::npos);
 }
 
+TEST_CASE("FW-5 a folder's files are replaced only when that is asked for, and none is written otherwise") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::filesystem::create_directories(folder / "out/room");
+  std::ofstream(folder / "out/room/climate.jsonl") << "my own configuration";
+  for (const char* format : {"json", "jsonl"}) {
+    std::ostringstream out, err;
+    CHECK(app::export_recording({.database = path, .format = format, .folder = folder / "out"}, out, err) == 1);
+    CHECK(out.str() == "");
+    CHECK(err.str() == "rtdata: cannot export into the folder: " + (folder / "out/room/climate.jsonl") +
+                           ": the file exists: choose another folder, or have them replaced (--overwrite)\n");
+    CHECK(content_of(folder / "out/room/climate.jsonl") == "my own configuration");
+    CHECK_FALSE(std::filesystem::exists(folder / "out/every"));
+  }
+  using Existing = app::ExportOptions::Existing;
+  for (int again = 0; again < 2; ++again) {
+    std::ostringstream out, err;
+    CHECK(app::export_recording(
+              {.database = path, .format = "json", .folder = folder / "out", .existing = Existing::replace}, out,
+              err) == 0);
+    CHECK(lines_of(content_of(folder / "out/room/climate.jsonl")).size() == 999);
+  }
+  // Many are counted.
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .format = "json", .folder = folder / "out"}, out, err) == 1);
+  CHECK(err.str().find("every/thing.jsonl: the file exists, and so does 1 more") != std::string::npos);
+}
+
 TEST_CASE("FW-5 a topic whose fields changed has a file for each description") {
   const Folder folder;
   const std::string path = make(folder);
@@ -254,7 +282,8 @@ TEST_CASE("export of what there is not says what there is, and makes nothing") {
   // What is there, without rows in that time.
   std::ostringstream out, err;
   CHECK(app::export_recording({.database = path, .topic = "room/climate", .until = "1"}, out, err) == 0);
-  CHECK(out.str() + err.str() == "time,origin,sequence,temperature,humidity\n");
+  CHECK(out.str() == "time,origin,sequence,temperature,humidity\n");
+  CHECK(err.str() == "rtdata: no rows: " + path + " has none of what was asked for\n");
   out.str("");
   // Rows that no account tells of yet.
   sql(path, "DELETE FROM rtdata_ledger");

@@ -116,6 +116,17 @@ TEST_SUITE("sinks") {
               "gaps of run 1 (UTC)\n  2027-01-15T08:00:01.000000000Z to 2027-01-15T08:00:02.000000000Z room on\n") !=
           std::string::npos);
     CHECK(text.find("failed 2: io-failed\n") != std::string::npos);
+    const auto told = [&](const std::string& kind, const std::string& reason) {
+      sql(path, "UPDATE rtdata_gap SET kind = '" + kind + "', reason = '" + reason + "'");
+      std::ostringstream changed;
+      CHECK(app::info({.database = path, .gaps = app::InfoOptions::Gaps::listed}, changed, err) == 0);
+      return changed.str();
+    };
+    CHECK(told("joined", "several").find("several gaps joined, 2 together, for several reasons\n") !=
+          std::string::npos);
+    CHECK(told("joined", "timed-out").find("several gaps joined, 2 together: timed-out\n") != std::string::npos);
+    CHECK(told("disconnected", "disconnected").find("disconnected 2\n") != std::string::npos);
+    CHECK(told("failed", "io-failed").find("failed 2: io-failed\n") != std::string::npos);
     CHECK(app::info({.database = path, .output = app::Output::json, .gaps = app::InfoOptions::Gaps::listed}, json,
                     err) == 0);
     const auto tree = nlohmann::json::parse(json.str());

@@ -18,7 +18,7 @@
 /// Keys of the file: $schema, name, notes, log, loop, tiers, sensors, sinks. Ids of problems, beside those of problem.hpp:
 /// bad-name, cannot-record, cannot-resolve, cannot-write, description-differs, duplicate-name, duplicate-path, not-available, unknown-tier; of warnings:
 /// late-readings, matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
-/// unknown-placeholder, unknown-unit, unused-tier.
+/// unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.

@@ -28,6 +28,8 @@ struct ExportConfig {
   TimeText time_text = TimeText::nanoseconds;  ///< of CSV; the other formats have their own
   enum class Header { names, names_and_units };
   Header header = Header::names;  ///< of CSV
+  enum class Existing { refuse, replace };
+  Existing existing = Existing::refuse;  ///< files that are in the folder already
 };
 
 struct ExportCount {
@@ -41,8 +43,9 @@ struct ExportCount {
 /// bad-argument, before anything is written.
 Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
 
-/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description. Files
-/// that are there are replaced.
+/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description; of JSON
+/// lines room/climate.jsonl. A file that is there already is an error (bad-argument), and nothing is written, unless
+/// `existing` says to replace it.
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
                                               const std::string& folder,
                                               const CodecRegistry& registry = CodecRegistry::standard());

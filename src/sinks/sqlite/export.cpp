@@ -23,7 +23,11 @@ Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecR
     return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601
                                                                                : CsvConfig::TimeFormat::nanoseconds});
   }
-  return registry.make(config.format == "jsonl" ? "json" : config.format);
+  auto codec = registry.make(config.format == "jsonl" ? "json" : config.format);
+  if (codec || codec.error().advice.find("json") == std::string::npos) return codec;
+  Error error = std::move(codec).error();
+  error.advice += " (json and jsonl are one: an object a line)";
+  return error;
 }
 
 std::string cell(const std::string& text) {
@@ -181,6 +185,37 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
   return taken.empty() ? empty : taken;
 }
 
+/// Where the rows of one description go.
+Result<std::filesystem::path> file_of(const RecordedTopic& topic, const ExportConfig& config,
+                                      const std::string& folder) {
+  std::filesystem::path path(folder);
+  for (const auto& segment : std::filesystem::path(topic.topic)) {
+    if (segment == "." || segment == "..") {
+      return Error{Errc::bad_name, "cannot export into a folder", "topic " + topic.topic,
+                   "its name would leave the folder", "export it by itself"};
+    }
+    path /= segment;
+  }
+  if (topic.version > 1) path += "~" + std::to_string(topic.version);
+  path += config.format == "json" ? ".jsonl" : "." + config.format;  // an object a line is no JSON text as a whole
+  return path;
+}
+
+Result<void> look_for_files(const std::vector<std::filesystem::path>& paths) {
+  const auto exists = [](const std::filesystem::path& path) {
+    std::error_code ignored;
+    return std::filesystem::exists(std::filesystem::symlink_status(path, ignored));
+  };
+  const auto first = std::find_if(paths.begin(), paths.end(), exists);
+  if (first == paths.end()) return {};
+  const auto others = std::count_if(first + 1, paths.end(), exists);
+  return Error{Errc::bad_argument, "cannot export into the folder", first->string(),
+               others == 0 ? "the file exists"
+                           : "the file exists, and so " + std::string(others == 1 ? "does " : "do ") +
+                                 std::to_string(others) + " more",
+               "choose another folder, or have them replaced (--overwrite)"};
+}
+
 }  // namespace
 
 Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out) {
@@ -213,20 +248,21 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
   if (!snapshot) return std::move(snapshot).error();
   auto topics = taken_topics(recording, config.filter);
   if (!topics) return std::move(topics).error();
-  std::vector<ExportCount> counts;
+  std::vector<std::filesystem::path> paths;
   for (const RecordedTopic& topic : *topics) {
+    auto path = file_of(topic, config, folder);
+    if (!path) return std::move(path).error();
+    paths.push_back(std::move(*path));
+  }
+  if (config.existing == ExportConfig::Existing::refuse) {
+    if (auto free = look_for_files(paths); !free) return std::move(free).error();
+  }
+  std::vector<ExportCount> counts;
+  for (std::size_t i = 0; i < topics->size(); ++i) {
+    const RecordedTopic& topic = (*topics)[i];
+    const std::filesystem::path& path = paths[i];
     auto codec = codec_of(config, registry);
     if (!codec) return std::move(codec).error();
-    std::filesystem::path path(folder);
-    for (const auto& segment : std::filesystem::path(topic.topic)) {
-      if (segment == "." || segment == "..") {
-        return Error{Errc::bad_name, "cannot export into a folder", "topic " + topic.topic,
-                     "its name would leave the folder", "export it by itself"};
-      }
-      path /= segment;
-    }
-    if (topic.version > 1) path += "~" + std::to_string(topic.version);
-    path += "." + config.format;
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     if (failed)

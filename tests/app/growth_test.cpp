@@ -1,0 +1,123 @@
+// Estimates of how files grow, and the starter file.
+#include "app/growth.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
+#include <unistd.h>
+
+#include <filesystem>
+
+#include "app/process.hpp"
+#include "app/starter.hpp"
+#include "rtdata/app/standard.hpp"
+
+using namespace rtdata;
+using namespace rtdata::app;
+using namespace std::chrono_literals;
+using rtdata::test::Folder;
+
+namespace {
+
+SystemPlan planned(const std::string& rate, const std::string& sinks) {
+  return plan_system(standard_registry(),
+                     parse_config(R"({"sensors": [{"name": "m", "type": "host", "quantity": "memory",
+    "rate": ")" + rate + R"(", "topic": "host/memory"},
+    {"name": "board", "type": "serial", "device": "/dev/null", "fields": [{"name": "x"}]}],
+    "sinks": [)" + sinks + "]}"));
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("growth of files is estimated from rates and fields, within a factor of two") {
+    const SystemPlan plan = planned("1 kHz", R"({"type": "sqlite", "path": "a.db"}, {"type": "file", "path": "a.jsonl"},
+      {"type": "file", "path": "a.csv", "format": "csv", "topics": ["host/+"]},
+      {"type": "file", "path": "a.raw", "format": "raw"}, {"type": "console"},
+      {"type": "file", "path": "none.jsonl", "topics": ["board"]})");
+    REQUIRE(plan.good());
+    const std::vector<Growth> growths = growth_of(plan);
+    REQUIRE(growths.size() == 4);  // neither the console, nor what has no rate
+    // What 18681 such events took when it was measured.
+    const double measured[] = {1191936, 4210800, 1726305, 1774695};
+    for (std::size_t i = 0; i < growths.size(); ++i) {
+      const double of_one = growths[i].bytes_per_day / 86400 / 1000;
+      CHECK(of_one > measured[i] / 18681 / 2);
+      CHECK(of_one < measured[i] / 18681 * 2);
+      CHECK_FALSE(growths[i].is_limited);
+    }
+    CHECK(growths[1].text(plan) == "a.jsonl: about 19 GB a day, without limit");
+  }
+
+  TEST_CASE("a sink without limit that fills the disk is a warning, one with a limit is none") {
+    const auto disk = [](const std::string&) { return Disk{1, 30'000'000'000}; };
+    const std::string unlimited = R"({"type": "sqlite", "path": "a.db"}, {"type": "file", "path": "a.jsonl"})";
+    SystemPlan fast = planned("1 kHz", unlimited);
+    warn_of_growth(fast, growth_span, disk);
+    REQUIRE(fast.warnings.size() == 2);
+    CHECK(fast.warnings[0].id == "fills-disk");
+    CHECK(fast.warnings[0].path == "sinks[0].path");
+    CHECK(fast.warnings[0].message ==
+          "it grows by about 5.2 GB a day, without limit, and the disk, with 30 GB free, is full after 30 hours; lower "
+          "the rates, or set `max_bytes` or `max_age`");
+    CHECK(fast.warnings[1].message.ends_with("or set `rotate` and `keep`"));
+    // Not in a run that ends before, nor when it lasts long enough, nor where the disk is not known.
+    SystemPlan brief = planned("1 kHz", unlimited);
+    warn_of_growth(brief, 10min, disk);
+    CHECK(brief.warnings.empty());
+    SystemPlan slow = planned("1 Hz", unlimited);
+    warn_of_growth(slow, growth_span, disk);
+    CHECK(slow.warnings.empty());
+    SystemPlan unknown = planned("1 kHz", unlimited);
+    warn_of_growth(unknown, growth_span, [](const std::string&) { return std::optional<Disk>{}; });
+    CHECK(unknown.warnings.empty());
+    SystemPlan limited = planned("1 kHz", R"({"type": "sqlite", "path": "a.db", "max_bytes": 1e9},
+      {"type": "sqlite", "path": "b.db", "max_age": "2 d"},
+      {"type": "file", "path": "a.jsonl", "rotate": {"bytes": 1000000}, "keep": 3})");
+    REQUIRE(limited.good());
+    warn_of_growth(limited, growth_span, disk);
+    CHECK(limited.warnings.empty());
+    // Files that are kept all, or ages without an end, are no limit.
+    SystemPlan kept = planned("1 kHz", R"({"type": "sqlite", "path": "a.db", "max_bytes": 0, "max_age": "0 s"},
+      {"type": "file", "path": "a.jsonl", "rotate": {"bytes": 1000000}})");
+    warn_of_growth(kept, growth_span, disk);
+    CHECK(kept.warnings.size() == 2);
+  }
+
+  TEST_CASE("NFR-5 the starter file may run for months: gentle rates, and limits") {
+    const Registry registry = standard_registry();
+    SystemPlan plan = plan_system(registry, parse_config(starter_file(registry, "first.json")));
+    REQUIRE(plan.good());
+    double per_day = 0;
+    for (const Growth& growth : growth_of(plan)) {
+      CHECK(growth.is_limited);
+      per_day += growth.bytes_per_day;
+    }
+    CHECK(per_day > 0);
+    CHECK(per_day < 1e9);
+    for (const SensorPlan& sensor : plan.sensors) CHECK(sensor.load->period >= 100ms);
+  }
+
+  TEST_CASE("NFR-5 the starter file spares SD cards") {
+    const Folder folder;
+    struct stat status {};
+    REQUIRE(::stat(folder.path().c_str(), &status) == 0);
+    const std::string devices = folder.path() + "/sys/dev/block/";
+    std::filesystem::create_directories(devices);
+    const std::string link = devices + std::to_string(major(status.st_dev)) + ":" +
+                             std::to_string(minor(status.st_dev));
+    const std::string sys = folder.path() + "/sys";
+    const Registry registry = standard_registry();
+    const std::string file = folder.path() + "/first.json";
+    CHECK_FALSE(is_on_card(folder.path(), sys));
+    REQUIRE(::symlink("../../devices/pci0000:00/nvme0n1/nvme0n1p2", link.c_str()) == 0);
+    CHECK_FALSE(is_on_card(folder.path(), sys));
+    CHECK(starter_file(registry, file, sys).find("\"card\"") == std::string::npos);
+    REQUIRE(::unlink(link.c_str()) == 0);
+    REQUIRE(::symlink("../../devices/platform/soc/mmc0/block/mmcblk0/mmcblk0p2", link.c_str()) == 0);
+    CHECK(is_on_card(folder.path(), sys));
+    const std::string text = starter_file(registry, file, sys);
+    CHECK(text.find("\"profile\": \"card\"") != std::string::npos);
+    CHECK(plan_system(registry, parse_config(text)).good());
+  }
+}
