@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 
+#include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 
@@ -390,7 +391,12 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, const
     check_account(found, entry);
     if (entry.sensor.has_schedule || segments_of.contains(key)) check_schedule(found, entry, segments_of[key]);
     check_gaps(found, entry, segments_of[key], gaps_of[key]);
+    if (entry.sensor.has_schedule) continue;
+    if (const Outages outages = outages_of(gaps_of[key]); outages.number != 0)
+      report.outages.push_back({entry.topic, entry.origin, outages, gaps_of[key].size()});
   }
+  std::stable_sort(report.outages.begin(), report.outages.end(),
+                   [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
   std::vector<std::string> unaccounted;
   for (const auto& [key, origin] : rows) {
     report.rows += origin.rows + origin.rows_after;
