@@ -57,7 +57,9 @@ void SinkAccount::add(OriginCore& origin, const Segment& segment) {
   SinkTap* tap = find_tap(origin);
   if (tap == nullptr) return;
   const Segment recorded = tap->since_attached(origin, segment);
-  if (recorded.scheduled > 0) notes.add(tap->slot_of(origin), recorded);
+  if (recorded.scheduled == 0) return;
+  notes.add(tap->slot_of(origin), recorded);
+  tap->note_ended(origin, recorded);
 }
 
 SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, const std::string& unknown) {

@@ -441,7 +441,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       runtime.report(loop(), object_name(),
                      {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
                       "they could not be stored before the deadline" + (reason_.empty() ? "" : " (" + reason_ + ")"),
-                      "look at the storage; the next start seals the recording"});
+                      "look at the storage; of a recording, the next start writes down what was lost"});
     }
     runtime.flush_repeats(RuntimeCore::Repeated::all);  // of closing; nobody may come later to tell of them
     return lost;

@@ -109,6 +109,7 @@ void SinkTap::keep(OriginCore& origin, Now when) {
     --now.sensor.received;
     --now.sensor.published;
   }
+  if (now.segment.period == Duration{0} && origin.index < ended_.size()) now.segment = ended_[origin.index];
   const Closed* closed = origin.index < closed_.size() ? closed_[origin.index].get() : nullptr;
   queue_->writer().keep(now, closed != nullptr ? &closed->gap : nullptr);
 }
@@ -129,6 +130,11 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
   }
   closed->accounts = accounts;
   keep(origin, Now::between_events);
+}
+
+void SinkTap::note_ended(const OriginCore& origin, const Segment& segment) {
+  if (origin.index >= ended_.size()) ended_.resize(origin.index + 1);
+  ended_[origin.index] = segment;
 }
 
 OriginAccount SinkTap::account_of(OriginCore& origin, MonotonicTime until) {

@@ -172,6 +172,24 @@ TEST_SUITE("sinks") {
     CHECK(out.str().find(std::to_string(summed.pruned) + " more rows were pruned") != std::string::npos);
   }
 
+  TEST_CASE("a schedule that ended and could not be written any more is in the sealed run") {
+    const LiveFolder live;
+    Directory directory;
+    const std::string path = directory / "run.db";
+    kill_in_child([&] {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
+      loop.advance(8500ms);
+      sensor.stop();
+      ::raise(SIGKILL);
+    });
+    seal(path);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1 AND origin = 'a'") == 851);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 851);
+    check_sealed(path);
+  }
+
   TEST_CASE("gaps under way are rows that grow, and end as they are") {
     const LiveFolder live;
     Directory directory;

@@ -427,8 +427,10 @@ Result<void> verify_run(const Recording& recording, const OriginMap& rows, const
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
   if (!left_open.empty()) {
-    found.note("Its account ends before the run did, so it holds only approximately: " +
-               plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
+    found.note(
+        "Its last account is older than its end, since the power was cut, or it could not be written any more. "
+        "What it counts after that is held to bounds; no row is lost by it. " +
+        plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
   return {};
