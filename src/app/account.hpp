@@ -19,16 +19,16 @@ struct TopicAccount {
   std::uint64_t unreadable = 0;
   std::uint64_t lost = 0;
   std::uint64_t dropped = 0;  ///< by sinks
-  Outages outages;
+  Outages outages = {};
   Health health = Health::ok;  ///< the worst of its sensors'
-  std::string reason;
+  std::string reason = {};
 };
 
 struct RunAccount {
   std::vector<TopicAccount> topics;
   std::vector<SinkStatus> sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
-  Outages outages;
+  Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
 };
 

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/fitting.hpp"
 #include "loop/loop_core.hpp"
 
 namespace rtdata::detail {
@@ -229,9 +230,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   record->is_active = told.is_active;
   record->health = told.health;
   const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
-  const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
-  if (length != 0) std::memcpy(record->reason, reason.data(), length);
-  record->reason[length] = '\0';
+  record->reason[put_fitting(record->reason, sizeof record->reason - 1, reason)] = '\0';
   ring_.commit(record->bytes);
   return true;
 }
