@@ -55,7 +55,8 @@ std::string progress(const RunAccount& account) {
   const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
   return std::to_string(account.events) + " events" + part(account.late, "late") + part(account.missed, "missed") +
          part(account.failed, "failed") + (account.unreadable > 0 ? part(account.unreadable, "unreadable") : "") +
-         (account.lost > 0 ? part(account.lost, "lost") : "") + part(account.dropped, "dropped") +
+         (account.lost > 0 ? part(account.lost, "lost") : "") +
+         (account.outages.number > 0 ? ", " + to_string(account.outages) : "") + part(account.dropped, "dropped") +
          part(account.queued, "queued");
 }
 

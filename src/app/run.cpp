@@ -226,7 +226,7 @@ class Run {
                        : "how many queued events were not stored is not known, because the loop is held by a callback");
     log_.write(LogLevel::error, "program", text);
     log_.wait_until_written(std::chrono::seconds{1});
-    const std::string line = "\nrtdata: " + text + "\n";
+    const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
     if (view_is_shown_) {
       const char* const show_cursor = "\x1b[?25h";
       write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
@@ -304,9 +304,9 @@ class Run {
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
     const std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
-    const LogLevel level = !balances || not_stored_ > 0 ? LogLevel::error
-                           : has_loss                   ? LogLevel::warning
-                                                        : LogLevel::info;
+    const LogLevel level = !balances || not_stored_ > 0        ? LogLevel::error
+                           : has_loss || !account.mute.empty() ? LogLevel::warning
+                                                               : LogLevel::info;
     log_.write(level, "program", said);
     if (options_.talk == Talk::normal) {
       const std::size_t columns = columns_of(uses_stdout ? STDERR_FILENO : STDOUT_FILENO);

@@ -81,6 +81,8 @@ TEST_SUITE("app") {
     account.outages = {2, 6300ms};
     account.late = 0;
     account.mute = {"gps"};
+    CHECK(app::progress(account) ==
+          "4177 events, 0 late, 673 missed, 1 failed, 2 outages of 6.3 s together, 3 dropped, 0 queued");
     CHECK(verdict(account, {.has_loss = true}) ==
           "NO EVENT ever came from gps; LOST: 673 ticks missed (host/process 660, gps 7 and 1 "
           "more), 1 tick failed (board), 2 outages of 6.3 s together (board), 3 events dropped by sinks (gps); taken: "
