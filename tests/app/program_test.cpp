@@ -233,7 +233,7 @@ TEST_SUITE("app") {
     CHECK(strict.end() == 3);
     CHECK(has(strict.out, "\nNO EVENT ever came from board; LOST: "));
     CHECK(has(strict.out, "  ! cannot open the serial line: nothing_here"));
-    CHECK(has(strict.out, "LOST: 1 outage of "));
+    CHECK(has(strict.out, "1 outage of "));  // and perhaps ticks that were missed
     CHECK(has(strict.out, " s (lab/board); taken: "));
     CHECK(has(strict.out, "; ledger balances\n"));
     Process mild(folder, program, {"run", "u.json", "--for", "300ms"});
