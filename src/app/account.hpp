@@ -18,21 +18,38 @@ struct TopicAccount {
   std::uint64_t failed = 0;
   std::uint64_t unreadable = 0;
   std::uint64_t lost = 0;
-  std::uint64_t dropped = 0;   ///< by sinks
+  std::uint64_t dropped = 0;  ///< by sinks
+  Outages outages = {};
   Health health = Health::ok;  ///< the worst of its sensors'
-  std::string reason;
+  std::string reason = {};
 };
 
 struct RunAccount {
   std::vector<TopicAccount> topics;
   std::vector<SinkStatus> sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
+  Outages outages = {};
+  std::vector<std::string> mute;  ///< sensors that never gave an event
 };
 
 RunAccount account_of(const Runtime& runtime);
 
-/// The tables printed at the end; what was unreadable has a column if there is any. `paths`: of sinks, by name.
-std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths);
+/// The tables printed at the end, at most `columns` wide where names allow (0: as wide as they are); what was unreadable
+/// has a column if there is any. `paths`: of sinks, by name.
+std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns);
+
+/// What the verdict says beside the account.
+struct Ending {
+  bool balances = true;          ///< every equation of the ledger
+  bool has_loss = false;         ///< as the runtime says
+  std::string unknown = {};      ///< what is not in the account; empty: it is complete
+  std::uint64_t not_stored = 0;  ///< when the time to close was over
+};
+/// One sentence: what was lost and of whom, what is there, whether the ledger balances.
+///
+///     nothing lost: 4177 events, 131 of them late; ledger balances
+///     LOST: 666 ticks missed (host/process 660, host/cpu 6), 1 outage of 6.3 s (board); taken: 4177 events; ledger balances
+std::string verdict(const RunAccount& account, const Ending& ending);
 /// "12000 events, 0 late, 3 missed, 0 failed, 0 dropped, 12 queued"
 std::string progress(const RunAccount& account);
 

@@ -72,9 +72,20 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
     add(topic.unreadable, "unreadable");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
-    if (!losses.empty()) out << "    " << losses << "\n";
+    if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
+    if (topic.pruned != 0)
+      losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
+                " more rows were pruned (max_age, max_bytes)";
+    if (!losses.empty()) {
+      std::string lines;
+      detail::wrap(lines, "    ", losses);
+      out << lines;
+    }
   }
-  if (!is_complete) out << "  +: up to the last account; the run was not closed, `rtdata verify` says what is known\n";
+  if (is_complete) return;
+  std::string note;
+  detail::wrap(note, "  ", "+: up to the last account; the run was not closed, `rtdata verify` says what is known");
+  out << note;
 }
 
 void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
@@ -119,6 +130,9 @@ Json json_of(const TopicSummary& topic) {
             {"failed", topic.failed},
             {"unreadable", topic.unreadable},
             {"dropped", topic.dropped},
+            {"pruned", topic.pruned},
+            {"outages", topic.outages.number},
+            {"outage_time_ns", topic.outages.time.count()},
             {"late", topic.late},
             {"is_complete", topic.is_complete}};
   if (!(topic.wanted_hertz > 0)) json["wanted_hz"] = Json();

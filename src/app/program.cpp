@@ -1,5 +1,7 @@
 #include "rtdata/app/program.hpp"
 
+#include <unistd.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
@@ -19,6 +21,7 @@
 #include "app/commands.hpp"
 #endif
 #include "app/subcommands.hpp"
+#include "app/terminal_text.hpp"
 
 namespace rtdata {
 namespace {
@@ -37,7 +40,15 @@ exit status:
   1  an error; verify: the recording is not balanced, or not sealed
   2  run, check: mistakes in the configuration; verify, info, export: the recording
      is unreadable or damaged; top: several instances are running, name one
-  3  run --fail-on-loss: something was missed, failed, unreadable, lost or dropped)";
+  3  run --fail-on-loss: something was missed, failed, unreadable, lost or dropped,
+     or a device without a schedule was away)";
+
+/// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may print
+/// from any thread, and not around data.
+struct ForPeople {
+  app::WrappedOutput out{std::cout, STDOUT_FILENO};
+  app::WrappedOutput err{std::cerr, STDERR_FILENO};
+};
 
 /// What a subcommand does once the command line is read; returns the exit status.
 using Action = std::function<int(const Registry&)>;
@@ -47,7 +58,10 @@ Action prepare_init(CLI::App& command) {
   command.footer(
       "example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
-  return [file](const Registry& registry) { return app::init(registry, *file); };
+  return [file](const Registry& registry) {
+    const ForPeople wrapped;
+    return app::init(registry, *file);
+  };
 }
 
 /// A span above nothing. None: it is no such span, and that was said.
@@ -81,7 +95,7 @@ Action prepare_run(CLI::App& command) {
   command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
   command.add_flag_callback(
       "--fail-on-loss", [given] { given->options.on_loss = app::OnLoss::fail; },
-      "Exit 3 when anything was missed, failed or dropped");
+      "Exit 3 when anything was lost: ticks, events, or a time without a device");
   command.add_flag_callback(
       "--quiet,-q", [given] { given->options.talk = app::Talk::quiet; }, "Print warnings and errors only");
   command
@@ -106,7 +120,10 @@ Action prepare_check(CLI::App& command) {
   const auto file = std::make_shared<std::string>();
   command.footer("example:\n  rtdata check bench.json\nexit status:\n  0  no mistake, perhaps warnings\n  2  mistakes");
   command.add_option("FILE", *file, "The configuration")->required();
-  return [file](const Registry& registry) { return app::check(registry, *file); };
+  return [file](const Registry& registry) {
+    const ForPeople wrapped;
+    return app::check(registry, *file);
+  };
 }
 
 Action prepare_types(CLI::App& command) {
@@ -119,7 +136,11 @@ Action prepare_types(CLI::App& command) {
   command.add_flag_callback(
       "--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
   command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
-  return [given](const Registry& registry) { return app::types(registry, given->type, given->format); };
+  return [given](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (given->format == app::TypesAs::text) wrapped.emplace();
+    return app::types(registry, given->type, given->format);
+  };
 }
 
 Action prepare_top(CLI::App& command) {
@@ -133,7 +154,10 @@ Action prepare_top(CLI::App& command) {
       "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
       "  rtdata top bench --once           one look at the instance called bench\n"
       "  rtdata top 4711 --once --json     for programs");
-  return [options](const Registry&) { return app::top(*options); };
+  return [options](const Registry&) {
+    const app::WrappedOutput errors(std::cerr, STDERR_FILENO);  // the rest is laid out for the terminal, or data
+    return app::top(*options);
+  };
 }
 
 Action prepare_bench(CLI::App& command) {
@@ -158,6 +182,8 @@ Action prepare_bench(CLI::App& command) {
     const std::optional<Duration> duration = span_of("--for", given->duration);
     if (!duration) return app::exit_other;
     given->options.duration = *duration;
+    std::optional<ForPeople> wrapped;
+    if (given->options.json_file != "-") wrapped.emplace();
     return app::bench(given->options);
   };
 }
@@ -174,7 +200,11 @@ Action prepare_verify(CLI::App& command) {
   command.add_option("DB", options->database, "The recording")->required();
   command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
-  return [options](const Registry&) { return app::verify(*options, std::cout, std::cerr); };
+  return [options](const Registry&) {
+    std::optional<ForPeople> wrapped;
+    if (options->output == app::Output::text) wrapped.emplace();
+    return app::verify(*options, std::cout, std::cerr);
+  };
 }
 
 Action prepare_info(CLI::App& command) {
@@ -189,7 +219,11 @@ Action prepare_info(CLI::App& command) {
       "--gaps", [options] { options->gaps = app::InfoOptions::Gaps::listed; }, "List the gaps of the run, in UTC");
   command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
-  return [options](const Registry&) { return app::info(*options, std::cout, std::cerr); };
+  return [options](const Registry&) {
+    std::optional<ForPeople> wrapped;
+    if (options->output == app::Output::text) wrapped.emplace();
+    return app::info(*options, std::cout, std::cerr);
+  };
 }
 
 Action prepare_export(CLI::App& command) {
@@ -212,7 +246,10 @@ Action prepare_export(CLI::App& command) {
   command.add_flag_callback(
       "--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
   command.footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
-  return [options](const Registry&) { return app::export_recording(*options, std::cout, std::cerr); };
+  return [options](const Registry&) {
+    const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
+    return app::export_recording(*options, std::cout, std::cerr);
+  };
 }
 #endif
 
@@ -296,6 +333,7 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
               << " --help` lists what there is" << std::endl;
     return app::exit_other;
   } catch (const CLI::ParseError& error) {
+    const ForPeople wrapped;
     return program.exit(error) == 0 ? app::exit_good : app::exit_other;
   }
   for (const auto& [made, act] : prepared) {
@@ -358,6 +396,7 @@ int run_program(const Registry& registry, int argc, char** argv) {
     const int status = parse_and_run(registry, argc, argv);
     return output.is_written() || status != app::exit_good ? status : app::exit_other;
   } catch (const std::exception& error) {
+    const ForPeople wrapped;
     std::cerr << "rtdata: error: " << error.what() << std::endl;
     return app::exit_other;
   }

@@ -17,7 +17,7 @@
 #include "app/status.hpp"
 #include "app/stop_signals.hpp"
 #include "app/subcommands.hpp"
-#include "app/table.hpp"
+#include "app/terminal_text.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/config/secret.hpp"
@@ -81,8 +81,8 @@ class Run {
   int refuse(const SystemPlan& plan) {
     for (const Problem& problem : plan.problems)
       log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
-    messages_.write(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
-                    (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
+    tell(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
+         (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
     return exit_configuration;
   }
 
@@ -104,9 +104,9 @@ class Run {
     }
     if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
     System system(loop, registry_, plan);
-    signals_.attach(loop,
-                    {[&](const char* signal) { stop(loop, signal); }, [&] { return account_of(runtime).queued; },
-                     [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); }});
+    signals_.attach(
+        loop, {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
+               [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
@@ -129,6 +129,7 @@ class Run {
       }
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
+      close_deadline_ = deadline;
       not_stored_ = loop.close(deadline);
     }
     tell_holds(loop.callbacks());
@@ -212,14 +213,17 @@ class Run {
     }
   }
 
-  void stop(Loop& loop, const char* signal) {
+  void stop(Loop& loop, const Runtime& runtime, const char* signal) {
+    is_storing_told_ = true;
     if (is_closing_) {  // stopping the loop would end that
       say(LogLevel::info, "program",
           std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+      draw(account_of(runtime));
       return;
     }
     say(LogLevel::info, "program",
         std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+    draw(account_of(runtime));
     loop.stop();
   }
 
@@ -231,7 +235,7 @@ class Run {
                        : "how many queued events were not stored is not known, because the loop is held by a callback");
     log_.write(LogLevel::error, "program", text);
     log_.wait_until_written(std::chrono::seconds{1});
-    const std::string line = "\nrtdata: " + text + "\n";
+    const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
     if (view_is_shown_) {
       const char* const show_cursor = "\x1b[?25h";
       write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
@@ -252,8 +256,28 @@ class Run {
     if (view_) {
       note_ = line;
     } else {
-      messages_.write(line + "\n");
+      tell(line + "\n");
     }
+  }
+
+  /// Onto the terminal or wherever messages go.
+  void tell(const std::string& text) { messages_.write(wrapped(text, columns_of(STDERR_FILENO))); }
+
+  void draw(const RunAccount& account) {
+    if (!view_) return;
+    winsize size{};
+    if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
+    terminal().write(view_->frame(account, size.ws_col, size.ws_row, note_));
+    view_is_shown_ = true;
+  }
+
+  /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
+  void tell_storing(const RunAccount& account) {
+    if (is_storing_told_ || ++shows_while_closing_ < 2 || account.queued == 0) return;
+    is_storing_told_ = true;
+    say(LogLevel::info, "program",
+        "storing what is queued: " + std::to_string(account.queued) + " events, for at most " +
+            to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
   void show(const Runtime& runtime, Service& service) {
@@ -262,11 +286,9 @@ class Run {
       log_failure_told_ = true;
       say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
     }
+    if (is_closing_) tell_storing(account_of(runtime));
     if (view_) {
-      winsize size{};
-      if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-      terminal().write(view_->frame(account_of(runtime), size.ws_col, size.ws_row, note_));
-      view_is_shown_ = true;
+      draw(account_of(runtime));
     } else if (shows_ % redraws_per_line == 0 && shows_ > 0) {
       say(LogLevel::info, "", progress(account_of(runtime)));
     }
@@ -279,7 +301,9 @@ class Run {
     terminal_.wait_until_written(std::chrono::seconds{2});
     view_is_shown_ = false;
     view_.reset();
-    if (!note_.empty()) messages_.write(note_ + "\n");
+    if (note_.empty()) return;
+    tell(note_ + "\n");
+    messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
@@ -288,18 +312,17 @@ class Run {
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
-    const std::string verdict = std::string(balances          ? "ledger balances"
-                                            : unknown.empty() ? "ledger does NOT balance"
-                                                              : "the account is NOT complete: " + unknown) +
-                                (not_stored_ > 0 ? "; " + std::to_string(not_stored_) + " events were NOT stored"
-                                                 : "") +
-                                (has_loss ? "; something was lost: " : ": ") + progress(account);
-    log_.write(balances && not_stored_ == 0 ? LogLevel::info : LogLevel::error, "program", verdict);
+    const std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
+    const LogLevel level = !balances || not_stored_ > 0        ? LogLevel::error
+                           : has_loss || !account.mute.empty() ? LogLevel::warning
+                                                               : LogLevel::info;
+    log_.write(level, "program", said);
     if (options_.talk == Talk::normal) {
-      const std::string text = summary(account, paths) + "\n" + verdict + "\n";
+      const std::size_t columns = columns_of(uses_stdout ? STDERR_FILENO : STDOUT_FILENO);
+      const std::string text = summary(account, paths, columns) + "\n" + wrapped(said, columns) + "\n";
       (uses_stdout ? messages_ : terminal()).write(text);
-    } else if (!balances) {
-      messages_.write("rtdata: error: " + verdict + "\n");
+    } else if (level != LogLevel::info) {
+      tell("rtdata: " + std::string(name_of(level)) + ": " + said + "\n");
     }
     if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
     return balances && not_stored_ == 0 ? exit_good : exit_other;
@@ -317,6 +340,9 @@ class Run {
   std::string note_;
   unsigned shows_ = 0;
   bool is_closing_ = false;
+  Duration close_deadline_{0};  // once it is closing
+  bool is_storing_told_ = false;
+  unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // when it ended: they are lost
   bool log_failure_told_ = false;
 };

@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <cstdio>
 
+#include "app/terminal_text.hpp"
+
 namespace rtdata::app {
 
 Table::Table(std::vector<std::string> heading) {
@@ -13,24 +15,36 @@ Table::Table(std::vector<std::string> heading) {
     to_the_right_.push_back(cell.starts_with('>'));
     if (cell.starts_with('>')) cell.erase(0, 1);
   }
-  rows_.push_back(std::move(heading));
+  rows_.push_back({std::move(heading), {}});
 }
 
-void Table::add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+void Table::add(std::vector<std::string> row, std::string note) { rows_.push_back({std::move(row), std::move(note)}); }
 
-std::string Table::text(std::string_view indent) const {
+std::string Table::text(std::string_view indent, std::size_t columns) const {
   std::vector<std::size_t> widths(to_the_right_.size(), 0);
-  for (const auto& row : rows_)
-    for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], width_of(row[i]));
+  for (const Row& row : rows_)
+    for (std::size_t i = 0; i < row.cells.size(); ++i) widths[i] = std::max(widths[i], width_of(row.cells[i]));
+  std::size_t all = width_of(indent);
+  for (const std::size_t width : widths) all += width + 2;
+  all -= 2;  // after the last
+  if (columns != 0 && all > columns)
+    widths[0] -= std::min(all - columns, widths[0] - std::min(widths[0], width_of(rows_[0].cells[0])));
   std::string text;
-  for (const auto& row : rows_) {
+  for (const Row& row : rows_) {
     std::string line(indent);
-    for (std::size_t i = 0; i < row.size(); ++i) {
-      const std::string pad(widths[i] - width_of(row[i]), ' ');
-      line += (i == 0 ? "" : "  ") + (to_the_right_[i] ? pad + row[i] : row[i] + pad);
+    for (std::size_t i = 0; i < row.cells.size(); ++i) {
+      const std::size_t width = width_of(row.cells[i]);
+      if (i == 0 && width > widths[0]) {
+        text += line + row.cells[0] + "\n";
+        line.append(widths[0], ' ');
+        continue;
+      }
+      const std::string pad(widths[i] - width, ' ');
+      line += (i == 0 ? "" : "  ") + (to_the_right_[i] ? pad + row.cells[i] : row.cells[i] + pad);
     }
     line.erase(line.find_last_not_of(' ') + 1);
     text += line + "\n";
+    if (!row.note.empty()) text += wrapped(std::string(indent) + "  ! " + row.note, columns) + "\n";
   }
   return text;
 }

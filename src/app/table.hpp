@@ -13,13 +13,20 @@ namespace rtdata::app {
 class Table {
  public:
   explicit Table(std::vector<std::string> heading);
-  void add(std::vector<std::string> row);
+  /// `note`: a line below it, such as why something is not ok; empty: none.
+  void add(std::vector<std::string> row, std::string note = {});
   bool empty() const noexcept { return rows_.size() < 2; }
-  std::string text(std::string_view indent = "") const;
+  /// Where it is wider than `columns` (0: never), the first column gets narrower: what does not fit it has a line of its
+  /// own, and the rest of its row follows.
+  std::string text(std::string_view indent = "", std::size_t columns = 0) const;
 
  private:
   std::vector<bool> to_the_right_;
-  std::vector<std::vector<std::string>> rows_;
+  struct Row {
+    std::vector<std::string> cells;
+    std::string note;
+  };
+  std::vector<Row> rows_;
 };
 
 /// Characters (code points) of UTF-8 text.

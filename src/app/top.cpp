@@ -17,6 +17,7 @@
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
 #include "data/rounded_time.hpp"
+#include "rtdata/loop/ledger.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -93,6 +94,10 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
                       (has_unreadable ? right(count_text(unreadable(sensor)), 7) : "") + "  " +
                       (sensor.at("running") == true ? text_of(sensor.at("value")) : "stopped"));
     add_health(sensors, sensor);
+    if (const auto number = sensor.value("outages", std::uint64_t{0}); number > 0) {
+      const std::chrono::duration<double> time(sensor.value("outage_time_s", 0.0));
+      sensors.push_back("  - " + to_string(Outages{number, std::chrono::duration_cast<Duration>(time)}));
+    }
   }
   if (!status.at("sinks").empty()) {
     tail.push_back("");

@@ -1,7 +1,10 @@
+#include <unistd.h>
+
 #include <iostream>
 
 #include "app/subcommands.hpp"
 #include "app/table.hpp"
+#include "app/terminal_text.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
@@ -10,7 +13,10 @@
 namespace rtdata::app {
 namespace {
 
-void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, const std::string& indent) {
+/// `columns`: of the terminal, on which long lists of choices do not widen their column; 0: there is none.
+void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, const std::string& indent,
+                    std::size_t columns) {
+  constexpr std::size_t widest = 16;
   for (const ParameterInfo& parameter : parameters) {
     std::string type = parameter.type.name();
     if (parameter.type.kind == ParameterType::Kind::choice) {
@@ -20,16 +26,29 @@ void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, 
     const std::string range = parameter.type.range();
     std::string fallback = parameter.required ? "required" : parameter.default_text();
     const bool has_members = !parameter.type.members.empty();
-    table.add({indent + parameter.key, type, parameter.unit, has_members ? "" : fallback,
-               parameter.doc + (range.empty() ? "" : " (" + range + ")")});
-    add_parameters(table, parameter.type.members, indent + "  ");
-    for (const ParameterType& element : parameter.type.element) add_parameters(table, element.members, indent + "  ");
+    if (has_members) fallback.clear();
+    std::string doc = parameter.doc + (range.empty() ? "" : " (" + range + ")");
+    if (columns != 0 && width_of(type) > widest) {
+      const bool is_choice = parameter.type.kind == ParameterType::Kind::choice;
+      std::string choices;
+      for (const std::string& choice : parameter.type.choices) choices += (choices.empty() ? "" : ", ") + choice;
+      doc += is_choice ? "; one of " + choices : "; type: " + type;
+      type = is_choice ? "choice" : "see right";
+    }
+    if (columns != 0 && width_of(fallback) > widest) {
+      doc += "; default: " + fallback;
+      fallback = "see right";
+    }
+    table.add({indent + parameter.key, type, parameter.unit, fallback, doc});
+    add_parameters(table, parameter.type.members, indent + "  ", columns);
+    for (const ParameterType& element : parameter.type.element)
+      add_parameters(table, element.members, indent + "  ", columns);
   }
 }
 
 std::string described(const TypeInfo& type) {
   Table table({"parameter", "type", "unit", "default", "meaning"});
-  add_parameters(table, type.parameters, "");
+  add_parameters(table, type.parameters, "", columns_of(STDOUT_FILENO));
   return type.name + "  " + type.doc + "\n" + (table.empty() ? "" : table.text("  "));
 }
 

@@ -176,8 +176,8 @@ ConfigItem ConfigDocument::or_throw() const {
 
 std::string ConfigDocument::excerpt(const Problem& problem) const {
   if (problem.place.file != file || problem.place.line == 0) return "";
-  constexpr std::size_t widest = 100;
-  constexpr std::size_t ahead = 60;  // characters shown before the column when the line is cut
+  constexpr std::size_t widest = 72;  // with "..." on both sides and the margin, 80 columns
+  constexpr std::size_t ahead = 40;   // characters shown before the column when the line is cut
   std::string_view rest = text;
   if (rest.starts_with(byte_order_mark)) rest.remove_prefix(byte_order_mark.size());
   for (std::size_t line = 1; line < problem.place.line; ++line) {
@@ -202,11 +202,11 @@ std::string ConfigDocument::excerpt(const Problem& problem) const {
     if (at >= first) {
       const char c = rest[i];
       const bool shows = static_cast<unsigned char>(c) >= 0x20 && c != 0x7f && (size > 1 || (c & 0x80) == 0);
-      if (c == '\t' || shows)
+      if (shows)
         line += rest.substr(i, size);
       else
-        line += '?';
-      if (at < column) caret += c == '\t' ? '\t' : ' ';
+        line += c == '\t' ? ' ' : '?';
+      if (at < column) caret += ' ';
     }
     i += size;
   }

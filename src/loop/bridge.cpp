@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/fitting.hpp"
 #include "loop/loop_core.hpp"
 
 namespace rtdata::detail {
@@ -204,7 +205,9 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   const OriginCore& origin = *passage.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
-  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence};
+  const Outages outages = origin.ended_outages();
+  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence +
+                     outages.number};
   if (sensor != nullptr) {
     told.period = sensor->schedule_period();
     told.has_sensor = true;
@@ -212,6 +215,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
     told.health = sensor->health();
   }
   told.has_gap = origin.gap_under_way() != nullptr;
+  told.is_absent = origin.absent_since() != Time::min();
   if (told == passage.told) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
@@ -221,14 +225,14 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
   record->has_gap = origin.gap_under_way() != nullptr;
   if (record->has_gap) record->gap = *origin.gap_under_way();
+  record->outages = outages;
+  record->absent_since = origin.absent_since();
   record->has_sensor = told.has_sensor;
   record->period = told.period;
   record->is_active = told.is_active;
   record->health = told.health;
   const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
-  const std::size_t length = std::min(reason.size(), sizeof record->reason - 1);
-  if (length != 0) std::memcpy(record->reason, reason.data(), length);
-  record->reason[length] = '\0';
+  record->reason[put_fitting(record->reason, sizeof record->reason - 1, reason)] = '\0';
   ring_.commit(record->bytes);
   return true;
 }
@@ -422,6 +426,7 @@ void Bridge::take(const Record& record, Passage& passage) {
       const auto& account = static_cast<const AccountRecord&>(record);
       if (passage.is_past) break;  // the new holder of the name tells more
       mirror.mirror(account.counts, account.sequence, account.under_way, account.has_gap ? &account.gap : nullptr);
+      mirror.mirror(account.outages, account.absent_since);
       passage.period = account.period;
       passage.is_active = account.is_active;
       passage.has_sensor = account.has_sensor;
@@ -443,7 +448,7 @@ void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
     if (passage == nullptr || !passage->has_sensor || passage->is_past) continue;
     all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active,
                    passage->health, passage->reason, passage->mirror->counts, from_.config.name,
-                   passage->mirror->first_due()});
+                   passage->mirror->first_due(), passage->mirror->outages(to_.runtime.event_now())});
   }
 }
 

@@ -60,6 +60,7 @@ struct Passage {
     std::uint64_t grown = 0;  // sum of counts, each of which only grows
     Duration period{0};
     bool has_gap = false;
+    bool is_absent = false;
     bool has_sensor = false;
     bool is_active = false;
     Health health = Health::ok;
@@ -193,6 +194,8 @@ class Bridge final : public Listener {
     Segment under_way;
     Gap gap;  // under way, if `has_gap`
     bool has_gap;
+    Outages outages;    // that have ended
+    Time absent_since;  // of the one that lasts
     Duration period;
     bool is_active;
     bool has_sensor;

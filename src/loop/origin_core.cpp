@@ -35,7 +35,8 @@ Segment OriginCore::segment(MonotonicTime end) const noexcept {
 
 Time OriginCore::first_due() const noexcept { return topic.runtime().event_time(first_due_); }
 
-void OriginCore::adopt(const State& state) noexcept {
+void OriginCore::adopt(const State& state) {
+  mirror(state.outages, Time::min());
   counts = state.counts;
   sequence = state.sequence;
   last_time = state.last_time;
@@ -66,6 +67,17 @@ void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, c
   gap_is_open_ = gap != nullptr;
   if (gap_is_open_) gaps_.gap = *gap;
   topic.tell_taps_of_change(*this);
+}
+
+void OriginCore::mirror(const Outages& ended, Time absent_since) noexcept {
+  gaps_.outages = ended;
+  gaps_.absent_since = absent_since;
+}
+
+Outages OriginCore::outages(Time now) const noexcept {
+  Outages all = ended_outages();
+  if (const Time since = absent_since(); since != Time::min() && now > since) all.time += now - since;
+  return all;
 }
 
 void OriginCore::end_segment(MonotonicTime end) noexcept {
@@ -136,11 +148,15 @@ void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, Monotoni
   if (gap_is_open_) gaps_.is_interrupted = true;  // several that are joined
   extend_gap(kind, reason, from, from, 0);
   gaps_.is_absence = gap_is_open_;
+  ++gaps_.outages.number;
+  gaps_.absent_since = topic.runtime().event_time(from);
 }
 
 void OriginCore::end_absence(MonotonicTime to) noexcept {
   if (!std::exchange(gaps_.is_absence, false)) return;
-  gaps_.gap.last = std::max(gaps_.gap.last, topic.runtime().event_time(to));
+  const Time end = topic.runtime().event_time(to);
+  gaps_.outages.time += std::max(end - std::exchange(gaps_.absent_since, Time::min()), Duration{0});
+  gaps_.gap.last = std::max(gaps_.gap.last, end);
   interrupt_gap();
 }
 

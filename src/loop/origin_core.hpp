@@ -67,6 +67,14 @@ class OriginCore {
   void begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept;
   void end_absence(MonotonicTime to) noexcept;
 
+  /// So far: one that lasts up to `now`.
+  Outages outages(Time now) const noexcept;
+  bool had_outage() const noexcept { return gaps_.outages.number > 0; }
+  /// Those that have ended; one that lasts is counted, without its time.
+  Outages ended_outages() const noexcept { return gaps_.outages; }
+  /// When the one that lasts began; without one, the earliest time.
+  Time absent_since() const noexcept { return gaps_.absent_since; }
+
   /// Tells of the gap under way, if there is one. An absence goes on in another.
   void close_gap() noexcept;
   /// The same; and what is told of later joins nothing from before.
@@ -81,15 +89,18 @@ class OriginCore {
     Time last_time = Time::min();
     MonotonicTime free_from{};
     Supply supply = Supply::none;
+    Outages outages{};  // that have ended
   };
-  State state() const noexcept { return {counts, sequence, last_time, free_from(), supply}; }
+  State state() const noexcept { return {counts, sequence, last_time, free_from(), supply, ended_outages()}; }
   /// It publishes on this loop from here on.
-  void adopt(const State& state) noexcept;
+  void adopt(const State& state);
   /// It publishes on another loop from here on.
   void become_mirror(Passage& passage) noexcept;
   /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
   /// `gap`: under way; null: none.
   void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
+  /// The same of its outages: those that have ended, and when the one that lasts began.
+  void mirror(const Outages& ended, Time absent_since) noexcept;
   /// The segment of a mirror has ended; the account that says so comes later.
   void forget_segment() noexcept { period_ = Duration{0}; }
   /// The gap under way of a mirror has closed.
@@ -138,6 +149,8 @@ class OriginCore {
     bool is_absence = false;      // it has not ended
     Allowance allowance;
     Time joined_up_to = Time::min();  // the last one that was told of
+    Outages outages;                  // number of all, time of those that have ended
+    Time absent_since = Time::min();  // with an absence that has not ended
   };
   Gaps gaps_;  // not apart from the rest: a gap costs no memory, of which there may be none when it happens
 };

@@ -2,12 +2,14 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cstdio>
 #include <new>
 #include <string>
 #include <utility>
 
+#include "loop/fitting.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/health.hpp"
@@ -115,12 +117,10 @@ void RuntimeCore::flush_repeats_later(LoopCore* loop, MonotonicTime due) {
 
 namespace {
 
-/// What of it fits, whole characters only.
 template <std::size_t N>
 text<N> fitting(std::string_view content) {
-  std::size_t size = std::min(content.size(), N);
-  while (size < content.size() && size > 0 && (static_cast<unsigned char>(content[size]) & 0xc0U) == 0x80U) --size;
-  return text<N>(content.substr(0, size));
+  std::array<char, N> bytes{};
+  return text<N>(std::string_view(bytes.data(), put_fitting(bytes.data(), N, content)));
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <utility>
 
+#include "data/rounded_time.hpp"
 #include "loop/bridge.hpp"
 #include "loop/fatal.hpp"
 #include "loop/loop_core.hpp"
@@ -15,6 +16,22 @@
 #include "loop/tier_core.hpp"
 
 namespace rtdata {
+
+std::string to_string(const Outages& outages) {
+  const auto time = [](Duration duration) {
+    const auto s = std::chrono::duration_cast<std::chrono::seconds>(duration).count();
+    const auto parts = [](std::int64_t large, const char* unit, std::int64_t small, const char* smaller) {
+      const std::string text = std::to_string(large) + " " + unit;
+      return small == 0 ? text : text + " " + std::to_string(small) + " " + smaller;
+    };
+    if (s < 60) return detail::rounded_time(static_cast<double>(duration.count()));
+    if (s < 3600) return parts(s / 60, "min", s % 60, "s");
+    if (s < 86400) return parts(s / 3600, "h", s % 3600 / 60, "min");
+    return parts(s / 86400, "d", s % 86400 / 3600, "h");
+  };
+  return std::to_string(outages.number) + (outages.number == 1 ? " outage of " : " outages of ") +
+         (outages.is_at_most ? "at most " : "") + time(outages.time) + (outages.number > 1 ? " together" : "");
+}
 
 std::string_view name_of(Gap::Kind kind) noexcept {
   switch (kind) {
@@ -279,7 +296,8 @@ SensorStatus status_of(const SensorEntry& sensor) {
           std::string(sensor.reason()),
           origin.counts,
           sensor.is_open() ? sensor.loop()->config.name : std::string(),
-          origin.first_due()};
+          origin.first_due(),
+          origin.outages(origin.topic.runtime().event_now())};
 }
 
 void RuntimeCore::receive_all() {
@@ -455,7 +473,7 @@ bool Runtime::balances() const {
 bool Runtime::has_loss() const {
   if (core_->lost_between_loops > 0) return true;
   for (const detail::OriginCore& origin : core_->origins()) {
-    if (origin.counts.has_loss()) return true;
+    if (origin.counts.has_loss() || origin.had_outage()) return true;
   }
   for (const SinkStatus& sink : sinks()) {
     if (sink.counts.all_dropped() > 0) return true;

@@ -116,6 +116,7 @@ class RuntimeCore {
   void use_manual_clock() { use_clock(manual_clock_); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
 
+  Time event_now() const noexcept { return event_time(clock_->monotonic()); }
   Time event_time(MonotonicTime at) const noexcept { return later(Time{offset_}, at.time_since_epoch()); }
   MonotonicTime monotonic_of(Time time) const noexcept {
     return MonotonicTime{difference(offset_, time.time_since_epoch())};

@@ -15,9 +15,14 @@ class FeedNode final : public SourceNode {
   void start() override { is_running_ = is_open(); }
   void stop() override {
     is_running_ = false;
+    origin_.end_absence(loop()->now());
+    origin_.close_gap();
     origin_.topic.cancel(origin_);
   }
-  void stop_schedule(MonotonicTime) override {}
+  void stop_schedule(MonotonicTime end) override {
+    origin_.end_absence(end);
+    origin_.close_gap();
+  }
   bool is_reading() const noexcept override { return false; }
   void set_rate(Rate) override {
     throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled",
@@ -41,6 +46,10 @@ class FeedNode final : public SourceNode {
     fail({Errc::bad_data, "cannot publish", object_name(),
           "it was given " + std::to_string(given) + " bytes, its payload has " + std::to_string(payload_size()),
           "give it bytes as its description lays them out"});
+  }
+  void fault(const Error& error) {
+    if (is_running_) origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
+    complain(error, Health::faulted);
   }
   void complain(const Error& error, Health health) {
     Call call(*this);
@@ -67,6 +76,7 @@ class FeedNode final : public SourceNode {
   }
   /// Apart, so that the usual way needs no call.
   [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
+    origin_.end_absence(loop()->now());
     count_and_publish(payload, time);
     set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
   }
@@ -131,7 +141,7 @@ void AnyFeed::fail(const Error& error) {
   if (auto* f = feed(node())) f->fail(error);
 }
 void AnyFeed::fault(const Error& error) {
-  if (auto* f = feed(node())) f->complain(error, Health::faulted);
+  if (auto* f = feed(node())) f->fault(error);
 }
 void AnyFeed::repeated() {
   if (auto* f = feed(node())) f->repeated();

@@ -48,15 +48,12 @@ class SerialLineNode final : public SourceNode {
     take(std::move(fd));
   }
   void stop() override {
-    if (!is_open()) return;
-    is_running_ = false;
-    retry_.stop();
-    drop_device();
-    origin_.end_absence(loop()->now());
-    origin_.close_gap();
-    origin_.topic.cancel(origin_);
+    if (is_open()) tell_unended();
+    if (is_open()) end();
   }
   void stop_schedule(MonotonicTime end) override {
+    tell_unended();
+    if (!is_open()) return;
     retry_.stop();
     drop_device();
     origin_.end_absence(end);
@@ -75,6 +72,14 @@ class SerialLineNode final : public SourceNode {
   CallbackTimes callback_times() const noexcept override { return {}; }
 
  private:
+  void end() noexcept {
+    is_running_ = false;
+    retry_.stop();
+    drop_device();
+    origin_.end_absence(loop()->now());
+    origin_.close_gap();
+    origin_.topic.cancel(origin_);
+  }
   void take(Result<int> fd) {
     if (fd) {
       use(*fd);
@@ -179,9 +184,17 @@ class SerialLineNode final : public SourceNode {
       }
     }
     if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_told_, true)) {
-      fail({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
-            "check `baud_rate`, and that the device ends its lines"});
+      fail_unended();
     }
+  }
+  void fail_unended() {
+    fail({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
+          "check `baud_rate`, and that the device ends its lines"});
+  }
+  /// At the end: bytes came, and never a line of which anything could be made.
+  void tell_unended() {
+    if (!is_running_ || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
+    if (!std::exchange(is_unended_told_, true)) fail_unended();
   }
 
   void look_for_silence() {
@@ -240,7 +253,7 @@ class SerialLineNode final : public SourceNode {
   }
 
   void on_close() noexcept override {
-    stop();
+    end();
     retry_.close();
     silence_.close();
     leave();

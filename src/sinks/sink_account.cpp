@@ -65,7 +65,9 @@ void SinkAccount::add(OriginCore& origin, const Segment& segment) {
   SinkTap* tap = find_tap(origin);
   if (tap == nullptr || !tap->knows(origin)) return;
   const Segment recorded = tap->since_attached(origin, segment);
-  if (recorded.scheduled > 0) notes.add(tap->slot_of(origin), recorded);
+  if (recorded.scheduled == 0) return;
+  tap->note_ended(origin, recorded);  // which throws nothing
+  notes.add(tap->slot_of(origin), recorded);
 }
 
 SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, const std::string& unknown) {

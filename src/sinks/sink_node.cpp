@@ -490,7 +490,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
         runtime.report(loop(), object_name(),
                        {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
                         "they could not be stored before the deadline" + why,
-                        "look at the storage; the next start seals the recording"});
+                        "look at the storage; of a recording, the next start writes down what was lost"});
       } else if (!closed_) {
         runtime.report(loop(), object_name(),
                        {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,

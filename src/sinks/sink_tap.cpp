@@ -95,6 +95,7 @@ void SinkTap::expect(OriginCore& origin) {
     const auto count = std::max<std::size_t>(origin.index + 1, topic_.origins().size());
     accounted_.resize(count);
     closed_.resize(count);
+    ended_.resize(count);
     places_.resize(count);
   }
   const std::uint32_t slot = [&] {
@@ -112,6 +113,7 @@ void SinkTap::keep(const OriginCore& origin, Now when) noexcept {
     --now.sensor.received;
     --now.sensor.published;
   }
+  if (now.segment.period == Duration{0}) now.segment = ended_[origin.index];
   const Closed& closed = closed_[origin.index];
   queue_->keep(now, closed.is_any ? &closed.gap : nullptr);
 }
@@ -131,6 +133,8 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
   closed.accounts = accounts;
   keep(origin, Now::between_events);
 }
+
+void SinkTap::note_ended(const OriginCore& origin, const Segment& segment) noexcept { ended_[origin.index] = segment; }
 
 OriginAccount SinkTap::account_of(const OriginCore& origin, MonotonicTime until) const noexcept {
   const Place& place = places_[origin.index];

@@ -35,6 +35,8 @@ class SinkTap final : public Tap {
   void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
   /// A gap of it has closed. `accounts`: how many have been handed over.
   void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
+  /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is stored.
+  void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
   /// What is kept of an origin is changed no more.
   void end() noexcept { is_ended_ = true; }
 
@@ -86,6 +88,7 @@ class SinkTap final : public Tap {
   std::vector<OriginAccount> accounted_;  // as last handed over
   std::vector<Before> before_;            // of those that were there
   std::vector<Closed> closed_;
+  std::vector<Segment> ended_;  // the last one, while none is under way
   bool is_ended_ = false;
 };
 

@@ -4,12 +4,16 @@
 #include <doctest/doctest.h>
 
 #include "app/live_view.hpp"
+#include "app/table.hpp"
+#include "app/terminal_text.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/sensors/sensor.hpp"
 #include "sinks/sink_kinds.hpp"
 
 using namespace rtdata;
 using namespace sinks;
 using namespace std::chrono_literals;
+using namespace rtdata::literals;
 
 namespace {
 
@@ -38,9 +42,10 @@ TEST_SUITE("app") {
     CHECK(dropped(account, "some/b") == 0);
     CHECK(account.dropped == 1);
     const std::string frame = view.frame(account, 100, 24, "");
-    CHECK(has(frame, "failed    lost dropped  last value"));
-    CHECK(has(frame, "       0       0       1  10 V"));
-    CHECK(has(app::summary(account, {}),
+    CHECK(has(frame, "health        rate    late    lost  last value"));
+    CHECK(has(frame, "       0       1  10 V"));
+    CHECK(has(frame, "LOST: 1 dropped by sinks; Ctrl-C ends"));
+    CHECK(has(app::summary(account, {}, 0),
               "topic   events  late  missed  failed  lost  dropped  health\n"
               "some/a      10     0       0       0     0        1  ok\n"
               "some/b       3     0       0       0     0        0  ok\n"));
@@ -53,5 +58,111 @@ TEST_SUITE("app") {
     CHECK(dropped(account, "some/a") == 1);
     CHECK(dropped(account, "some/b") == 5);
     CHECK(account.dropped == 6);
+  }
+
+  TEST_CASE("the verdict names what was lost, of whom, and what is there; late is not lost") {
+    using app::verdict;
+    app::RunAccount account;
+    account.events = 4177;
+    CHECK(verdict(account, {}) == "nothing lost: 4177 events; ledger balances");
+    account.late = 131;
+    CHECK(verdict(account, {}) == "nothing lost: 4177 events, 131 of them late; ledger balances");
+    account.topics = {{.topic = "host/cpu", .missed = 6}, {.topic = "host/process", .missed = 660}};
+    account.missed = 666;
+    CHECK(
+        verdict(account, {.has_loss = true}) ==
+        "LOST: 666 ticks missed (host/process 660, host/cpu 6); taken: 4177 events, 131 of them late; ledger balances");
+    account.topics.push_back({.topic = "board", .failed = 1, .outages = {2, 6300ms}});
+    account.topics.push_back({.topic = "x", .missed = 7, .dropped = 3});
+    account.topics[3].topic = "gps";
+    account.missed = 673;
+    account.failed = 1;
+    account.dropped = 3;
+    account.outages = {2, 6300ms};
+    account.late = 0;
+    account.mute = {"gps"};
+    CHECK(app::progress(account) ==
+          "4177 events, 0 late, 673 missed, 1 failed, 2 outages of 6.3 s together, 3 dropped, 0 queued");
+    CHECK(verdict(account, {.has_loss = true}) ==
+          "NO EVENT ever came from gps; LOST: 673 ticks missed (host/process 660, gps 7 and 1 "
+          "more), 1 tick failed (board), 2 outages of 6.3 s together (board), 3 events dropped by sinks (gps); taken: "
+          "4177 events; ledger balances");
+    app::RunAccount none;
+    none.mute = {"board"};
+    CHECK(verdict(none, {}) == "NO EVENT ever came from board; nothing lost that is known: 0 events; ledger balances");
+    none.mute.clear();
+    none.events = 1;
+    CHECK(verdict(none, {.balances = false}) == "nothing lost: 1 event; the ledger does NOT balance");
+    CHECK(has(verdict(none, {.balances = false, .unknown = "tier fast"}), "the account is NOT complete: tier fast; "));
+    CHECK(has(verdict(none, {.has_loss = true, .not_stored = 5}), "5 events were NOT stored; LOST: "));
+  }
+
+  TEST_CASE("the live view shows what is not well first, with its reason, and rates as they are") {
+    Loop loop{Loop::Manual{}};
+    loop.runtime().on_log([](const LogRecord&) {});
+    loop.on_error([](const ErrorReport&) {});
+    app::LiveView view(loop);
+    std::vector<Sensor<Number>> sensors;
+    for (int i = 0; i < 30; ++i) {
+      const bool is_bad = i == 20;
+      sensors.emplace_back(loop, SensorConfig{.name = "s" + std::to_string(100 + i), .rate = i == 0 ? 1_Hz : 2_Hz},
+                           [is_bad]() -> Result<Number> {
+                             if (is_bad) return Error{Errc::not_found, "cannot open", "/dev/nothing", "it is away", ""};
+                             return Number{1};
+                           });
+    }
+    const auto frame = [&](std::size_t rows) { return view.frame(app::account_of(loop.runtime()), 80, rows, ""); };
+    loop.advance(1ms);
+    const std::string first = frame(40);
+    CHECK_FALSE(has(first, "Hz"));  // of one event there is no rate
+    for (int i = 0; i < 20; ++i) {
+      loop.advance(500ms);
+      const std::string now = frame(40);
+      if (i < 3) continue;
+      INFO(now);
+      CHECK(has(now, "s100   ok          1.0 Hz"));
+      CHECK(has(now, "s101   ok          2.0 Hz"));
+    }
+    const std::string small = frame(24);
+    const auto bad = small.find("s120   faulted");
+    REQUIRE(bad != std::string::npos);
+    CHECK(bad < small.find("s100"));
+    CHECK(has(small, "! cannot open: /dev/nothing: it is away"));
+    CHECK(has(small, " more topics"));
+    CHECK(has(small, "LOST: 21 failed"));
+    // A sensor that has stopped has no rate for long.
+    sensors[1].stop();
+    loop.advance(60s);
+    CHECK(has(frame(40), "s101   ok          0.2 Hz"));
+  }
+
+  TEST_CASE("a table that is too wide gives long names a line of their own") {
+    app::Table table({"name", ">count", "health"});
+    table.add({"a/very/long/name/of/a/topic", "1", "ok"});
+    table.add({"short", "2", "faulted"}, "because it is so and so");
+    CHECK(table.text() ==
+          "name                         count  health\n"
+          "a/very/long/name/of/a/topic      1  ok\n"
+          "short                            2  faulted\n"
+          "  ! because it is so and so\n");
+    CHECK(table.text("", 24) ==
+          "name      count  health\n"
+          "a/very/long/name/of/a/topic\n"
+          "              1  ok\n"
+          "short         2  faulted\n"
+          "  ! because it is so and\n"
+          "    so\n");
+  }
+
+  TEST_CASE("lines are broken at blanks, and hang under what they go on with") {
+    using app::wrapped;
+    CHECK(wrapped("one two three\n", 0) == "one two three\n");
+    CHECK(wrapped("one two three\nfour", 9) == "one two\n  three\nfour");
+    CHECK(wrapped("  key  what it does and why", 20) == "  key  what it does\n       and why");
+    CHECK(wrapped("a /path/that/is/longer/than/a/line b", 12) == "a\n  /path/that/is/longer/than/a/line\n  b");
+    CHECK(wrapped("\x1b[K one two three four", 9) == "\x1b[K one two three four");
+    CHECK(wrapped("\xc3\xa9\xc3\xa9\xc3\xa9 \xc3\xa9\xc3\xa9\xc3\xa9", 7) ==
+          "\xc3\xa9\xc3\xa9\xc3\xa9 \xc3\xa9\xc3\xa9\xc3\xa9");
+    CHECK(wrapped("\n\na\n", 9) == "\n\na\n");
   }
 }

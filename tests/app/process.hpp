@@ -52,21 +52,24 @@ class Folder {
 /// A child process. What it writes is collected by `wait_for` and `end`; both give up after a minute.
 class Process {
  public:
-  enum class Output { pipes, terminal };
+  enum class Output { pipes, terminal, one_terminal };  // of 80 columns: standard output alone, or errors on it too
 
   Process(const Folder& folder, const std::string& program, std::vector<std::string> arguments,
           Output output = Output::pipes) {
     int out_child = -1;
     int err_child = -1;
     int fds[2];
-    if (output == Output::terminal) {
+    if (output != Output::pipes) {
       winsize size{24, 80, 0, 0};
       if (::openpty(&out_, &out_child, nullptr, nullptr, &size) != 0) return;
     } else if (::pipe2(fds, O_CLOEXEC) == 0) {
       out_ = fds[0];
       out_child = fds[1];
     }
-    if (::pipe2(fds, O_CLOEXEC) == 0) {
+    if (output == Output::one_terminal) {
+      err_child = ::fcntl(out_child, F_DUPFD_CLOEXEC, 0);
+      err_open_ = false;
+    } else if (::pipe2(fds, O_CLOEXEC) == 0) {
       err_ = fds[0];
       err_child = fds[1];
     }

@@ -68,7 +68,6 @@ TEST_SUITE("app") {
       CHECK(run.end() == 0);
       CHECK(has(run.err, "stopping on SIG"));
       CHECK(has(run.out, "ledger balances"));
-      CHECK(has(run.out, ", 0 queued"));
       CHECK(has(folder.read("bench.log"), "info program: stopping on SIG"));
     }
   }
@@ -219,7 +218,10 @@ TEST_SUITE("app") {
         R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
     Process strict(folder, program, {"run", "bench.json", "--for", "1s", "--fail-on-loss"});
     CHECK(strict.end() == 3);
-    CHECK(has(strict.out, "ledger balances; something was lost"));
+    CHECK(has(strict.out, "\nLOST: "));
+    CHECK(has(strict.out, " ticks failed (a); taken: "));
+    CHECK(has(strict.out, "; ledger balances\n"));
+    CHECK(has(strict.err + folder.read("bench.log"), " warning program: LOST: "));
     Process mild(folder, program, {"run", "bench.json", "--for", "200ms"});
     CHECK(mild.end() == 0);
   }
@@ -242,6 +244,114 @@ TEST_SUITE("app") {
       CHECK(has(run.out, " (refused)"));
       CHECK_FALSE(has(run.out, ", 0 dropped"));
     }
+  }
+
+  TEST_CASE("US-17 an outage is a loss: the verdict tells it, --fail-on-loss exits 3, verify and info have it too") {
+    const Folder folder;
+    folder.write("u.json", R"({
+      "sensors": [ {"name": "board", "type": "serial", "device": "nothing_here", "fields": [{"name": "value"}], "topic": "lab/board"},
+                   {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "u.db"} ] })");
+    Process strict(folder, program, {"run", "u.json", "--for", "1s", "--fail-on-loss"});
+    CHECK(strict.end() == 3);
+    CHECK(has(strict.out, "\nNO EVENT ever came from board; LOST: "));
+    CHECK(has(strict.out, "  ! cannot open the serial line: nothing_here"));
+    CHECK(has(strict.out, "1 outage of "));  // and perhaps ticks that were missed
+    CHECK(has(strict.out, " s (lab/board); taken: "));
+    CHECK(has(strict.out, "; ledger balances\n"));
+    Process mild(folder, program, {"run", "u.json", "--for", "300ms"});
+    CHECK(mild.end() == 0);
+    Process quiet(folder, program, {"run", "u.json", "--for", "300ms", "-q"});
+    CHECK(quiet.end() == 0);
+    CHECK(quiet.out.empty());
+    CHECK(has(quiet.err, "rtdata: warning: NO EVENT ever came from board"));
+    Process verify(folder, program, {"verify", "u.db"});
+    CHECK(verify.end() == 0);
+    CHECK(count_of(verify.out, "1 outage of ") == 3);
+    CHECK(has(verify.out, ": board on\n"));
+    Process info(folder, program, {"info", "u.db"});
+    CHECK(info.end() == 0);
+    CHECK(has(info.out, "    1 outage of "));
+  }
+
+  TEST_CASE("NFR-5 whatever the program prints for people fits a terminal of 80 columns") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    const std::string sinks = R"("sinks": [ {"type": "sqlite", "path": "run.db"}, {"type": "discard"} ] })";
+    folder.write("rig.json", R"({
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic/of/a/sensor/a"},
+                   {"name": "failing", "type": "counter", "rate": "100 Hz", "fail_every": 3},
+                   {"name": "away", "type": "absent", "rate": "10 Hz", "device": "/dev/a_device_that_is_not_there"},
+                   {"name": "board", "type": "serial", "device": "/dev/nor_is_this_device", "fields": [{"name": "value"}]} ],)" +
+                                 sinks);
+    folder.write(
+        "wrong.json",
+        R"({"colour": "red", "sensors": [ {"name": "a", "type": "countr", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic", "tier": "nowhere"},
+      {"name": "b", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "value"}], "baudrate": 9600, "sixth": "a long line"} ],)" +
+            sinks);
+    const auto check = [&](std::vector<std::string> arguments, int status) {
+      const std::string command = arguments[0] + (arguments.size() > 1 ? " " + arguments[1] : "");
+      Process one(folder, program, std::move(arguments), Process::Output::one_terminal);
+      CHECK_MESSAGE(one.end() == status, command);
+      CHECK_FALSE(one.out.empty());
+      std::string text = one.out;
+      std::replace(text.begin(), text.end(), '\r', '\n');
+      std::istringstream lines(text);
+      for (std::string line; std::getline(lines, line);) {
+        for (std::size_t escape; (escape = line.find('\x1b')) != std::string::npos;)
+          line.erase(escape, line.find_first_of("ABCDEFGHIJKlmh", escape) - escape + 1);
+        const auto width = std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xc0) != 0x80; });
+        CHECK_MESSAGE(width <= 80, command, ": ", line);
+      }
+      return one.out;
+    };
+    check({"--help"}, 0);
+    for (const char* command : {"init", "run", "top", "bench", "check", "types", "verify", "info", "export"})
+      check({command, "--help"}, 0);
+    check({"rnu"}, 1);
+    check({"run", "rig.json", "--fro", "2s"}, 1);
+    check({"types"}, 0);
+    check({"types", "serial"}, 0);
+    check({"types", "seriel"}, 1);
+    check({"check", "rig.json"}, 0);
+    check({"check", "wrong.json"}, 2);
+    check({"run", "wrong.json"}, 2);
+    check({"run", "rig.json", "--for", "1s"}, 0);
+    check({"run", "rig.json", "--for", "1s", "--quiet"}, 0);
+    check({"init", "rig.json"}, 1);
+    check({"verify", "run.db"}, 0);
+    check({"verify", "nothing_that_is_there.db"}, 2);
+    check({"info", "run.db"}, 0);
+    check({"info", "run.db", "--gaps"}, 0);
+    check({"export", "run.db", "--topic", "nothing/at/all"}, 1);
+    check({"top", "--once"}, 1);
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    check({"top", "--once"}, 0);
+    check({"top", "nobody"}, 1);
+    run.signal(SIGINT);
+    CHECK(run.end() == 0);
+    check({"bench", "--for", "200ms"}, 0);
+  }
+
+  TEST_CASE(
+      "NFR-5 Ctrl-C on a terminal is answered at once, before the tables; a run whose time is over says what it does") {
+    const Folder folder;
+    folder.write("bench.json", R"({
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "2 s"} ] })");
+    Process run(folder, program, {"run", "bench.json"}, Process::Output::one_terminal);
+    REQUIRE(run.wait_for("queued; "));
+    run.signal(SIGINT);
+    REQUIRE(run.wait_for("stopping on SIGINT: storing what is queued"));
+    CHECK_FALSE(has(run.out, "\x1b[?25h"));  // in the view, not after it
+    CHECK(run.end() == 1);
+    CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("ledger balances"));
+    CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("health  where"));
+    Process timed(folder, program, {"run", "bench.json", "--for", "300ms"});
+    CHECK(timed.end() == 1);
+    CHECK(has(timed.err, "storing what is queued: "));
+    CHECK(has(timed.err, " events, for at most 2 s"));
   }
 
   TEST_CASE("NFR-7 errors are in the log file after SIGTERM, and with --quiet on the terminal too") {

@@ -193,8 +193,8 @@ TEST_SUITE("config") {
     const ConfigDocument document = parse_config("{\n\t\"\xc3\xa9\": tru\r\n}", "f.json");
     CHECK(document.report() ==
           "f.json:2:7: expected a value, found 'tru'; text needs \"quotes\" (did you mean \"true\"?)\n"
-          "  \t\"\xc3\xa9\": tru\n"
-          "  \t     ^\n");
+          "   \"\xc3\xa9\": tru\n"
+          "        ^\n");
     const ConfigDocument wide = parse_config(
         std::string("[").append(3000, ' ').append("?").append(3000, ' ').append("]"), "f.json");
     const std::string excerpt = wide.excerpt(wide.problems[0]);

@@ -88,7 +88,7 @@ TEST_CASE("US-16 a long reason is cut at a whole character") {
   });
   loop.advance(10ms);
   REQUIRE(heard.texts.size() == 1);
-  CHECK(heard.texts[0] == "sensor s degraded: x" + reason.substr(0, 94));
+  CHECK(heard.texts[0] == "sensor s degraded: x" + reason.substr(0, 92) + "...");
 }
 
 TEST_CASE("US-16 a loop that is held is degraded, until it was not held for ten seconds") {

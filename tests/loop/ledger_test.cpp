@@ -9,6 +9,7 @@
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 using namespace rtdata;
@@ -84,6 +85,50 @@ TEST_SUITE("loop") {
     CHECK_FALSE(SubscriptionCounts{.offered = 10, .delivered = 4}.balances());
     CHECK(SinkCounts{.offered = 10, .stored = 3, .dropped = {1, 2, 3}, .queued = 1}.balances());
     CHECK_FALSE(SinkCounts{.offered = 10, .stored = 3, .dropped = {1, 2, 3}, .queued = 2}.balances());
+  }
+
+  TEST_CASE("an outage of a source without a schedule is loss: its number and its time") {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    Account account(loop.runtime());
+    Feed<Number> board(loop, {.name = "board"});
+    const auto outages = [&] { return loop.runtime().sensors().at(0).outages; };
+    const Error gone{Errc::disconnected, "cannot hear", "", "it is gone", ""};
+    board.publish({1});
+    loop.advance(1s);
+    CHECK(outages().number == 0);
+    CHECK_FALSE(loop.runtime().has_loss());
+    board.fault(gone);
+    loop.advance(2s);
+    board.fault(gone);  // still the same
+    loop.advance(500ms);
+    CHECK(outages().number == 1);
+    CHECK(outages().time == 2500ms);  // it lasts
+    CHECK(loop.runtime().has_loss());
+    board.publish({2});
+    loop.advance(3s);
+    CHECK(outages().time == 2500ms);
+    CHECK(to_string(outages()) == "1 outage of 2.5 s");
+    board.fault(gone);
+    loop.advance(100s);
+    loop.close();
+    loop.advance(5s);
+    CHECK(outages().number == 2);
+    CHECK(outages().time == 102500ms);
+    CHECK(to_string(outages()) == "2 outages of 1 min 42 s together");
+    CHECK(loop.runtime().has_loss());
+    CHECK(loop.runtime().balances());
+    REQUIRE(account.gaps.size() == 2);
+    CHECK(account.gaps[0] == Account::NamedGap{Gap::Kind::disconnected, "disconnected", 1s, 3500ms, 0});
+    CHECK(account.gaps[1].last - account.gaps[1].first == 100s);
+  }
+
+  TEST_CASE("outages are told in the unit that fits") {
+    CHECK(to_string(Outages{1, 0s}) == "1 outage of 0 ns");
+    CHECK(to_string(Outages{1, 3600s}) == "1 outage of 1 h");
+    CHECK(to_string(Outages{40, 12min, true}) == "40 outages of at most 12 min together");
+    CHECK(to_string(Outages{3, 50h}) == "3 outages of 2 d 2 h together");
   }
 
   TEST_CASE("a segment's ticks are computed from its start, period and end") {

@@ -764,8 +764,16 @@ TEST_SUITE("loop") {
     fast.start();
     fast.call([&](Loop&) { feed.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""}); });
     CHECK(run_until(loop, [&] { return told().health == Health::faulted; }));
-    fast.call([&](Loop&) { feed.publish({1}); });  // as much more in the account as health is less
+    CHECK(told().outages.number == 1);
+    CHECK(run_until(loop, [&] { return told().outages.time > 1ms; }));  // while it lasts
+    fast.call([&](Loop&) { feed.publish({1}); });                       // as much more in the account as health is less
     CHECK(run_until(loop, [&] { return told().health == Health::ok && told().counts.published == 1; }));
+    const Outages ended = told().outages;
+    CHECK(ended.number == 1);
+    CHECK(ended.time > 1ms);
+    loop.run_for(2ms);
+    CHECK(told().outages.time == ended.time);
+    CHECK(loop.runtime().has_loss());
   }
 
   TEST_CASE("a tier may be destroyed by the handler of a report about what it announced") {

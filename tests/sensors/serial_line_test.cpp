@@ -411,6 +411,25 @@ TEST_CASE("US-5 a device that ends no line, as at the wrong speed, is degraded, 
   }
 }
 
+TEST_CASE("US-5 a device that never ended a line is told of at the end, though little came") {
+  for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
+    Bench bench({.first_line = first});
+    std::size_t turns = 0;
+    bench.run("\x7f\x7f\x7f\x7f", [&] { return ++turns > 20; });
+    CHECK(bench.errors.empty());  // the rest of the line may still come
+    bench.sensor.stop();
+    CHECK(bench.errors == Texts{"bad-data"});
+    CHECK(bench.sensor.health() == Health::degraded);
+    CHECK(bench.sensor.counts().unreadable == 1);
+    CHECK(bench.sensor.counts().balances());
+    CHECK(bench.loop.runtime().has_loss());
+  }
+  Bench bench({.first_line = FirstLine::keep});  // half a line after others is none
+  bench.run("1\n2", 1);
+  bench.loop.close();
+  CHECK(bench.errors.empty());
+}
+
 TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the recording") {
   ScratchDirectory folder;
   Bench bench({.first_line = FirstLine::keep, .silence = 20ms});
@@ -425,6 +444,9 @@ TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the record
     bench.run("", [&] { return bench.sensor.health() == Health::faulted; });
     bench.pty.plug_in();
     bench.run("3\n", 3);
+    CHECK(bench.sensor.status().outages.number >= 2);
+    CHECK(bench.sensor.status().outages.time >= 20ms);
+    CHECK(bench.loop.runtime().has_loss());
     bench.sensor.close();
     sink.close();
   }

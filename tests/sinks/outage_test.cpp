@@ -8,7 +8,9 @@
 #include <filesystem>
 #include <functional>
 #include <random>
+#include <sstream>
 
+#include "app/commands.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sensors/serial_line.hpp"
@@ -193,6 +195,70 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 31);
     CHECK(number(path, "SELECT taken FROM rtdata_ledger WHERE run = 1") == 31);
     CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 31);
+    check_sealed(path);
+  }
+
+  TEST_CASE(
+      "the summary of a sealed run has the rate at which it was recorded, and says whether its counts are whole") {
+    for (const bool is_cut : {false, true}) {  // the power too
+      CAPTURE(is_cut);
+      const LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "run.db";
+      kill_in_child([&] {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path});
+        Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 10_Hz}, [] { return Number{1}; });
+        loop.advance(8500ms);
+        ::raise(SIGKILL);
+      });
+      if (is_cut) live.forget();
+      seal(path);
+      const TopicSummary summed = summary(Recording::open(path).or_throw(), 1).or_throw().at(0);
+      CHECK(summed.rows >= 70);
+      CHECK(summed.wanted_hertz == doctest::Approx(10));
+      // What waited for its transaction at the kill is lost, and nothing else.
+      CHECK(summed.reached_hertz <= 10.01);
+      CHECK(summed.reached_hertz >= 8.0);
+      CHECK(summed.is_complete == !is_cut);
+      if (!is_cut) CHECK(summed.rows + summed.dropped == 86);
+    }
+  }
+
+  TEST_CASE("the summary counts what was pruned among what was reached") {
+    Directory directory;
+    const std::string path = directory / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path, .max_age = 10s});
+      Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
+      loop.advance(60s);
+      loop.close();
+    }
+    const TopicSummary summed = summary(Recording::open(path).or_throw(), 1).or_throw().at(0);
+    CHECK(summed.pruned > 3000);
+    CHECK(summed.rows + summed.pruned == 6001);
+    CHECK(summed.reached_hertz == doctest::Approx(100).epsilon(0.001));
+    std::ostringstream out, err;
+    CHECK(app::info({.database = path}, out, err) == 0);
+    CHECK(out.str().find(std::to_string(summed.pruned) + " more rows were pruned") != std::string::npos);
+  }
+
+  TEST_CASE("a schedule that ended and could not be written any more is in the sealed run") {
+    const LiveFolder live;
+    Directory directory;
+    const std::string path = directory / "run.db";
+    kill_in_child([&] {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
+      loop.advance(8500ms);
+      sensor.stop();
+      ::raise(SIGKILL);
+    });
+    seal(path);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1 AND origin = 'a'") == 851);
+    CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 851);
     check_sealed(path);
   }
 

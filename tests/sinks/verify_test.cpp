@@ -99,6 +99,44 @@ TEST_CASE("US-26 a recording is balanced, with its failures and missed ticks") {
   CHECK(has(report.text(), "does not prove"));
 }
 
+TEST_CASE("US-26 verify and info tell outages of what has no schedule, with their time") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> board(loop, {.name = "board", .topic = "lab/board"}), radio(loop, {.name = "radio"});
+    const Error gone{Errc::disconnected, "cannot hear", "", "it is gone", ""};
+    board.publish({1, 2});
+    loop.advance(1s);
+    board.fault(gone);
+    loop.advance(6s);
+    board.publish({1, 2});
+    radio.fault(gone);
+    loop.advance(40s);
+    loop.close();
+  }
+  const VerifyReport report = verified(path);
+  CHECK(report.verdict() == Verdict::balanced);
+  REQUIRE(report.runs[0].outages.size() == 2);
+  CHECK(report.runs[0].outages[0].origin == "radio");  // the longest first
+  CHECK(report.runs[0].outages[0].outages.time == 40s);
+  CHECK(report.runs[0].outages[1].outages.time == 6s);
+  std::string text = report.text();
+  std::replace(text.begin(), text.end(), '\n', ' ');
+  for (std::size_t at; (at = text.find("   ")) != std::string::npos;) text.erase(at, 2);
+  CHECK(has(text,
+            "2 outages of 46 s together, in which nothing came that could be recorded: radio (1 outage of 40 s), "
+            "board on lab/board (1 outage of 6 s)"));
+  const auto json = nlohmann::json::parse(report.to_json());
+  CHECK(json["runs"][0]["outages"][1]["time_ns"] == 6'000'000'000);
+  std::ostringstream out, err;
+  CHECK(app::info({.database = path}, out, err) == 0);
+  CHECK(has(out.str(), "    1 outage of 6 s\n"));
+}
+
 TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
   CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 417"),
             "room/climate, origin room: 998 rows, the ledger says 999 stored; sequence 417 is missing."));
@@ -415,6 +453,7 @@ TEST_CASE("US-26 a run that ended without closing is reported as such, and held 
   CHECK(report.verdict() == Verdict::unsealed);
   CHECK(report.exit_code() == 1);
   CHECK(has(report.text(), "not sealed"));
+  CHECK(report.text().find("consistent with itself") == std::string::npos);
   // Rows after the last account are no mistake, a row missing from before it is.
   sql(path, "UPDATE rtdata_ledger SET rows_up_to = 900, stored = 900 WHERE origin = 'room'");
   report = verified(path);
@@ -467,6 +506,10 @@ TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and r
   out.str("");
   sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 417");
   CHECK(app::verify({.database = path, .output = app::Output::json}, out, err) == 1);
+  std::ostringstream text;
+  CHECK(app::verify({.database = path}, text, err) == 1);
+  CHECK(has(text.str(), "not balanced: see above."));
+  CHECK_FALSE(text.str().find("consistent with itself") != std::string::npos);
   const auto json = nlohmann::json::parse(out.str());
   CHECK(json["verdict"] == "not balanced");
   CHECK(json["exit_code"] == 1);

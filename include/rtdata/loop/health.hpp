@@ -38,7 +38,7 @@ struct HealthChange {
   text<16> kind;
   text<200> name;
   Health state = Health::ok;
-  text<96> reason;  ///< the first part of it; empty when it is ok
+  text<96> reason;  ///< what is longer ends with "..."; empty when it is ok
   friend constexpr auto describe(type_tag<HealthChange>) {
     return record("health", field("kind", &HealthChange::kind, ""), field("name", &HealthChange::name, ""),
                   field("state", &HealthChange::state, ""), field("reason", &HealthChange::reason, ""));

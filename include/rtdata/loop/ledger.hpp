@@ -97,6 +97,22 @@ struct Gap {
 };
 std::string_view name_of(Gap::Kind kind) noexcept;
 
+/// The outages of an origin without a schedule: stretches in which nothing could come, or nothing came for longer than it
+/// may. Each is a gap. What they cost is a time and no count, since nobody knows how many events would have come.
+struct Outages {
+  std::uint64_t number = 0;
+  Duration time{0};         ///< of all together
+  bool is_at_most = false;  ///< the time: between some of them, which a recording has as one gap, there was data
+
+  void add(const Outages& other) noexcept {
+    number += other.number;
+    time += other.time;
+    is_at_most = is_at_most || other.is_at_most;
+  }
+};
+/// "1 outage of 6.3 s", "3 outages of 41 s together", "40 outages of at most 12 min together".
+std::string to_string(const Outages& outages);
+
 /// A stretch of unchanged schedule: its ticks were due at first_due + n * period, up to `end`.
 struct Segment {
   Time first_due{};

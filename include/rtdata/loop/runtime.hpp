@@ -52,6 +52,7 @@ struct SensorStatus {
   SensorCounts counts;
   std::string loop = {};  ///< the name of the loop or tier that it is on
   Time first_due{};  ///< the ticks of its schedule are due at first_due + n * period; means nothing while not running
+  Outages outages = {};  ///< without a schedule; one that lasts counts up to now
 };
 
 /// A loop or tier, and the thread that it runs on.
@@ -128,8 +129,8 @@ class Runtime {
   /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed. Here and in the next,
   /// a tier that runs counts as it was when the main loop was drained last.
   bool balances() const;
-  /// Something was missed, failed or lost, dropped by a sink or for a subscription on a tier, or could not be taken
-  /// from a tier, which was reported.
+  /// Something was missed, failed or lost, a source without a schedule had an outage, a sink dropped something or a
+  /// subscription on a tier, or something could not be taken from a tier, which was reported.
   bool has_loss() const;
 
   detail::RuntimeCore& core() noexcept { return *core_; }

@@ -42,7 +42,8 @@ class AnyFeed : public AnySensor {
   void publish_bytes(std::span<const std::byte> payload, Time time);
   /// An input that was no use: counted as unreadable, reported, and the feed is degraded until the next good one.
   void fail(const Error& error);
-  /// The source cannot be reached: faulted until the next good input. Not an input: counts nothing.
+  /// The source cannot be reached: faulted until the next good input, and the time until then is an outage, a gap
+  /// `disconnected`. Not an input: counts nothing.
   void fault(const Error& error);
   /// An input that the source had sent before.
   void repeated();

@@ -40,6 +40,13 @@ enum class Verdict {
 };
 std::string_view name_of(Verdict verdict) noexcept;
 
+/// Of an origin without a schedule, as its gaps tell.
+struct OriginOutages {
+  std::string topic, origin;
+  Outages outages;
+  std::size_t gaps = 0;  ///< of which several outages may be one
+};
+
 struct RunReport {
   RunInfo info;
   Verdict verdict = Verdict::balanced;
@@ -49,9 +56,10 @@ struct RunReport {
   std::optional<std::uint64_t> lost_by_source;  ///< none: no source numbers its data
   std::uint64_t values_checked = 0;             ///< rows whose values agree with their checksum
   std::size_t origins = 0, gaps = 0;
-  std::vector<std::string> problems;  ///< a sentence each; the first 100
-  std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100
-  std::uint64_t more_problems = 0;    ///< beyond these
+  std::vector<OriginOutages> outages;  ///< of each origin that had some, the longest first
+  std::vector<std::string> problems;   ///< a sentence each; the first 100
+  std::vector<std::string> notes;      ///< worth knowing, no problem; the first 100
+  std::uint64_t more_problems = 0;     ///< beyond these
 };
 
 struct VerifyReport {

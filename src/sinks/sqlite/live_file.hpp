@@ -93,7 +93,7 @@ struct LiveAccount {
   SensorCounts sensor;
   std::uint64_t offered;         ///< when this was written
   std::uint64_t first_sequence;  ///< 0: none
-  Segment segment;               ///< under way; period 0: none
+  Segment segment;               ///< under way, or the last that ended; period 0: none
   LiveGap under_way;
   LiveGap closed;  ///< those that may be in no account of the recording, as one
 };

@@ -5,7 +5,10 @@
 #include <map>
 #include <unordered_map>
 
+#include "loop/deadline.hpp"
+#include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata {
 namespace {
@@ -54,7 +57,9 @@ class Histogram {
 struct OriginTimes {
   std::vector<Segment> segments;
   std::size_t current = 0;
-  std::int64_t rows_up_to = 0;  // of its last account
+  std::int64_t rows_up_to = 0;         // of its last account, while it is recorded
+  Time accounted_until = Time::max();  // after a power cut there are rows beyond the last account's schedule
+  std::uint64_t pruned = 0;
   std::uint64_t rows = 0, accounted_rows = 0;
   Time first = Time::max(), last = Time::min();
 
@@ -99,7 +104,7 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
     }
     const Time time = from_nanoseconds(ns);
     ++current->rows;
-    if (statement->integer(2) <= current->rows_up_to) ++current->accounted_rows;
+    if (statement->integer(2) <= current->rows_up_to && time < current->accounted_until) ++current->accounted_rows;
     current->first = std::min(current->first, time);
     current->last = std::max(current->last, time);
     TopicSummary& summary = into.summary;
@@ -122,9 +127,10 @@ void add_rates(TopicTimes& topic, Duration length) {
     }
     if (seconds > 0) {
       topic.summary.wanted_hertz += ticks / seconds;
-      topic.summary.reached_hertz += static_cast<double>(origin.accounted_rows) / seconds;
+      topic.summary.reached_hertz += static_cast<double>(origin.accounted_rows + origin.pruned) / seconds;
     } else if (length.count() > 0) {
-      topic.summary.reached_hertz += static_cast<double>(origin.rows) * 1e9 / static_cast<double>(length.count());
+      topic.summary.reached_hertz += static_cast<double>(origin.rows + origin.pruned) * 1e9 /
+                                     static_cast<double>(length.count());
     } else if (origin.last > origin.first) {
       topic.summary.reached_hertz += static_cast<double>(origin.rows - 1) * 1e9 /
                                      static_cast<double>((origin.last - origin.first).count());
@@ -141,31 +147,50 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
   if (!ledger) return std::move(ledger).error();
   auto schedule = recording.schedule(run);
   if (!schedule) return std::move(schedule).error();
+  auto gaps = recording.gaps(run);
+  if (!gaps) return std::move(gaps).error();
+  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
+  for (const RecordedGap& gap : *gaps) gaps_of[detail::origin_key(gap.topic, gap.origin)].push_back(&gap);
   auto recorded = recording.topics();
   if (!recorded) return std::move(recorded).error();
   auto runs = recording.runs();
   if (!runs) return std::move(runs).error();
   Duration length{0};
+  bool is_ended = false;
   bool is_complete = false;
   for (const RunInfo& info : *runs) {
-    if (info.run != run || info.state != RunState::closed) continue;
-    is_complete = true;
-    if (info.ended) length = *info.ended - info.started;
+    if (info.run != run) continue;
+    is_ended = info.state != RunState::recording;
+    is_complete = is_ended && detail::is_account_known(info);
+    if (is_complete && info.ended) length = *info.ended - info.started;
   }
   std::map<std::string, TopicTimes> topics;
   for (const LedgerEntry& entry : *ledger) {
     TopicTimes& topic = topics[entry.topic];
-    topic.origins[entry.origin].rows_up_to = entry.rows_up_to;
+    OriginTimes& origin = topic.origins[entry.origin];
+    origin.rows_up_to = is_ended ? INT64_MAX : entry.rows_up_to;
+    origin.pruned = entry.pruned;
     TopicSummary& sum = topic.summary;
     sum.missed += entry.sensor.missed;
     sum.failed += entry.sensor.failed;
     sum.unreadable += entry.sensor.unreadable;
     sum.late += entry.sensor.late;
     sum.dropped += entry.dropped();
+    sum.pruned += entry.pruned;
+    if (!entry.sensor.has_schedule) {
+      const auto found = gaps_of.find(detail::origin_key(entry.topic, entry.origin));
+      if (found != gaps_of.end()) sum.outages.add(detail::outages_of(found->second));
+    }
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
   }
   for (const RecordedSegment& segment : *schedule)
     topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
+  for (auto& [name, topic] : topics) {
+    for (auto& [origin_name, origin] : topic.origins) {
+      if (!is_ended || is_complete || origin.segments.empty()) continue;
+      origin.accounted_until = detail::later(origin.segments.back().end, origin.segments.back().period);
+    }
+  }
   for (const RecordedTopic& topic : *recorded) {
     if (auto scanned = scan(*recording.file(), topic, run, topics[topic.topic]); !scanned)
       return std::move(scanned).error();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 
+#include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 
@@ -389,7 +390,13 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
     const auto& segments = of_run.segments(key);
     if (entry.sensor.has_schedule || !segments.empty()) check_schedule(found, entry, segments);
     check_gaps(found, entry, segments, of_run.gaps_in(key));
+    if (entry.sensor.has_schedule) continue;
+    const auto& gaps = of_run.gaps_in(key);
+    if (const Outages outages = outages_of(gaps); outages.number != 0)
+      report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
   }
+  std::stable_sort(report.outages.begin(), report.outages.end(),
+                   [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
   std::vector<std::string> unaccounted;
   for (const auto& [key, origin] : rows) {
     report.rows += origin.rows + origin.rows_after;
@@ -420,8 +427,10 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
   if (!left_open.empty()) {
-    found.note("Its account ends before the run did, so it holds only approximately: " +
-               plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
+    found.note(
+        "Its last account is older than its end, since the power was cut, or it could not be written any more. "
+        "What it counts after that is held to bounds; no row is lost by it. " +
+        plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
   return {};

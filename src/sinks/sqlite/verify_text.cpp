@@ -1,4 +1,5 @@
 // A verify report for people and for programs.
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "data/wrap.hpp"
@@ -21,8 +22,7 @@ std::string conclusion(Verdict verdict) {
       return "balanced: rows, gaps and schedule agree with the account.";
     case Verdict::sealed:
       return "sealed: a run was not closed, or a tier hung; what is there agrees with the account, and what is known "
-             "of "
-             "the rest is written down.";
+             "of the rest is written down.";
     case Verdict::recording:
       return "recording: what is there agrees with the last account; look again when it is closed.";
     case Verdict::unsealed:
@@ -30,6 +30,30 @@ std::string conclusion(Verdict verdict) {
     default:
       return "not balanced: see above.";
   }
+}
+
+/// "1 outage of 6.3 s without a schedule: board on lab/board".
+std::string outages_text(const std::vector<OriginOutages>& all) {
+  constexpr std::size_t most = 5;
+  Outages sum;
+  std::string names;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    sum.add(all[i].outages);
+    if (i >= most) continue;
+    names += (i == 0 ? "" : ", ") + all[i].origin;
+    if (all[i].origin != all[i].topic) names += " on " + all[i].topic;
+    if (all.size() > 1) names += " (" + to_string(all[i].outages) + ")";
+  }
+  if (all.size() > most) names += " and " + std::to_string(all.size() - most) + " more";
+  return to_string(sum) + ", in which nothing came that could be recorded: " + names;
+}
+
+nlohmann::ordered_json json_of(const OriginOutages& of) {
+  return {{"topic", of.topic},
+          {"origin", of.origin},
+          {"number", of.outages.number},
+          {"time_ns", of.outages.time.count()},
+          {"is_at_most", of.outages.is_at_most}};
 }
 
 nlohmann::ordered_json json_of(const RunReport& run) {
@@ -55,6 +79,8 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["received"] = run.received;
   json["unreadable"] = run.unreadable;
   json["gaps"] = run.gaps;
+  json["outages"] = nlohmann::ordered_json::array();
+  for (const OriginOutages& one : run.outages) json["outages"].push_back(json_of(one));
   json["lost_by_source"] = run.lost_by_source ? nlohmann::ordered_json(*run.lost_by_source) : nlohmann::ordered_json();
   json["problems"] = run.problems;
   json["more_problems"] = run.more_problems;
@@ -75,11 +101,14 @@ std::string VerifyReport::text() const {
              n(run.offered) + " offered = " + n(run.stored) + " stored + " + n(run.dropped) + " dropped" +
              (run.unsaved != 0 ? " + " + n(run.unsaved) + " not saved" : "") +
              (run.pruned != 0 ? "; " + n(run.pruned) + " pruned" : ""));
+    std::size_t gaps = run.gaps;
+    for (const OriginOutages& one : run.outages) gaps -= std::min(gaps, one.gaps);
     if (run.scheduled != 0) {
       wrap(out, "  ",
            n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " +
-               n(run.late) + " late; " + n(run.gaps) + (run.gaps == 1 ? " gap" : " gaps"));
+               n(run.late) + " late; " + n(gaps) + (gaps == 1 ? " gap" : " gaps"));
     }
+    if (!run.outages.empty()) wrap(out, "  ", outages_text(run.outages));
     if (run.unreadable != 0)
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
@@ -90,7 +119,9 @@ std::string VerifyReport::text() const {
   out += "\n";
   if (runs.empty() && problems.empty()) out += "No run was recorded yet.\n";
   wrap(out, "", conclusion(verdict()));
-  wrap(out, "", "This shows that the recording is consistent with itself; it does not prove that nobody forged it.");
+  if (verdict() == Verdict::balanced || verdict() == Verdict::sealed) {
+    wrap(out, "", "This shows that the recording is consistent with itself; it does not prove that nobody forged it.");
+  }
   return out;
 }
 
