@@ -119,7 +119,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       unsaved = offered - (row.stored + row.added) - row.dropped - dropped_more;
       lost += unsaved;
       if (const auto kept = live->slot(static_cast<std::uint32_t>(row.slot)).account.settled()) {
-        const KilledOrigin killed{run.run, topic, row.origin, row.offered, offered};
+        const KilledOrigin killed{run.run, topic, row.origin, offered};
         if (auto sealed = seal_account(database, killed, *kept, last_time); !sealed) return sealed;
         if (first_sequence == 0) first_sequence = static_cast<std::int64_t>(kept->first_sequence);
       }
