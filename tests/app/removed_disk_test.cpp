@@ -120,7 +120,8 @@ TEST_SUITE("app") {
       CHECK(has(run.err, error));
       CHECK(has(run.err, is_pulled
                              ? "error: sink stick/run.jsonl: cannot write the file: stick/run.jsonl: Input/output error"
-                             : "error: sink stick/run.jsonl: the file was moved: stick/run.jsonl"));
+                             : "error: sink stick/run.jsonl: the disk of the file was taken away: stick/run.jsonl"));
+      if (!is_pulled) CHECK(std::filesystem::is_empty(stick.path()));             // nothing is written beside it
       if (!is_pulled) CHECK(count_of(run.err, "error: sink stick/run.db") == 1);  // the other is tried again and again
 
       // The recording on the good disk has all of it, what happened to the others too.
