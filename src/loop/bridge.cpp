@@ -107,6 +107,7 @@ void Bridge::on_origin(OriginCore& origin) {
                                             static_cast<std::uint32_t>(channel->record_bytes_));
   if (channel->passages_.size() <= origin.index) channel->passages_.resize(origin.index + 1);
   channel->passages_[origin.index] = &passage;
+  next_accounts_ = {};  // it has a schedule before it has events: with the end of this turn
   origin.topic.find_way(origin);
   announce(channel, &passage, origin.name, {});
 }

@@ -167,7 +167,12 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (!stored.topic_fault.empty()) fault_for_good(stored.topic_fault);
     if (!stored.result) {
       health_ = Health::faulted;
-      set_reason(stored.result.error());
+      is_told_ = false;
+      note([&] {
+        std::string reason = loop()->runtime.hide(stored.result.error().text());
+        is_told_ = closing_ && reason == reason_;
+        reason_ = std::move(reason);
+      });
       if (!stored.has_ended) return retry_.start(next_delay());
     } else if (stored.has_ended) {
       // stays faulted
@@ -203,7 +208,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       });
     }
     if (is_open() && stored.warning) report(*stored.warning, 1);
-    if (is_open() && !stored.result) report(stored.result.error(), 1);
+    // While it closes, it is tried often: what fails as before is told with what could not be stored, at the end.
+    if (is_open() && !stored.result && !is_told_) report(stored.result.error(), 1);
     if (is_open() && stored.result && before != Health::ok && health_ == Health::ok)
       note([&] { loop()->runtime.log(LogLevel::info, object_name(), "ok again"); });
   }
@@ -554,6 +560,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   MonotonicTime next_early_{};
   Timer deadline_;
   Duration retry_delay_{0};
+  bool is_told_ = false;  // the last error, by the one before it
   std::uint64_t failures_ = 0;
   std::vector<Callback<void(std::uint64_t)>> drained_;  // who waits for the end
   std::optional<SinkStatus> last_;                      // once it has left the runtime

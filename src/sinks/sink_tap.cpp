@@ -127,7 +127,8 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
     if (all.count == 0) all.count = 1;  // without a schedule, how many
     all.count += std::max<std::uint64_t>(gap.count, 1);
     all.kind = Gap::Kind::joined;
-    all.last = gap.last;
+    all.first = std::min(all.first, gap.first);  // one may be told of late
+    all.last = std::max(all.last, gap.last);
     if (all.reason != gap.reason) all.reason = "several";
   }
   closed.accounts = accounts;

@@ -5,6 +5,7 @@
 
 #include <csignal>
 #include <cstdlib>
+#include <filesystem>
 
 #include "recordings.hpp"
 
@@ -263,6 +264,59 @@ TEST_SUITE("sinks") {
     if (!is_changed) {
       CHECK(checked(report) == report.runs[0].rows);
       CHECK(checked(report) > 6900);
+    }
+  }
+
+  TEST_CASE("US-26 a disk that has lost the last transactions of a killed run: the seal says so, and how many rows") {
+    struct Times {
+      std::chrono::seconds kept, killed;
+    };
+    for (const Times times : {Times{5s, 6s}, Times{20s, 70s}, Times{62s, 70s}}) {
+      const auto kept = times.kept, killed = times.killed;
+      CAPTURE(times.kept.count());
+      const Folder folder;
+      const std::string path = folder / "run.db";
+      const auto copy = [&](const std::string& from, const std::string& to) {  // into the file that is there
+        for (const char* part : {"", "-wal"})
+          std::filesystem::copy_file(from + part, to + part, std::filesystem::copy_options::overwrite_existing);
+      };
+      const pid_t child = ::fork();
+      if (child == 0) {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path});
+        Sensor<Climate> room(loop, {.name = "room", .rate = 100_Hz}, [n = 0]() mutable {
+          return Climate{1.0 * n++, 0};
+        });
+        Feed<Climate> feed(loop, {.name = "feed"});
+        feed.publish({});
+        loop.advance(kept);
+        copy(path, path + ".kept");
+        loop.advance(killed - kept);
+        ::raise(SIGKILL);
+      }
+      int status = 0;
+      REQUIRE(::waitpid(child, &status, 0) == child);
+      REQUIRE(WIFSIGNALED(status));
+      copy(path + ".kept", path);
+      std::filesystem::remove(path + "-shm");
+      {
+        Loop loop{Loop::Manual{}};
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path});
+        CHECK(loop.close() == 0);
+      }
+      const VerifyReport report = verified(path);
+      CAPTURE(report.text());
+      const RunReport& run = report.runs.at(0);
+      CHECK(run.verdict == Verdict::sealed);
+      CHECK(report.exit_code() == 0);
+      CHECK(run.info.remark.find("the disk has lost them") != std::string::npos);
+      // All of it is accounted for: each tick is a row that is there or one that is lost.
+      CHECK(run.offered == static_cast<std::uint64_t>(killed / 10ms) + 2);
+      REQUIRE(run.info.lost);
+      CHECK(run.rows + *run.info.lost == run.offered);
+      CHECK(run.rows <= static_cast<std::uint64_t>(kept / 10ms) + 2);
+      CHECK(run.rows + 400 > static_cast<std::uint64_t>(kept / 10ms));
     }
   }
 }

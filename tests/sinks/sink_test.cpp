@@ -208,6 +208,9 @@ TEST_SUITE("sinks") {
     }
     SUBCASE("of a loop") {
       CHECK(bench.loop.close(5s) == 13);
+      CHECK(bench.script->writes > 5);  // tried often, told once
+      CHECK(bench.errors ==
+            std::vector<std::string>{"sink script: failed by the script", "sink script: lost 13 events"});
       CHECK(sink.counts().queued == 0);
       CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 13);
       bench.script->failures = 0;

@@ -94,6 +94,9 @@ class FileWriter final : public Writer {
         case OutputFile::Gone::deleted:
           return Error{Errc::not_found, "the file was deleted", file.path(),
                        "what had been written into it is gone with it", "a new one is made"};
+        case OutputFile::Gone::unmounted:
+          return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
+                       "it is mounted there no longer", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
                        "what had been written into it is where it was moved to", "a new one is made"};

@@ -9,6 +9,7 @@
 #include <array>
 #include <cerrno>
 #include <cstdio>
+#include <filesystem>
 #include <span>
 #include <utility>
 
@@ -52,11 +53,27 @@ Result<void> compare_header(int fd, const std::string& path, const std::string& 
                "choose another path"};
 }
 
+/// Where the disk of the file's folder is mounted; empty: at the root, or not to be found out.
+std::string mount_point_of(const std::string& path) {
+  std::error_code failed;
+  std::filesystem::path at = std::filesystem::canonical(path, failed).parent_path();
+  if (failed) return "";
+  struct stat here {};
+  struct stat above {};
+  if (::stat(at.c_str(), &here) != 0) return "";  // the folder's: that of a file in an overlay may be another
+  for (; at.has_relative_path(); at = at.parent_path()) {
+    if (::stat(at.parent_path().c_str(), &above) != 0) return "";
+    if (above.st_dev != here.st_dev) return at.string();
+  }
+  return "";
+}
+
 }  // namespace
 
 OutputFile::OutputFile(OutputFile&& other) noexcept
     : buffer(std::move(other.buffer)),
       path_(std::move(other.path_)),
+      mounted_at_(std::move(other.mounted_at_)),
       permissions_(other.permissions_),
       fd_(std::exchange(other.fd_, -1)),
       size_at_open_(other.size_at_open_),
@@ -81,6 +98,10 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
   path_ = path;
   permissions_ = permissions;
+  if (is_unmounted()) {  // a new file would be on another disk, where nobody looks for it
+    return Error{Errc::not_found, "cannot open the file", path, "what was mounted at " + mounted_at_ + " is not there",
+                 "mount it again: events wait in memory until then"};
+  }
   // Non-blocking for the sake of a pipe without a reader, which is refused below.
   fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, permissions);
   if (fd_ < 0) {
@@ -109,6 +130,7 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
     result = Error{Errc::bad_argument, "cannot record into", path, "it is a recording, or another SQLite database",
                    "choose another path"};
   }
+  if (result && mounted_at_.empty()) mounted_at_ = mount_point_of(path);
   if (!result) close();
   size_at_open_ = about.st_size;
   passed_ = 0;
@@ -301,6 +323,14 @@ Result<void> OutputFile::sync() {
   return {};
 }
 
+bool OutputFile::is_unmounted() const {
+  struct stat about {};
+  struct stat above {};
+  return !mounted_at_.empty() &&
+         (::stat(mounted_at_.c_str(), &about) != 0 || (::stat((mounted_at_ + "/..").c_str(), &above) == 0 &&
+                                                       above.st_dev == about.st_dev && above.st_ino != about.st_ino));
+}
+
 OutputFile::Gone OutputFile::close_if_gone() {
   struct stat about {};
   if (fd_ < 0 || ::fstat(fd_, &about) != 0) return Gone::no;
@@ -309,7 +339,7 @@ OutputFile::Gone OutputFile::close_if_gone() {
                         there.st_ino == about.st_ino;
   if (about.st_nlink > 0 && is_there) return Gone::no;
   close();
-  return about.st_nlink == 0 ? Gone::deleted : Gone::moved;
+  return about.st_nlink == 0 ? Gone::deleted : is_unmounted() ? Gone::unmounted : Gone::moved;
 }
 
 }  // namespace rtdata::detail

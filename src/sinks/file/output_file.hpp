@@ -52,7 +52,8 @@ class OutputFile {
   /// When it was changed last.
   std::int64_t changed_at() const noexcept;
   Result<void> sync();
-  enum class Gone { no, deleted, moved };
+  /// `unmounted`: what it is on is mounted there no longer.
+  enum class Gone { no, deleted, moved, unmounted };
   /// A file that is no longer where it was is closed.
   Gone close_if_gone();
   void close() noexcept;
@@ -61,10 +62,12 @@ class OutputFile {
   Result<void> repair_lines(std::string& what);
   std::string half_moved(std::size_t size) const;
   Result<void> move_aside(std::span<const std::byte> tail);
+  bool is_unmounted() const;
   Error failed(int errno_value, const char* what) const;
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);
 
   std::string path_;
+  std::string mounted_at_;  // where what the file is on was mounted when it was opened first; empty: not known
   mode_t permissions_ = 0640;
   int fd_ = -1;
   off_t size_at_open_ = 0;

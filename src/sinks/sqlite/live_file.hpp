@@ -91,7 +91,6 @@ struct LiveGap {
 /// in time with one sample, as far as the origin has a schedule.
 struct LiveAccount {
   SensorCounts sensor;
-  std::uint64_t offered;         ///< when this was written
   std::uint64_t first_sequence;  ///< 0: none
   Segment segment;               ///< under way, or the last that ended; period 0: none
   LiveGap under_way;

@@ -119,7 +119,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       unsaved = offered - (row.stored + row.added) - row.dropped - dropped_more;
       lost += unsaved;
       if (const auto kept = live->slot(static_cast<std::uint32_t>(row.slot)).account.settled()) {
-        const KilledOrigin killed{run.run, topic, row.origin, row.offered, offered};
+        const KilledOrigin killed{run.run, topic, row.origin, offered};
         if (auto sealed = seal_account(database, killed, *kept, last_time); !sealed) return sealed;
         if (first_sequence == 0) first_sequence = static_cast<std::int64_t>(kept->first_sequence);
       }
@@ -141,8 +141,13 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
 Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   bool is_known = live != nullptr && live->is_complete();
   const bool has_checksums = run.format >= first_version_with_checksums;
+  std::uint64_t lost_by_disk = 0;
   if (has_checksums) {
-    if (auto taken = take_over_sums(database, run.run, live, sums); !taken) return std::move(taken).error();
+    auto counted = rows_lost_by_disk(database, run.run, live);
+    if (!counted) return std::move(counted).error();
+    lost_by_disk = *counted;
+    if (auto taken = take_over_sums(database, run.run, live, sums, lost_by_disk); !taken)
+      return std::move(taken).error();
   }
   std::vector<std::string> topics;
   {
@@ -181,6 +186,10 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
             : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
                                 " of sensors that had only begun, whose names are unknown"
                           : "; what was published after that is unknown";
+  if (lost_by_disk != 0) {
+    remark += "; at least " + std::to_string(lost_by_disk) +
+              " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
+  }
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
   if (!update) return std::move(update).error();

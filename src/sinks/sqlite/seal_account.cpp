@@ -117,6 +117,69 @@ Result<Known> known_gaps(Database& database, const KilledOrigin& killed) {
   return Known{query->integer(0), query->integer(1), query->integer(2), query->integer(3) > 0};
 }
 
+/// The ticks of the rows that begin within this gap.
+Result<std::int64_t> ticks_in(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
+  auto query = prepare(database, killed,
+                       "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND "
+                       "first BETWEEN ? AND ?");
+  if (!query) return std::move(query).error();
+  query->bind(4, gap.first).bind(5, gap.last);
+  auto row = query->step();
+  if (!row) return std::move(row).error();
+  return query->integer(0);
+}
+
+/// What all gaps of the origin have.
+struct GapTicks {
+  std::uint64_t missed = 0, failed = 0, joined = 0;
+  std::int64_t last = 0;
+};
+
+Result<GapTicks> gap_ticks(Database& database, const KilledOrigin& killed) {
+  auto query = prepare(database, killed,
+                       "SELECT kind, total(count), max(last) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = "
+                       "? GROUP BY kind");
+  if (!query) return std::move(query).error();
+  GapTicks ticks;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return ticks;
+    const std::string_view kind = query->text(0);
+    (kind == "missed" ? ticks.missed : kind == "failed" ? ticks.failed : ticks.joined) += count_of(*query, 1);
+    ticks.last = std::max(ticks.last, query->integer(2));
+  }
+}
+
+/// Raises the counts to what the gaps prove: those of a sensor on another loop come later than its gaps and its events.
+void add_gaps(Account& account, const GapTicks& gaps, bool has_events) {
+  SensorCounts& s = account.counts;
+  Segment& segment = account.segment;
+  const std::uint64_t all = gaps.missed + gaps.failed + gaps.joined;
+  if (all > s.missed + s.failed) {
+    std::uint64_t ticks = all - s.missed - s.failed;
+    s.missed = std::max(s.missed, gaps.missed);
+    const std::uint64_t failed = all - s.missed;  // of what was joined the kind is not known
+    if (failed > s.failed && !has_events && s.in_flight != 0) {
+      --s.in_flight;  // reads of an origin follow each other: it was the first to fail
+      --ticks;
+    }
+    s.failed = failed;
+    s.scheduled += ticks;
+    segment.scheduled += ticks;
+  }
+  if (segment.period.count() <= 0 || gaps.last < to_nanoseconds(segment.first_due)) return;
+  const auto up_to_last = static_cast<std::uint64_t>((gaps.last - to_nanoseconds(segment.first_due)) /
+                                                     segment.period.count()) +
+                          1;
+  if (up_to_last <= segment.scheduled) return;
+  // Ticks before the last gap with neither a gap nor an event: reads that brought nothing to publish.
+  const std::uint64_t silent = up_to_last - segment.scheduled;
+  s.taken += silent;
+  s.scheduled += silent;
+  segment.scheduled += silent;
+}
+
 /// Adds a gap, or what has grown of one that is there: the row with the same beginning.
 Result<void> put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
   const std::string reason(gap.reason);
@@ -145,20 +208,13 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
                           std::int64_t& last_time) {
   auto account = last_account(database, killed, kept);
   if (!account) return std::move(account).error();
-  std::int64_t at = killed.offered_in_account;
   const auto told = [](const SensorCounts& s) { return s.scheduled + s.received; };
-  const auto kept_at = signed_of(kept.offered);
-  if (kept_at > at || (kept_at == at && told(kept.sensor) >= told(account->counts))) {
-    *account = {kept.sensor, kept.segment};
-    at = kept_at;
-  }
-  add_events(*account, static_cast<std::uint64_t>(std::max<std::int64_t>(killed.offered - at, 0)));
-  if (auto written = write(database, killed, *account); !written) return written;
+  if (told(kept.sensor) >= told(account->counts)) *account = {kept.sensor, kept.segment};
+  // What was offered since it was told: of a sensor on another loop, events come before the account that counts them.
+  const auto offered = static_cast<std::uint64_t>(killed.offered);
+  const std::uint64_t events = offered - std::min(offered, account->counts.published);
+  add_events(*account, events);
   const Segment& segment = account->segment;
-  if (segment.period.count() > 0 && segment.scheduled > 0) {
-    last_time = std::max(last_time,
-                         to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
-  }
   // The row of a gap that was under way at the last account may have grown, or closed, and others have followed.
   auto known = known_gaps(database, killed);
   if (!known) return std::move(known).error();
@@ -172,20 +228,20 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
   if (account->counts.has_schedule && closed.is_there) {
     // Ticks that neither the recording nor the gap under way has. That of the recording with the same beginning counts
     // as what it has become.
-    std::int64_t others = known->count;
-    for (const LiveGap* gap : {&closed, &open}) {
-      if (!gap->is_there) continue;
-      auto query = prepare(database, killed,
-                           "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND "
-                           "first BETWEEN ? AND ?");
-      if (!query) return std::move(query).error();
-      query->bind(4, gap->first).bind(5, gap->last);
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      others -= query->integer(0);
+    auto closed_there = ticks_in(database, killed, closed);
+    if (!closed_there) return std::move(closed_there).error();
+    std::int64_t others = known->count - *closed_there;
+    if (open.is_there) {
+      auto open_there = ticks_in(database, killed, open);
+      if (!open_there) return std::move(open_there).error();
+      others -= *open_there;
     }
-    const auto lacking = signed_of(account->counts.missed + account->counts.failed) - others -
-                         (open.is_there ? signed_of(open.count) : 0);
+    auto whole = ticks_in(database, killed, kept.closed);
+    if (!whole) return std::move(whole).error();
+    const auto by_counts = signed_of(account->counts.missed + account->counts.failed) - others -
+                           (open.is_there ? signed_of(open.count) : 0);
+    // The counts of a sensor on another loop are older than its gaps, which are told of at once.
+    const auto lacking = std::max(by_counts, signed_of(kept.closed.count) - (*whole - *closed_there));
     closed.is_there = lacking > 0 && closed.first <= closed.last;
     if (closed.is_there && lacking != signed_of(closed.count)) {
       closed.kind = Gap::Kind::joined;
@@ -199,7 +255,16 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
     last_time = std::max(last_time, gap->last);
     if (auto done = put_gap(database, killed, *gap); !done) return done;
   }
-  return {};
+  if (account->counts.has_schedule) {
+    auto ticks = gap_ticks(database, killed);
+    if (!ticks) return std::move(ticks).error();
+    add_gaps(*account, *ticks, events != 0);
+  }
+  if (segment.period.count() > 0 && segment.scheduled > 0) {
+    last_time = std::max(last_time,
+                         to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
+  }
+  return write(database, killed, *account);
 }
 
 }  // namespace rtdata::sqlite

@@ -13,8 +13,7 @@ struct KilledOrigin {
   std::int64_t run;
   const std::string& topic;
   const std::string& origin;
-  std::int64_t offered_in_account;  // as its last account says
-  std::int64_t offered;             // as is known now
+  std::int64_t offered;  // as is known now
 };
 
 /// Within a transaction: brings ledger, schedule and gaps of the origin up to what is known of its end. `last_time` becomes

@@ -30,9 +30,8 @@ Result<std::vector<Origin>> origins_of(Database& database, std::int64_t run) {
     auto row = query->step();
     if (!row) return std::move(row).error();
     if (!*row) return origins;
-    if (query->integer(3) > 0)
-      origins.push_back({std::string(query->text(0)), std::string(query->text(1)), query->integer(2), query->integer(3),
-                         static_cast<std::uint64_t>(query->integer(4))});
+    origins.push_back({std::string(query->text(0)), std::string(query->text(1)), query->integer(2), query->integer(3),
+                       static_cast<std::uint64_t>(query->integer(4))});
   }
 }
 
@@ -103,6 +102,17 @@ Result<LiveRange> range_of(Database& database, std::int64_t run, const Origin& o
   return *committed ? *staged : settled;
 }
 
+/// The sequence of the last row of an origin that is there; 0: none.
+Result<std::uint64_t> last_row(Database& database, std::int64_t run, const Origin& origin) {
+  auto row = database.prepare("SELECT sequence FROM " + quoted(origin.table) +
+                              " WHERE run = ? AND origin = ? ORDER BY rowid DESC LIMIT 1");
+  if (!row) return std::move(row).error();
+  row->bind(1, run).bind(2, origin.name);
+  auto is_row = row->step();
+  if (!is_row) return std::move(is_row).error();
+  return *is_row ? static_cast<std::uint64_t>(row->integer(0)) : 0;
+}
+
 /// What the lines that there are cover.
 Result<void> add_lines(Database& database, std::int64_t run, std::vector<Origin>& origins) {
   std::map<std::pair<std::string_view, std::string_view>, Origin*> by_name;
@@ -123,11 +133,39 @@ Result<void> add_lines(Database& database, std::int64_t run, std::vector<Origin>
 
 }  // namespace
 
-Result<void> take_over_sums(Database& database, std::int64_t run, LiveFile* live, AccountSums& sums) {
+Result<std::uint64_t> rows_lost_by_disk(Database& database, std::int64_t run, LiveFile* live) {
+  std::uint64_t lost = 0;
+  if (live == nullptr) return lost;
+  auto origins = origins_of(database, run);
+  if (!origins) return std::move(origins).error();
+  auto tables = tables_of(database, run);
+  if (!tables) return std::move(tables).error();
+  for (Origin& origin : *origins) {
+    if (origin.slot < 0 || !live->has(static_cast<std::uint32_t>(origin.slot))) continue;
+    const auto table = tables->find(origin.topic);
+    const auto& kept = live->slot(static_cast<std::uint32_t>(origin.slot)).range;
+    if (table == tables->end()) {  // the transaction that made it is not there
+      lost += kept.settled().value_or(LiveRange{}).rows;
+      continue;
+    }
+    origin.table = table->second;
+    auto range = range_of(database, run, origin, *live);
+    if (!range) return std::move(range).error();
+    if (range->rows == 0) continue;
+    auto last = last_row(database, run, origin);
+    if (!last) return std::move(last).error();
+    if (*last < range->last_sequence)
+      lost += std::min(range->rows, range->last_sequence - std::max(*last, range->first_sequence - 1));
+  }
+  return lost;
+}
+
+Result<void> take_over_sums(Database& database, std::int64_t run, LiveFile* live, AccountSums& sums,
+                            std::uint64_t lost_by_disk) {
   auto found = sums_found(database, run);
   if (!found) return std::move(found).error();
   RunSums taken = *found;
-  if (live != nullptr) {
+  if (live != nullptr && lost_by_disk == 0) {  // otherwise the account is that of an earlier transaction
     const auto settled = live->sums().settled(), staged = live->sums().staged();
     // What is there is neither: then it was changed since, and verify is to see that.
     if (settled && *settled != *found && (!staged || *staged != *found)) taken = *settled;
@@ -145,6 +183,7 @@ Result<void> seal_ranges(Database& database, std::int64_t run, LiveFile* live) {
   for (Origin& origin : *origins) origin.table = (*tables)[origin.topic];
   if (auto added = add_lines(database, run, *origins); !added) return added;
   for (const Origin& origin : *origins) {
+    if (origin.rows <= 0) continue;
     auto columns = columns_of(database, origin.table);
     if (!columns) return std::move(columns).error();
     ChecksumLine line{
@@ -154,6 +193,21 @@ Result<void> seal_ranges(Database& database, std::int64_t run, LiveFile* live) {
     if (live != nullptr && origin.slot >= 0 && live->has(static_cast<std::uint32_t>(origin.slot))) {
       auto range = range_of(database, run, origin, *live);
       if (!range) return std::move(range).error();
+      std::uint64_t last = 0;
+      if (range->rows > 0) {
+        auto found = last_row(database, run, origin);
+        if (!found) return std::move(found).error();
+        last = *found;
+      }
+      if (range->rows > 0 && last < range->last_sequence) {  // of fewer rows no sum is known
+        if (rest <= 0) continue;
+        line.first_sequence = first;
+        line.last_sequence = std::max(first, last);
+        line.sum = {static_cast<std::uint64_t>(rest), 0};
+        line.is_known = false;
+        if (auto inserted = insert_line(database, line); !inserted) return inserted;
+        continue;
+      }
       if (range->rows > 0) {
         line.first_sequence = range->first_sequence;
         line.last_sequence = range->last_sequence;

@@ -230,7 +230,7 @@ void SqliteWriter::keep(const OriginAccount& now, const Gap* closed) {
     gap.reason.copy(live.reason, sizeof live.reason - 1);
     return live;
   };
-  LiveAccount account{now.sensor, now.offered, now.first_sequence, now.segment, {}, {}};
+  LiveAccount account{now.sensor, now.first_sequence, now.segment, {}, {}};
   if (now.has_gap) account.under_way = kept(now.gap);
   if (closed != nullptr) account.closed = kept(*closed);
   live_.slot(now.slot).account.set(account);
