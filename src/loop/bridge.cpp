@@ -350,7 +350,9 @@ void Bridge::hear(Announcement& announcement) {
       for (Bridge* bridge : here.inbound) bridge->take_heard();
       for (Bridge* bridge : here.outbound) bridge->give_up(*known);
     }
-    here.find_or_make_origin(announcement.name, *channel->mirror_).become_mirror(*passage);
+    OriginCore& origin = here.find_or_make_origin(announcement.name, *channel->mirror_);
+    channel->mirror_->expect(origin);
+    origin.become_mirror(*passage);
   }
   if (heard_.size() <= passage->number) heard_.resize(passage->number + 1);
   heard_[passage->number] = passage;

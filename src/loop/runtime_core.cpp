@@ -212,6 +212,7 @@ OriginCore& RuntimeCore::claim_origin(std::string_view name, TopicCore& topic, O
   origin->is_claimed = true;
   origin->supply = supply;
   try {
+    topic.expect(*origin);  // which may call user code: not under the lock
     for (std::size_t i = 0; is_new && i < listeners.size(); ++i) listeners[i]->on_origin(*origin);
   } catch (...) {  // no memory: as if nobody had asked
     origin->supply = OriginCore::Supply::none;
@@ -273,7 +274,6 @@ OriginCore& RuntimeCore::find_or_make_origin(std::string_view name, TopicCore& t
         &*origins_.emplace(name, topic, static_cast<std::uint32_t>(of_topic.size())).first);
     of_topic.push_back(origin);
   }
-  topic.expect(*origin);
   return *origin;
 }
 

@@ -253,7 +253,7 @@ void TierCore::run() {
 }
 
 void TierCore::check_may_end() noexcept {
-  if (!is_on_its_thread() && !main.core().is_run_by_another_thread()) {
+  if (!may_only_ask()) {
     if (!is_running()) loop.core().check_may_end();
     return;
   }
@@ -263,7 +263,7 @@ void TierCore::check_may_end() noexcept {
 
 void TierCore::stop() noexcept {
   constexpr Duration patience = std::chrono::seconds{5};
-  if (stop_within(patience) || is_on_its_thread()) return;
+  if (stop_within(patience) || may_only_ask()) return;
   main.core().runtime.log(
       LogLevel::error, "tier " + config.name,
       "is waited for: " + where() + " has not returned since it was told to stop, " + to_string(patience) + " ago",
@@ -277,12 +277,16 @@ std::string TierCore::where() {
   return name.empty() ? "a callback" : name;
 }
 
+bool TierCore::may_only_ask() noexcept {
+  return is_on_its_thread() || main.core().is_run_by_another_thread();
+}
+
 bool TierCore::stop_within(Duration at_most) noexcept {
-  const bool is_here = is_on_its_thread();  // which may have begun before `start` has returned
-  if (!is_here && !is_running()) return true;
+  const bool only_asks = may_only_ask();  // its thread may have begun before `start` has returned
+  if (!only_asks && !is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
-  if (is_here || !ended_.wait(at_most)) return false;
+  if (only_asks || !ended_.wait(at_most)) return false;
   join();
   return true;
 }
@@ -303,6 +307,7 @@ void TierCore::join() noexcept {
 
 void TierCore::call(Callback<void()> function) {
   if (!loop.core().runs_elsewhere()) return function();
+  main.core().check_thread("cannot call", "tier " + config.name);  // a Writer that waited could hold what the tier waits for
   loop.core().call_there(std::move(function));
 }
 

@@ -37,6 +37,8 @@ class TierCore {
   bool is_running() noexcept;
   /// It runs, and this is its thread.
   bool is_on_its_thread() noexcept { return loop.core().is_bound_to_this_thread(); }
+  /// It is stopped where nobody may wait for it: on its thread, or in a call of a sink's Writer.
+  bool may_only_ask() noexcept;
   /// Ends the program, having said why, when the tier may not be destroyed now.
   void check_may_end() noexcept;
   /// While it runs.

@@ -76,7 +76,7 @@ class Tier {
   /// Begins to turn. The main loop's `run` does it too, and does not return by itself while a tier runs.
   void start();
   /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again. In
-  /// one of its own callbacks: asks for it, and returns.
+  /// one of its own callbacks, or in a call of a sink's Writer: asks for it, and returns.
   void stop() noexcept;
   /// The same, but waits no longer than this for the callback. False: it hangs there, see `doing`, and the tier ends
   /// when it returns. Whoever must end all the same leaves by std::_Exit, since destroying anything on the tier waits
@@ -89,7 +89,7 @@ class Tier {
 
   /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not
   /// run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a callback for 1 s, a
-  /// warning names it.
+  /// warning names it. SetupError (wrong-thread) in a call of a sink's Writer, which may hold what the tier waits for.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;
