@@ -59,11 +59,20 @@ class Drain : public std::enable_shared_from_this<Drain> {
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
+      if (!is_there(tier)) {  // what one that does not run delivers here may destroy another
+        std::erase(draining_, tier);
+        continue;
+      }
       tier->drain(share / 4 * 3, [self = shared_from_this(), tier] {
         std::erase(self->draining_, tier);
         if (self->draining_.empty()) self->tiers_done();
       });
     }
+    if (draining_.empty()) tiers_done();
+  }
+
+  bool is_there(const detail::TierCore* tier) const {
+    return std::find(runtime_.tiers.begin(), runtime_.tiers.end(), tier) != runtime_.tiers.end();
   }
 
   void tiers_done() {
@@ -75,11 +84,17 @@ class Drain : public std::enable_shared_from_this<Drain> {
   }
 
   void give_up_tiers() {
+    const auto self = shared_from_this();
     runtime_.receive();
     std::vector<std::pair<std::string, Error>> errors;  // told of at the end, since a report may run user code
-    for (detail::TierCore* tier : runtime_.tiers) {
-      if (std::find(draining_.begin(), draining_.end(), tier) == draining_.end()) continue;
-      tier->add_unknown(runtime_.unknown_end);
+    for (detail::TierCore* tier : copy(draining_)) {
+      if (!is_there(tier)) continue;
+      if (!tier->is_running()) {  // it was stopped meanwhile: it is drained here
+        tier->finish_drains();
+        continue;
+      }
+      tier->give_up();
+      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + tier->unknown();
       errors.push_back({"tier " + tier->config.name,
                         {Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
                          "look at what blocks there"}});

@@ -109,17 +109,20 @@ class World {
   void act(In in) {
     constexpr int deepest = 4;
     if (loop == nullptr || is_ending || depth_ >= deepest) return;
+    const bool was_in_writer = in_writer_;
+    in_writer_ = in_writer_ || in == In::writer;
     ++depth_;
     for (int verbs = below(3); verbs > 0 && budget > 0; --verbs) {
       --budget;
       try {
-        do_something(in);
+        do_something(in_writer_ ? In::writer : in);
       } catch (const SetupError&) {            // refused
       } catch (const std::runtime_error& e) {  // of a payload that was moved
         CHECK(std::string(e.what()) == "a callback throws");
       }
     }
     --depth_;
+    in_writer_ = was_in_writer;
     if (in == In::callback && below(15) == 0) throw std::runtime_error("a callback throws");
   }
   /// On a lane of a loop in real time, only this.
@@ -527,6 +530,7 @@ class World {
   const Loops kind_;
   std::mt19937 random_;
   int depth_ = 0;
+  bool in_writer_ = false;  // a call of a writer is on the stack, further out too
   std::mutex lane_mutex_;
   std::mt19937 lane_random_;
   int lane_budget_ = 20;

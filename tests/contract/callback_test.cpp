@@ -606,4 +606,41 @@ TEST_SUITE("contract") {
     CHECK(fails.counts().failed == 11);
     CHECK(loop.runtime().balances());
   }
+
+  TEST_CASE("the destructor of a payload that nobody came to take cannot run its loop, which is being destroyed") {
+    struct Payload {
+      Payload(const std::function<void()>& in_destructor, int& alive_) : destroyed(in_destructor), alive(&alive_) {
+        ++*alive;
+      }
+      Payload(Payload&& other) noexcept : destroyed(other.destroyed), alive(other.alive) { ++*alive; }
+      ~Payload() {
+        --*alive;
+        destroyed();
+      }
+      const std::function<void()>& destroyed;
+      int* alive;
+    };
+    int alive = 0;
+    int refused = 0;
+    std::function<void()> in_destructor = [] {};
+    auto loop = std::make_unique<Loop>(Loop::Manual{});
+    Loop& ending = *loop;
+    const auto subscription = loop->topic<Payload>("p").subscribe(ending, [](const Event<Payload>&) {});
+    for (int i = 0; i < 3; ++i) loop->topic<Payload>("p").publish(Payload(in_destructor, alive));
+    CHECK(alive == 3);
+    in_destructor = [&] {
+      const std::function<void()> verbs[] = {[&] { ending.poll(); }, [&] { ending.run(); }, [&] { ending.advance(1s); },
+                                             [&] { ending.run_for(1s); }, [&] { ending.close(); }};
+      for (const auto& verb : verbs) {
+        try {
+          verb();
+        } catch (const SetupError& error) {
+          if (error.error().code == Errc::busy) ++refused;
+        }
+      }
+    };
+    loop = nullptr;
+    CHECK(alive == 0);
+    CHECK(refused == 3 * 5);
+  }
 }
