@@ -165,6 +165,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
 void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
   core_->check_thread("cannot drain", "loop " + config().name);
+  core_->check_not_ending("cannot drain");
   if (!done) detail::refuse_empty("cannot drain", "loop " + config().name);
   std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
 }
@@ -187,7 +188,12 @@ std::uint64_t Loop::close(Duration deadline) {
   };
   const auto state = std::make_shared<State>();
   core_->forget_stop();
-  core_->ref();
+  struct Reference {
+    explicit Reference(detail::LoopCore& of) : core(of) { core.ref(); }
+    ~Reference() { core.unref(); }
+    detail::LoopCore& core;
+  };
+  const Reference until_it_is_over(*core_);
   drain(deadline, [this, state](std::uint64_t count) {
     state->lost = count;
     state->is_done = true;
@@ -198,7 +204,6 @@ std::uint64_t Loop::close(Duration deadline) {
     run();
     state->is_running = false;
   }
-  core_->unref();
   if (state->is_done) return state->lost;
   std::uint64_t queued = 0;
   for (const detail::Recorder* recorder : core_->runtime.recorders) queued += recorder->status().counts.queued;

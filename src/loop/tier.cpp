@@ -11,7 +11,6 @@
 #include <cerrno>
 #include <cstring>
 #include <exception>
-#include <semaphore>
 
 #include "loop/bridge.hpp"
 #include "loop/fatal.hpp"
@@ -229,17 +228,17 @@ void TierCore::start() {
   main.core().ref();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
   const SignalsBlocked for_the_tier;
-  std::binary_semaphore is_set_up{0};
+  Latch is_set_up;  // not std::binary_semaphore: see lane.cpp
   try {
     thread_ = std::thread([this, &is_set_up] {
       loop.core().bind_to_this_thread();
       set_up_thread();
-      is_set_up.release();
+      is_set_up.set();
       run();
       loop.core().unbind();
       ended_.set();
     });
-    is_set_up.acquire();
+    is_set_up.wait(Duration::max());
   } catch (const std::system_error&) {
     loop.core().unref();
     main.core().unref();

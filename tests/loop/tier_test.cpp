@@ -15,6 +15,7 @@
 
 #include "loop/callback_survey.hpp"
 #include "loop/lane_sensor.hpp"
+#include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/run_until.hpp"
 #include "loop/runtime_core.hpp"
@@ -696,26 +697,26 @@ TEST_SUITE("loop") {
     Feed<Count> feed(tier.loop(), {.name = "f"});
     tier.call([&](Loop&) { feed.publish({1}); });
     tier.start();
-    std::binary_semaphore is_let_go{0};
-    tier.loop().post([&] { is_let_go.acquire(); });
+    detail::Latch is_let_go;
+    tier.loop().post([&] { is_let_go.wait(24h); });
     SUBCASE("by itself") {
       loop.close(20ms);
       CHECK(times_told() == 1);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.release();
+      is_let_go.set();
       CHECK(run_until(loop, [&] { return loop.runtime().balances(); }));
     }
     SUBCASE("stopped") {
       loop.close(20ms);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.release();
+      is_let_go.set();
       tier.stop();
       CHECK(loop.runtime().balances());
     }
     SUBCASE("closed again") {
       loop.close(20ms);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.release();
+      is_let_go.set();
       loop.close(1h);
       CHECK(loop.runtime().balances());
     }
@@ -726,7 +727,7 @@ TEST_SUITE("loop") {
       CHECK(run_until(loop, [&] { return done == 1; }));
       CHECK(times_told() == 1);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.release();
+      is_let_go.set();
       CHECK(run_until(loop, [&] { return done == 2; }));
       CHECK(loop.runtime().balances());
     }
