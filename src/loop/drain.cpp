@@ -59,11 +59,20 @@ class Drain : public std::enable_shared_from_this<Drain> {
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
+      if (!is_there(tier)) {  // what one that does not run delivers here may destroy another
+        std::erase(draining_, tier);
+        continue;
+      }
       tier->drain(share / 4 * 3, [self = shared_from_this(), tier] {
         std::erase(self->draining_, tier);
         if (self->draining_.empty()) self->tiers_done();
       });
     }
+    if (draining_.empty()) tiers_done();
+  }
+
+  bool is_there(const detail::TierCore* tier) const {
+    return std::find(runtime_.tiers.begin(), runtime_.tiers.end(), tier) != runtime_.tiers.end();
   }
 
   void tiers_done() {
@@ -75,11 +84,17 @@ class Drain : public std::enable_shared_from_this<Drain> {
   }
 
   void give_up_tiers() {
+    const auto self = shared_from_this();
     runtime_.receive();
     std::vector<std::pair<std::string, Error>> errors;  // told of at the end, since a report may run user code
-    for (detail::TierCore* tier : runtime_.tiers) {
-      if (std::find(draining_.begin(), draining_.end(), tier) == draining_.end()) continue;
-      tier->add_unknown(runtime_.unknown_end);
+    for (detail::TierCore* tier : copy(draining_)) {
+      if (!is_there(tier)) continue;
+      if (!tier->is_running()) {  // it was stopped meanwhile: it is drained here
+        tier->finish_drains();
+        continue;
+      }
+      tier->give_up();
+      runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + tier->unknown();
       errors.push_back({"tier " + tier->config.name,
                         {Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
                          "look at what blocks there"}});
@@ -150,6 +165,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
 
 void Loop::drain(Duration deadline, Callback<void(std::uint64_t)> done) {
   core_->check_thread("cannot drain", "loop " + config().name);
+  core_->check_not_ending("cannot drain");
   if (!done) detail::refuse_empty("cannot drain", "loop " + config().name);
   std::make_shared<Drain>(*this, deadline, std::move(done))->begin();
 }
@@ -172,7 +188,12 @@ std::uint64_t Loop::close(Duration deadline) {
   };
   const auto state = std::make_shared<State>();
   core_->forget_stop();
-  core_->ref();
+  struct Reference {
+    explicit Reference(detail::LoopCore& of) : core(of) { core.ref(); }
+    ~Reference() { core.unref(); }
+    detail::LoopCore& core;
+  };
+  const Reference until_it_is_over(*core_);
   drain(deadline, [this, state](std::uint64_t count) {
     state->lost = count;
     state->is_done = true;
@@ -183,7 +204,6 @@ std::uint64_t Loop::close(Duration deadline) {
     run();
     state->is_running = false;
   }
-  core_->unref();
   if (state->is_done) return state->lost;
   std::uint64_t queued = 0;
   for (const detail::Recorder* recorder : core_->runtime.recorders) queued += recorder->status().counts.queued;

@@ -31,8 +31,9 @@ void LoopCore::unlink(Node& node) noexcept {
 
 void LoopCore::check_not_ending(const char* what) const {
   if (!is_ending_) return;
-  throw SetupError({Errc::busy, what, "loop " + config.name, "it is being destroyed",
-                    "make nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
+  throw SetupError(
+      {Errc::busy, what, "loop " + config.name, "it is being destroyed",
+       "make and run nothing in what runs while a loop ends: destructors of captures, `close` of devices"});
 }
 
 void refuse_empty(const char* what, std::string_view name) {

@@ -370,7 +370,7 @@ void LoopCore::start_idle() noexcept {
 
 LoopCore::Left LoopCore::deliver(Budget budget) {
   constexpr int most_rounds = 100;  // each brings what the handlers of the one before have published
-  if (delivering_) return Left::nothing;
+  if (delivering_ || is_ending_) return Left::nothing;
   delivering_ = true;
   MonotonicTime current = now();
   const MonotonicTime end = budget == Budget::limited ? later(current, config.delivery_budget) : MonotonicTime::max();

@@ -9,8 +9,11 @@
 
 namespace rtdata::detail {
 
-/// The next delay after this one: twice as long, to the longest.
-inline Duration doubled(Duration delay, Duration longest) noexcept { return delay > longest / 2 ? longest : 2 * delay; }
+/// The next delay after this one: twice as long, to the longest. One that is negative stays none.
+inline Duration doubled(Duration delay, Duration longest) noexcept {
+  const Duration now = delay.count() > 0 ? delay : Duration{0};
+  return now > longest / 2 ? longest : 2 * now;
+}
 
 /// The delay less up to a quarter of it, which depends on who waits and how often that failed: many that fail together
 /// do not come back in step.

@@ -102,6 +102,7 @@ void LoopCore::start_tiers_in_turn() noexcept {
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
   core.check_thread(what, "");
+  core.check_not_ending(what);
   if (core.is_in_user_code()) {
     throw SetupError({Errc::busy, what, "loop " + core.config.name, "this is one of its callbacks",
                       "return from the callback; use stop(), post() or drain() there"});
@@ -162,6 +163,7 @@ void LoopCore::run_for(Duration duration) {
 void LoopCore::poll() {
   if (attached_) {
     check_thread("cannot poll", "");
+    check_not_ending("cannot poll");
     if (is_in_user_code()) {
       throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
                         "return from the callback; what is due follows by itself"});

@@ -326,6 +326,15 @@ std::string RuntimeCore::hear_tiers_out(Duration at_most) {
   return unknown;
 }
 
+std::string RuntimeCore::unknown_of_tiers() const {
+  std::string unknown;
+  for (const TierCore* tier : tiers) {
+    if (tier->is_known()) continue;
+    unknown += (unknown.empty() ? "" : "; ") + tier->unknown();
+  }
+  return unknown;
+}
+
 RuntimeCore::Wanted::Wanted(RuntimeCore& runtime, const std::vector<std::string>& patterns)
     : runtime_(runtime), patterns_(patterns) {
   runtime_.wanted_.push_back(&patterns_);
@@ -456,7 +465,6 @@ std::vector<LoopStatus> Runtime::loops() const {
 }
 
 bool Runtime::balances() const {
-  if (!core_->unknown_end.empty()) return false;  // a tier hung: its account is not known
   for (const detail::OriginCore& origin : core_->origins()) {
     if (!origin.counts.balances() || (origin.counts.published != origin.sequence && !origin.is_mirror)) return false;
   }

@@ -170,7 +170,7 @@ class RuntimeCore {
     std::erase(recorders, &recorder);
   }
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
-  std::string unknown_end;               ///< why recordings that close now are not complete; empty: they are
+  std::string unknown_end;               ///< what those that the last drain closed do not know of tiers; empty: all is
   std::vector<SensorEntry*> sensors;
   LoopCore* own_loop = nullptr;  ///< while it has one
   unsigned calling = 0;          ///< calls of user code on the stack, see LoopCore::Calling
@@ -184,6 +184,8 @@ class RuntimeCore {
   /// The hub's: knows of each tier up to one instant, and of nothing after it. Returns what it cannot know of tiers that
   /// do not answer in time; empty: nothing.
   std::string hear_tiers_out(Duration at_most);
+  /// The hub's: what is not known now of tiers that a drain has given up, and that have not come out since; empty: all is.
+  std::string unknown_of_tiers() const;
   /// While one lives, other loops send what they publish on topics of these patterns, whether anybody here takes it or
   /// not: what they publish after they were heard out is there for whoever takes it from then on.
   class Wanted {

@@ -11,7 +11,6 @@
 #include <cerrno>
 #include <cstring>
 #include <exception>
-#include <semaphore>
 
 #include "loop/bridge.hpp"
 #include "loop/fatal.hpp"
@@ -159,7 +158,7 @@ TierCore::~TierCore() {
   }
   bridges_.clear();
   std::erase(main.core().runtime.tiers, this);
-  for (auto& drain : drains_) main.post([drain] { end(*drain); });
+  for (const auto& drain : drains_) main.post([drain] { end(*drain); });
   for (TierCore* tier : interrupted) tier->start_again();
 }
 
@@ -229,17 +228,17 @@ void TierCore::start() {
   main.core().ref();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
   const SignalsBlocked for_the_tier;
-  std::binary_semaphore is_set_up{0};
+  Latch is_set_up;  // not std::binary_semaphore: see lane.cpp
   try {
     thread_ = std::thread([this, &is_set_up] {
       loop.core().bind_to_this_thread();
       set_up_thread();
-      is_set_up.release();
+      is_set_up.set();
       run();
       loop.core().unbind();
       ended_.set();
     });
-    is_set_up.acquire();
+    is_set_up.wait(Duration::max());
   } catch (const std::system_error&) {
     loop.core().unref();
     main.core().unref();
@@ -303,6 +302,14 @@ void TierCore::join() noexcept {
   main.core().unref();
   loop.core().forget_stop();
   scheduling = {};
+  *unknown_ = {};  // it can be asked here
+  const auto waits = [](const auto& drain) { return static_cast<bool>(drain->done); };
+  if (std::none_of(drains_.begin(), drains_.end(), waits)) return;
+  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain finds it stopped when its time is up
+    main.post([this, &hub = main.core().runtime] {
+      if (std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end()) finish_drains();
+    });
+  });
 }
 
 void TierCore::call(Callback<void()> function) {
@@ -312,39 +319,65 @@ void TierCore::call(Callback<void()> function) {
 }
 
 void TierCore::drain(Duration deadline, Callback<void()> done) {
-  if (!is_running() && loop.core().is_in_user_code()) {  // by what sets it up: as soon as that has returned
-    return main.post([this, &hub = main.core().runtime, deadline, done = std::move(done)]() mutable {
-      const bool is_there = std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end();
-      is_there ? drain(deadline, std::move(done)) : done();
+  std::erase_if(drains_, [](const auto& one) { return !one->done; });
+  drains_.push_back(std::make_shared<Drain>(Drain{std::move(done), later(main.now(), deadline)}));
+  const auto drain = drains_.back();
+  if (!is_running()) return go_on(drain);
+  loop.post([this, deadline, drain] {
+    loop.drain(deadline, [this, drain](std::uint64_t) {
+      sending_for_.push_back(drain);
+      send_last_accounts();
     });
-  }
-  if (!is_running()) {
-    Bridge& bridge = bridge_to_main();
-    bridge.hand_over();  // there is room for what the end brings
-    loop.close(deadline);
-    bridge.finish();
-    return done();
-  }
-  std::erase_if(drains_, [](const auto& one) { return !*one; });
-  drains_.push_back(std::make_shared<Callback<void()>>(std::move(done)));
-  loop.post([this, deadline, done = drains_.back()] {
-    loop.drain(deadline, [this, done](std::uint64_t) { send_last_accounts(done); });
   });
 }
 
-void TierCore::end(Callback<void()>& drain) {
-  if (drain) std::exchange(drain, {})();
+void TierCore::finish_drains() {
+  const auto drains = drains_;
+  for (const auto& drain : drains) {
+    if (!is_running()) go_on(drain);
+  }
 }
 
-void TierCore::send_last_accounts(std::shared_ptr<Callback<void()>> done) {
+void TierCore::go_on(const std::shared_ptr<Drain>& drain) {
+  if (!drain->done || loop.core().is_ending()) return;  // its destructor ends those that are left
+  if (loop.core().is_in_user_code()) {                  // by what sets it up: as soon as that has returned
+    return main.post([this, &hub = main.core().runtime, drain] {
+      if (std::find(hub.tiers.begin(), hub.tiers.end(), this) == hub.tiers.end()) return end(*drain);
+      if (!is_running()) return go_on(drain);
+      this->drain(std::max(span_between(main.now(), drain->deadline), Duration{0}), [drain] { end(*drain); });
+    });
+  }
+  Bridge& bridge = bridge_to_main();
+  bridge.hand_over();  // there is room for what the end brings
+  loop.close(std::max(span_between(main.now(), drain->deadline), Duration{0}));
+  bridge.finish();
+  end(*drain);
+}
+
+void TierCore::end(Drain& drain) {
+  if (drain.done) std::exchange(drain.done, {})();
+}
+
+void TierCore::send_last_accounts() {
   if (bridge_to_main().send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
-    sending_ = Timer(loop, std::chrono::milliseconds{1}, [this, done = std::move(done)] { send_last_accounts(done); });
+    sending_ = Timer(loop, std::chrono::milliseconds{1}, [this] { send_last_accounts(); });
     return;
   }
   for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
   was_balanced_.store(runtime.balances(), std::memory_order_release);
   had_loss_.store(runtime.has_loss(), std::memory_order_release);
-  main.post([done = std::move(done)] { end(*done); });
+  for (auto& drain : std::exchange(sending_for_, {})) {
+    main.post([drain = std::move(drain), unknown = unknown_] {
+      if (unknown->latest == drain) *unknown = {};  // it came out after all
+      end(*drain);
+    });
+  }
+}
+
+void TierCore::give_up() {
+  Unknown now{"", drains_.empty() ? nullptr : drains_.back()};
+  add_unknown(now.text);
+  *unknown_ = std::move(now);
 }
 
 struct TierCore::Answer {

@@ -45,8 +45,10 @@ class TierCore {
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);
   /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run; when it is
-  /// destroyed before, in the next turn.
+  /// stopped or destroyed before, in the next turn.
   void drain(Duration deadline, Callback<void()> done);
+  /// Unless it runs: ends the drains that it did not come to, here.
+  void finish_drains();
 
   // On the main loop, one after the other
   /// Asks the tier to tell how all its sensors do.
@@ -58,8 +60,17 @@ class TierCore {
   /// after ... is not known". Texts of several are joined.
   void add_unknown(std::string& to);
 
+  /// A drain no longer waits for it: what it did is not known until it has come out after all, or was stopped.
+  void give_up();
+  bool is_known() const noexcept { return unknown_->text.empty(); }
+  /// See `add_unknown`, as of `give_up`.
+  const std::string& unknown() const noexcept { return unknown_->text; }
+
   // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
-  bool balances() { return is_running() ? was_balanced_.load(std::memory_order_acquire) : runtime.balances(); }
+  bool balances() {
+    if (!is_running()) return runtime.balances();
+    return is_known() && was_balanced_.load(std::memory_order_acquire);
+  }
   bool has_loss() { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }
 
   /// Whether it has answered within the limit; asks again when it has. On the main loop.
@@ -74,11 +85,21 @@ class TierCore {
 
  private:
   struct Answer;
+  /// Of the main loop, and shared with the tier, which may be late.
+  struct Drain {
+    Callback<void()> done;  // empty: it is done
+    MonotonicTime deadline;
+  };
+  struct Unknown {
+    std::string text;               // empty: all is known
+    std::shared_ptr<Drain> latest;  // that it was asked for when it was given up
+  };
   void make_bridges();
   Bridge& bridge_to_main() noexcept;
-  /// On its thread; `done` on the main loop.
-  void send_last_accounts(std::shared_ptr<Callback<void()>> done);
-  static void end(Callback<void()>& drain);
+  void go_on(const std::shared_ptr<Drain>& drain);
+  /// On its thread; what waits for it goes on on the main loop.
+  void send_last_accounts();
+  static void end(Drain& drain);
   void run();
   void join() noexcept;
   /// After `stop`; it runs on where it was.
@@ -90,7 +111,9 @@ class TierCore {
   std::thread thread_;
   bool was_started_ = false;
   Timer sending_;
-  std::vector<std::shared_ptr<Callback<void()>>> drains_;  // the main loop's; those that are done are empty
+  std::vector<std::shared_ptr<Drain>> sending_for_;  // the tier's: drains that wait for the last accounts
+  std::vector<std::shared_ptr<Drain>> drains_;       // the main loop's
+  const std::shared_ptr<Unknown> unknown_ = std::make_shared<Unknown>();
   std::atomic<bool> quit_{false};
   Latch ended_;                    // its thread is about to end
   std::vector<std::string> told_;  // warnings; not told of again by the next start

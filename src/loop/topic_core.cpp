@@ -284,6 +284,7 @@ void TopicCore::drop_slots(std::uint64_t last) noexcept {
 }
 
 void TopicCore::abandon() noexcept {
+  const LoopCore::Calling user_code(runtime_);  // destructors, in which nothing is to be delivered
   drop_slots(head_);
   is_ready = false;
   next_ready = nullptr;

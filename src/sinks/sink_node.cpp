@@ -430,7 +430,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     if (!is_attached_ || closing_) return;  // a user's handler has closed this sink
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.
-    std::string unknown = runtime.unknown_end;
+    std::string unknown = runtime.unknown_of_tiers();
     note([&] {
       if (unknown.empty())
         unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);

@@ -70,9 +70,22 @@ struct Stored {
   std::atomic<bool> is_ordered{true};
 };
 
+/// What writers on lanes use; kept when their loop goes, since one may have been left behind there.
+struct LaneSide {
+  std::mutex mutex;
+  std::mt19937 random;
+  int budget = 20;
+  Loop* loop = nullptr;  // null: it is about to go
+  /// With a chance of one in n.
+  bool one_in(unsigned n) {
+    const std::lock_guard lock(mutex);
+    return random() % n == 0;
+  }
+};
+
 class ChaosWriter final : public Writer {
  public:
-  ChaosWriter(World& world, std::shared_ptr<Stored> stored) : world_(world), stored_(std::move(stored)) {}
+  ChaosWriter(World& world, std::shared_ptr<Stored> stored);
   ~ChaosWriter() override;
   Result<void> open() override { return on_lane("open"); }
   Result<void> write(Batch& batch) override;
@@ -84,14 +97,17 @@ class ChaosWriter final : public Writer {
 
  private:
   Result<void> on_lane(const char* what);
-  World& world_;
+  World& world_;  // on a lane in real time not to be used: it may be gone
+  const bool is_manual_;
+  const std::shared_ptr<LaneSide> lane_;
   std::shared_ptr<Stored> stored_;
 };
 
 /// The handles of one loop, and what user code does with them. Of its loop's thread.
 class World {
  public:
-  World(Loops kind, unsigned seed) : kind_(kind), random_(seed), lane_random_(seed + 1) {
+  World(Loops kind, unsigned seed) : kind_(kind), random_(seed) {
+    lane->random.seed(seed + 1);
     event_ = ::eventfd(1, EFD_NONBLOCK);  // readable for good
   }
   ~World() { ::close(event_); }
@@ -109,34 +125,38 @@ class World {
   void act(In in) {
     constexpr int deepest = 4;
     if (loop == nullptr || is_ending || depth_ >= deepest) return;
+    const bool was_in_writer = in_writer_;
+    in_writer_ = in_writer_ || in == In::writer;
     ++depth_;
     for (int verbs = below(3); verbs > 0 && budget > 0; --verbs) {
       --budget;
       try {
-        do_something(in);
+        do_something(in_writer_ ? In::writer : in);
       } catch (const SetupError&) {            // refused
       } catch (const std::runtime_error& e) {  // of a payload that was moved
         CHECK(std::string(e.what()) == "a callback throws");
       }
     }
     --depth_;
+    in_writer_ = was_in_writer;
     if (in == In::callback && below(15) == 0) throw std::runtime_error("a callback throws");
   }
-  /// On a lane of a loop in real time, only this.
-  void act_on_lane() {
-    const std::lock_guard lock(lane_mutex_);
-    if (lane_budget_ <= 0) return;
-    const auto chosen = lane_random_() % 4;
+  const std::shared_ptr<LaneSide> lane = std::make_shared<LaneSide>();
+  /// On a lane of a loop in real time, only this; `side` is locked, and its loop is there.
+  void act_on_lane(LaneSide& side) {
+    if (side.budget <= 0) return;
+    const auto chosen = side.random() % 4;
     if (chosen < 2) {
-      --lane_budget_;
-      loop->post([this, captured = Captured(*this)] { act(In::callback); });
+      --side.budget;
+      side.loop->post([this, captured = Captured(*this)] { act(In::callback); });
     } else if (chosen == 2) {
-      loop->stop();
+      side.loop->stop();
     }
   }
-  bool lane_below(unsigned n) {
-    const std::lock_guard lock(lane_mutex_);
-    return lane_random_() % n == 0;
+  /// The loop that lanes may use; null before it goes.
+  void give_lanes(Loop* used) {
+    const std::lock_guard lock(lane->mutex);
+    lane->loop = used;
   }
 
   /// In random order.
@@ -147,8 +167,8 @@ class World {
     }
   }
   void open_lane_budget() {
-    const std::lock_guard lock(lane_mutex_);
-    lane_budget_ = 20;
+    const std::lock_guard lock(lane->mutex);
+    lane->budget = 20;
   }
   std::vector<std::pair<std::string, std::shared_ptr<Stored>>> writers;
 
@@ -501,6 +521,7 @@ class World {
     of_tier.other = nullptr;
     if (below(2) == 0) of_tier.close_all();  // else they outlive it
     of_tier.is_ending = true;
+    of_tier.give_lanes(nullptr);
   }
   /// Its loop is being destroyed, or is gone.
   bool is_ending = false;
@@ -527,9 +548,7 @@ class World {
   const Loops kind_;
   std::mt19937 random_;
   int depth_ = 0;
-  std::mutex lane_mutex_;
-  std::mt19937 lane_random_;
-  int lane_budget_ = 20;
+  bool in_writer_ = false;  // a call of a writer is on the stack, further out too
   int event_ = -1;
   std::array<Timer, slots> timers_;
   std::array<Ticker, slots> tickers_;
@@ -549,18 +568,21 @@ Captured::~Captured() {
 Meddler::Meddler(Meddler&& other) : world_(other.world_) { world_->act(In::callback); }
 Meddler::~Meddler() { world_->act(In::destructor); }
 
+ChaosWriter::ChaosWriter(World& world, std::shared_ptr<Stored> stored)
+    : world_(world), is_manual_(world.is_manual()), lane_(world.lane), stored_(std::move(stored)) {}
 ChaosWriter::~ChaosWriter() {
-  if (world_.is_manual()) world_.act(In::destructor);
+  if (is_manual_) world_.act(In::destructor);
 }
 Result<void> ChaosWriter::on_lane(const char* what) {
-  if (world_.is_manual()) {
+  if (is_manual_) {
     world_.act(In::writer);
   } else {
-    world_.act_on_lane();
+    const std::lock_guard lock(lane_->mutex);
+    if (lane_->loop != nullptr) world_.act_on_lane(*lane_);
   }
-  if (!world_.lane_below(20)) return {};
-  if (world_.lane_below(3)) throw std::runtime_error(what);
-  return Error{world_.lane_below(10) ? Errc::closed : Errc::io_failed, "cannot", what, "at random", ""};
+  if (!lane_->one_in(20)) return {};
+  if (lane_->one_in(3)) throw std::runtime_error(what);
+  return Error{lane_->one_in(10) ? Errc::closed : Errc::io_failed, "cannot", what, "at random", ""};
 }
 Result<void> ChaosWriter::write(Batch& batch) {
   if (auto done = on_lane("write"); !done) return done;
@@ -569,7 +591,7 @@ Result<void> ChaosWriter::write(Batch& batch) {
     std::uint64_t& last = stored_->last[record.info->topic + " " + record.info->origin];
     if (record.header.sequence <= last) stored_->is_ordered = false;
     last = record.header.sequence;
-    if (world_.lane_below(50)) {
+    if (lane_->one_in(50)) {
       batch.refuse(record, {Errc::does_not_fit, "refused", "", "at random", ""});
     } else {
       stored_->rows.fetch_add(1);
@@ -579,17 +601,17 @@ Result<void> ChaosWriter::write(Batch& batch) {
 }
 std::optional<Error> ChaosWriter::take_warning() {
   static_cast<void>(on_lane("take_warning"));
-  if (world_.lane_below(8)) return Error{Errc::io_failed, "space runs out", "", "at random", ""};
+  if (lane_->one_in(8)) return Error{Errc::io_failed, "space runs out", "", "at random", ""};
   return std::nullopt;
 }
 Result<void> ChaosWriter::add_topic(std::uint32_t, std::string_view, const Description&) {
   world_.act(In::writer);
-  if (world_.lane_below(8)) return Error{Errc::does_not_fit, "cannot take it", "", "at random", ""};
+  if (lane_->one_in(8)) return Error{Errc::does_not_fit, "cannot take it", "", "at random", ""};
   return {};
 }
 LiveCounts* ChaosWriter::live_counts(std::uint32_t) {
   world_.act(In::writer);
-  if (world_.lane_below(8)) throw std::runtime_error("no live counts");
+  if (lane_->one_in(8)) throw std::runtime_error("no live counts");
   return nullptr;
 }
 
@@ -622,6 +644,7 @@ void run(Loops kind, unsigned seed) {
     loop = std::make_unique<Loop>();
   }
   world.loop = loop.get();
+  world.give_lanes(loop.get());
   loop->on_error([](const ErrorReport&) {});
   loop->runtime().on_log([](const LogRecord&) {});
   if (kind == Loops::tiers) {
@@ -630,6 +653,7 @@ void run(Loops kind, unsigned seed) {
     world.other = &tier_world;
     tier_world.is_of_tier = true;
     tier_world.loop = &tier->loop();
+    tier_world.give_lanes(&tier->loop());
     tier_world.other = &world;
   }
   for (int round = 0; round < 3; ++round) {
@@ -678,6 +702,7 @@ void run(Loops kind, unsigned seed) {
   tier_world.loop = nullptr;
   check(*loop, world);
   for (int i = 0; i < 10; ++i) world.act(In::outside);
+  world.give_lanes(nullptr);
   loop = nullptr;
   world.loop = nullptr;
   if (kind == Loops::attached) {

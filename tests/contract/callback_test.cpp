@@ -5,10 +5,10 @@
 #include <csignal>
 #include <functional>
 #include <memory>
-#include <semaphore>
 #include <string>
 #include <vector>
 
+#include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -104,13 +104,13 @@ TEST_SUITE("contract") {
   TEST_CASE("a program that ends its run when space runs out loses nothing that can still be stored") {
     Told told;
     Loop loop;
-    std::binary_semaphore go_on{0};
+    detail::Latch go_on;
     std::uint64_t lost = 1;
     Sink sink(loop, small(), std::make_unique<ToldWriter>(told));
     const auto topic = loop.topic<Number>("a");
     told.warning = bad;
     told.in_write = [&] {
-      if (told.writes == 2) go_on.acquire();  // until the loop has come out of the report
+      if (told.writes == 2) go_on.wait(1h);  // until the loop has come out of the report
     };
     sink.on_error([&](const ErrorReport&) {
       for (int i = 0; i < 400; ++i) topic.publish({2});
@@ -118,7 +118,7 @@ TEST_SUITE("contract") {
         lost = count;
         loop.stop();
       });
-      loop.post([&] { go_on.release(); });
+      loop.post([&] { go_on.set(); });
     });
     for (int i = 0; i < 100; ++i) topic.publish({1});
     Timer limit(loop, 20s, [&] { loop.stop(); });
@@ -605,5 +605,43 @@ TEST_SUITE("contract") {
     loop.advance(10ms);
     CHECK(fails.counts().failed == 11);
     CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("the destructor of a payload that nobody came to take cannot run its loop, which is being destroyed") {
+    struct Payload {
+      Payload(const std::function<void()>& in_destructor, int& alive_) : destroyed(in_destructor), alive(&alive_) {
+        ++*alive;
+      }
+      Payload(Payload&& other) noexcept : destroyed(other.destroyed), alive(other.alive) { ++*alive; }
+      ~Payload() {
+        --*alive;
+        destroyed();
+      }
+      const std::function<void()>& destroyed;
+      int* alive;
+    };
+    int alive = 0;
+    int refused = 0;
+    std::function<void()> in_destructor = [] {};
+    auto loop = std::make_unique<Loop>(Loop::Manual{});
+    Loop& ending = *loop;
+    const auto subscription = loop->topic<Payload>("p").subscribe(ending, [](const Event<Payload>&) {});
+    for (int i = 0; i < 3; ++i) loop->topic<Payload>("p").publish(Payload(in_destructor, alive));
+    CHECK(alive == 3);
+    in_destructor = [&] {
+      const std::function<void()> verbs[] = {
+          [&] { ending.poll(); },      [&] { ending.run(); },   [&] { ending.advance(1s); },
+          [&] { ending.run_for(1s); }, [&] { ending.close(); }, [&] { ending.drain(1s, [](std::uint64_t) {}); }};
+      for (const auto& verb : verbs) {
+        try {
+          verb();
+        } catch (const SetupError& error) {
+          if (error.error().code == Errc::busy) ++refused;
+        }
+      }
+    };
+    loop = nullptr;
+    CHECK(alive == 0);
+    CHECK(refused == 3 * 6);
   }
 }

@@ -15,6 +15,7 @@
 
 #include "loop/callback_survey.hpp"
 #include "loop/lane_sensor.hpp"
+#include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/run_until.hpp"
 #include "loop/runtime_core.hpp"
@@ -685,6 +686,86 @@ TEST_SUITE("loop") {
     CHECK(all[0].counts.in_flight == 0);
     CHECK(all[0].counts.failed == 1);
     CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-24 a tier that a drain has given up is unknown, which is told, and known again once it has come out") {
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+    const auto times_told = [&] { return std::count(errors.begin(), errors.end(), "did not stop in time"); };
+    Tier tier(loop, {.name = "fast", .hold_limit = 1h});
+    Feed<Count> feed(tier.loop(), {.name = "f"});
+    tier.call([&](Loop&) { feed.publish({1}); });
+    tier.start();
+    detail::Latch is_let_go;
+    tier.loop().post([&] { is_let_go.wait(24h); });
+    SUBCASE("by itself") {
+      loop.close(20ms);
+      CHECK(times_told() == 1);
+      CHECK_FALSE(loop.runtime().balances());
+      is_let_go.set();
+      CHECK(run_until(loop, [&] { return loop.runtime().balances(); }));
+    }
+    SUBCASE("stopped") {
+      loop.close(20ms);
+      CHECK_FALSE(loop.runtime().balances());
+      is_let_go.set();
+      tier.stop();
+      CHECK(loop.runtime().balances());
+    }
+    SUBCASE("closed again") {
+      loop.close(20ms);
+      CHECK_FALSE(loop.runtime().balances());
+      is_let_go.set();
+      loop.close(1h);
+      CHECK(loop.runtime().balances());
+    }
+    SUBCASE("by a longer drain, begun before it was given up") {
+      int done = 0;
+      loop.drain(20ms, [&](std::uint64_t) { ++done; });
+      loop.drain(1h, [&](std::uint64_t) { ++done; });
+      CHECK(run_until(loop, [&] { return done == 1; }));
+      CHECK(times_told() == 1);
+      CHECK_FALSE(loop.runtime().balances());
+      is_let_go.set();
+      CHECK(run_until(loop, [&] { return done == 2; }));
+      CHECK(loop.runtime().balances());
+    }
+    CHECK(times_told() == 1);
+  }
+
+  TEST_CASE("drains of a tier end when there is no room for its accounts until the main loop turns") {
+    Loop loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+    Tier tier(loop, {.name = "fast", .ring_bytes = 4096});
+    std::vector<Feed<Count>> feeds;
+    for (int i = 0; i < 100; ++i) feeds.emplace_back(tier.loop(), FeedConfig{.name = "f" + std::to_string(i)});
+    tier.call([&](Loop&) {
+      for (auto& feed : feeds) feed.publish({1});
+    });
+    tier.start();
+    int done = 0;
+    int asked = 1;
+    SUBCASE("two at once") {
+      for (asked = 0; asked < 2; ++asked) loop.drain(1h, [&](std::uint64_t) { ++done; });
+      tier.call([](Loop&) {});  // it has come to both
+    }
+    SUBCASE("stopped meanwhile") {
+      loop.drain(1h, [&](std::uint64_t) { ++done; });
+      tier.stop();
+    }
+    SUBCASE("stopped and started again meanwhile") {
+      loop.drain(1h, [&](std::uint64_t) { ++done; });
+      tier.stop();
+      tier.start();
+    }
+    CHECK(run_until(loop, [&] { return done == asked; }));
+    CHECK(std::find(errors.begin(), errors.end(), "did not stop in time") == errors.end());
+    CHECK(loop.runtime().balances());
+    std::uint64_t published = 0;
+    for (const SensorStatus& sensor : loop.runtime().sensors()) published += sensor.counts.published;
+    CHECK(published == 100);
   }
 
   TEST_CASE("changes of health on a tier that the main loop does not take are dropped beyond a number, and counted") {

@@ -126,8 +126,9 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The runtime's own first, then its tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant, and no tier hung when the loop was closed. Here and in the next,
-  /// a tier that runs counts as it was when the main loop was drained last.
+  /// Every equation of the ledger holds at this instant. It is false while what a tier did is not known: it did not stop
+  /// in the time that a drain gave it, which was reported, and has not come out of its callback since, nor was it
+  /// stopped. Here and in the next, a tier that runs counts as it was when the main loop was drained last.
   bool balances() const;
   /// Something was missed, failed or lost, a source without a schedule had an outage, a sink dropped something or a
   /// subscription on a tier, or something could not be taken from a tier, which was reported.

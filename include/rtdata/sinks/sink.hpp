@@ -228,7 +228,9 @@ struct TopicToRecord {
 };
 
 /// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop it
-/// may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp).
+/// may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp). A call that
+/// has not returned when the sink's `close_deadline` is over is left behind on its thread, together with the writer: it
+/// goes on after the sink and its loop are gone, of which it must use nothing then.
 class Writer {
  public:
   virtual ~Writer() = default;
