@@ -276,9 +276,7 @@ std::string TierCore::where() {
   return name.empty() ? "a callback" : name;
 }
 
-bool TierCore::may_only_ask() noexcept {
-  return is_on_its_thread() || main.core().is_run_by_another_thread();
-}
+bool TierCore::may_only_ask() noexcept { return is_on_its_thread() || main.core().is_run_by_another_thread(); }
 
 bool TierCore::stop_within(Duration at_most) noexcept {
   const bool only_asks = may_only_ask();  // its thread may have begun before `start` has returned
@@ -314,7 +312,8 @@ void TierCore::join() noexcept {
 
 void TierCore::call(Callback<void()> function) {
   if (!loop.core().runs_elsewhere()) return function();
-  main.core().check_thread("cannot call", "tier " + config.name);  // a Writer that waited could hold what the tier waits for
+  main.core().check_thread("cannot call",
+                           "tier " + config.name);  // a Writer that waited could hold what the tier waits for
   loop.core().call_there(std::move(function));
 }
 

@@ -89,7 +89,7 @@ class Tier {
 
   /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not
   /// run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a callback for 1 s, a
-  /// warning names it. SetupError (wrong-thread) in a call of a sink's Writer, which may hold what the tier waits for.
+  /// warning names it. SetupError (busy) in a call of a sink's Writer, which may hold what the tier waits for.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;
