@@ -327,6 +327,7 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   try {
     program.parse(argc, argv);
   } catch (const CLI::ExtrasError& error) {
+    const ForPeople wrapped;
     if (!is_named) return program.exit(error) == 0 ? app::exit_good : app::exit_other;
     const std::string name(first);
     std::cerr << "rtdata " << name << ": " << wrong_argument(*prepared.front().first) << "; `rtdata " << name

@@ -110,8 +110,8 @@ TEST_SUITE("app") {
       }
       run.signal(SIGINT);
       CHECK(run.end() == 3);
-      CHECK(has(run.out, "ledger balances; "));
-      CHECK(has(run.out, "something was lost"));
+      CHECK(has(run.out, "LOST: "));
+      CHECK(has(run.out, "; ledger balances\n"));
       CHECK(count_of(run.err, "error: sink good.db") == 0);
       CHECK_FALSE(has(run.err, "malformed"));
       const std::string error = is_pulled ? "error: sink stick/run.db: cannot use the recording: "
