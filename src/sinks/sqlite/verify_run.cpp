@@ -423,6 +423,7 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
   };
   strays(of_run.segments_of, "stretch of schedule");
   strays(of_run.gaps_of, "gap");
+  check_format(found, of_run, checksums);
   check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);
