@@ -353,7 +353,12 @@ void note_end(const Findings& found) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
                          : "Its account is not complete: what was lost is not known.");
-    if (info.lost && *info.lost != found.report.unsaved) {
+    // What was lost of sensors that had only begun is in no ledger, and is counted since then.
+    const bool may_be_more = info.format >= sqlite::first_version_of_own_data_account;
+    if (info.lost && *info.lost > found.report.unsaved && may_be_more) {
+      found.note(plural(*info.lost - found.report.unsaved, "event") + " of " + number(*info.lost) +
+                 " lost were of sensors that had only begun, whose names are unknown.");
+    } else if (info.lost && *info.lost != found.report.unsaved) {
       found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) +
                     " not saved.");
     }
