@@ -1,11 +1,10 @@
 #include "app/stop_signals.hpp"
 
-#include <poll.h>
+#include <pthread.h>
 #include <signal.h>
-#include <sys/eventfd.h>
-#include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <condition_variable>
 #include <mutex>
 #include <system_error>
@@ -18,8 +17,8 @@ namespace rtdata::app {
 struct StopSignals::State {
   sigset_t taken{};
   sigset_t mask_before{};
-  int signals = -1;
-  int quit = -1;
+  int any_taken = 0;  // one of them; 0: all are ignored
+  std::atomic<bool> is_over{false};
   std::thread thread;
 
   std::mutex mutex;
@@ -35,14 +34,11 @@ struct StopSignals::State {
   };
 
   void run() {
-    pollfd fds[2] = {{signals, POLLIN, 0}, {quit, POLLIN, 0}};
     for (;;) {
-      if (::poll(fds, 2, -1) < 0) continue;
-      if (fds[1].revents != 0) return;
-      signalfd_siginfo info{};
-      if (::read(signals, &info, sizeof info) != sizeof info) continue;
-      const char* name = info.ssi_signo == SIGINT ? "SIGINT" : info.ssi_signo == SIGTERM ? "SIGTERM" : "SIGHUP";
-      came(name);
+      int signal = 0;
+      if (::sigwait(&taken, &signal) != 0) continue;
+      if (is_over.load()) return;
+      came(signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : "SIGHUP");
     }
   }
 
@@ -77,27 +73,26 @@ StopSignals::StopSignals() : state_(std::make_unique<State>()) {
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
     struct sigaction now {};
     ::sigaction(signal, nullptr, &now);
-    if (now.sa_handler != SIG_IGN) ::sigaddset(&state_->taken, signal);
+    if (now.sa_handler == SIG_IGN) continue;
+    ::sigaddset(&state_->taken, signal);
+    state_->any_taken = signal;
   }
+  if (state_->any_taken == 0) return;
   ::pthread_sigmask(SIG_BLOCK, &state_->taken, &state_->mask_before);
-  state_->signals = ::signalfd(-1, &state_->taken, SFD_CLOEXEC | SFD_NONBLOCK);
-  state_->quit = ::eventfd(0, EFD_CLOEXEC);
   try {
     state_->thread = std::thread([state = state_.get()] { state->run(); });
   } catch (const std::system_error&) {
-    ::close(state_->signals);
-    ::close(state_->quit);
     ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
     throw SetupError(detail::no_thread("cannot start", "the thread that waits for signals"));
   }
 }
 
 StopSignals::~StopSignals() {
-  const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = ::write(state_->quit, &one, sizeof one);
+  if (state_->any_taken == 0) return;
+  // It waits without a descriptor, which the system may refuse: a signal of its own wakes it.
+  state_->is_over = true;
+  ::pthread_kill(state_->thread.native_handle(), state_->any_taken);
   state_->thread.join();
-  ::close(state_->signals);
-  ::close(state_->quit);
   ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
 }
 

@@ -1,5 +1,6 @@
 #include "rtdata/loop/loop.hpp"
 
+#include <sys/eventfd.h>
 #include <sys/timerfd.h>
 #include <unistd.h>
 
@@ -58,6 +59,22 @@ void check_uv(int status, const char* what) {
   if (status != 0) throw_uv(status, what);
 }
 
+/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process: seen to here.
+void require_descriptors() {
+  int taken[3];
+  int count = 0, failure = 0;
+  for (int& one : taken) {
+    one = ::eventfd(0, EFD_CLOEXEC);
+    if (one < 0) {
+      failure = errno;
+      break;
+    }
+    ++count;
+  }
+  for (int i = 0; i < count; ++i) ::close(taken[i]);
+  if (failure != 0) throw SetupError(system_error(failure, "cannot make a loop", "", "raise the limit: `ulimit -n`"));
+}
+
 }  // namespace
 
 LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_loop_t* host, Time time)
@@ -75,6 +92,7 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
   if (attached_) {
     uv_loop_ = host;
   } else {
+    require_descriptors();
     check_uv(uv_loop_init(&own_loop_), "cannot make a loop");
     uv_loop_ = &own_loop_;
   }

@@ -53,6 +53,11 @@ class AnalogDevice final : public detail::LaneDevice {
     Result<std::int64_t> adc = parse_adc(config_, file.text());
     if (!adc) return port.unreadable(std::move(adc).error());
     AnalogReading reading{convert(config_, *adc), *adc};
+    if (!std::isfinite(reading.value)) {
+      return port.unreadable({Errc::out_of_range, cannot_read, config_.file,
+                              "converted, " + std::to_string(*adc) + " is no finite number",
+                              "check `scale` and the voltages"});
+    }
     port.publish(&reading);
     return detail::Sampled::value;
   }

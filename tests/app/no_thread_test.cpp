@@ -1,4 +1,4 @@
-// A program that the system gives too few threads.
+// A program that the system gives too few threads, or too few descriptors.
 #include <doctest/doctest.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -50,5 +50,50 @@ TEST_SUITE("app") {
     }
     CHECK(whole == 1);
     CHECK(without_sink > 0);
+  }
+
+  TEST_CASE("NFR-7 whatever number of descriptors the system gives: the program ends, and says what it did not get") {
+    constexpr const char* prlimit = "/usr/bin/prlimit";
+    if (::access(prlimit, X_OK) != 0) {
+      MESSAGE("skipped: it takes prlimit");
+      return;
+    }
+    int refused = 0, whole = 0;
+    for (int files = 3; files <= 60 && whole == 0; files += files < 24 ? 1 : 4) {
+      CAPTURE(files);
+      const Folder folder;
+      folder.write("few.json", R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "20 Hz"}],
+                                   "sinks": [{"type": "file", "path": "few.jsonl"}]})");
+      Process run(folder, prlimit,
+                  {"--nofile=" + std::to_string(files), rtdata::test::built("rtdata"), "run", "few.json", "--for",
+                   "100ms", "--fail-on-loss"});
+      const int status = run.end();
+      CAPTURE(run.err);
+      CHECK(status >= 0);   // it ended by itself
+      CHECK(status < 128);  // and not by a signal
+      const std::string said = run.err + run.out;
+      const bool is_told = said.find("oo many open files") != std::string::npos ||
+                           said.find("shared object") != std::string::npos;  // of the loader: the program did not begin
+      if (status == 0) ++whole;
+      if (status != 0) {
+        ++refused;
+        CHECK(is_told);
+      }
+    }
+    CHECK(whole == 1);
+    CHECK(refused > 3);
+  }
+
+  TEST_CASE("NFR-7 each of the signals that ask for an end is heard, without a descriptor") {
+    const Folder folder;
+    folder.write("few.json", R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "20 Hz"}]})");
+    for (const int signal : {SIGTERM, SIGINT, SIGHUP}) {
+      CAPTURE(signal);
+      Process run(folder, rtdata::test::built("rtdata"), {"run", "few.json"});
+      REQUIRE(run.wait_for("running few"));
+      run.signal(signal);
+      CHECK(run.end() == 0);
+      CHECK(run.err.find("stopping on SIG") != std::string::npos);
+    }
   }
 }

@@ -362,6 +362,42 @@ TEST_SUITE("sinks") {
     CHECK(values(config.path, "csv") == std::vector<double>{2});
   }
 
+  TEST_CASE("US-30 a file that somebody cuts off is told, and what comes after that is whole") {
+    for (const std::string format : {"csv", "json", "raw"}) {
+      for (const std::uintmax_t left : {std::uintmax_t{0}, std::uintmax_t{45}}) {
+        CAPTURE(format);
+        CAPTURE(left);
+        Bench bench;
+        const FileConfig config{.path = bench.directory / "run.log", .format = format};
+        Loop loop{Loop::Manual{}};
+        std::vector<std::string> errors;
+        loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
+        FileSink sink(loop, config);
+        for (int i = 1; i <= 3; ++i) loop.topic<Number>("a").publish({1.0 * i});
+        loop.advance(2s);
+        CHECK(values(config.path, format) == std::vector<double>{1, 2, 3});
+        REQUIRE(std::filesystem::file_size(config.path) > left);
+        std::filesystem::resize_file(config.path, left);
+        for (int i = 4; i <= 6; ++i) loop.topic<Number>("a").publish({1.0 * i});
+        loop.advance(5s);
+        loop.topic<Number>("a").publish({7});
+        loop.advance(5s);
+        REQUIRE(!errors.empty());
+        CHECK(errors.front() == "the file was cut off");
+        CHECK(std::count(errors.begin(), errors.end(), "the file was cut off") == 1);
+        CHECK(sink.counts().stored == 7);
+        CHECK(sink.counts().balances());
+        std::vector<double> there = values(config.path, format);
+        REQUIRE(there.size() >= 4);
+        there.erase(there.begin(), there.end() - 4);
+        CHECK(there == std::vector<double>{4, 5, 6, 7});
+        loop.close();
+        // What is left of an event that was cut through is beside the file, as after a kill.
+        CHECK(std::filesystem::exists(config.path + ".half") == (errors.size() > 1));
+      }
+    }
+  }
+
   TEST_CASE("US-30 formats of the program's own") {
     class Bare final : public Codec {
       std::string_view name() const noexcept override { return "bare"; }

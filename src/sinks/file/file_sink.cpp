@@ -100,6 +100,10 @@ class FileWriter final : public Writer {
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
                        "what had been written into it is where it was moved to", "a new one is made"};
+        case OutputFile::Gone::cut_off:
+          return Error{Errc::damaged, "the file was cut off", file.path(),
+                       "it is shorter than what was written into it: the rest is gone, if nobody has copied it",
+                       "it goes on at its end; `rotate` divides files without a loss"};
       }
     }
     for (OutputFile& file : files_) file.begin_batch();

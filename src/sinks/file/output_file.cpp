@@ -337,8 +337,13 @@ OutputFile::Gone OutputFile::close_if_gone() {
   struct stat there {};
   const bool is_there = ::stat(path_.c_str(), &there) == 0 && there.st_dev == about.st_dev &&
                         there.st_ino == about.st_ino;
-  if (about.st_nlink > 0 && is_there) return Gone::no;
+  const bool is_cut_off = about.st_nlink > 0 && is_there && about.st_size < static_cast<off_t>(size_);
+  if (about.st_nlink > 0 && is_there && !is_cut_off) return Gone::no;
+  // The batch under way is written again from its start; what is there of it would be twice.
+  const auto batch_begins = static_cast<off_t>(size_ - (done_ - done_before_));
+  if (is_cut_off && about.st_size > batch_begins) (void)::ftruncate(fd_, batch_begins);
   close();
+  if (is_cut_off) return Gone::cut_off;
   return about.st_nlink == 0 ? Gone::deleted : is_unmounted() ? Gone::unmounted : Gone::moved;
 }
 

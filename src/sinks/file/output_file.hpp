@@ -52,9 +52,9 @@ class OutputFile {
   /// When it was changed last.
   std::int64_t changed_at() const noexcept;
   Result<void> sync();
-  /// `unmounted`: what it is on is mounted there no longer.
-  enum class Gone { no, deleted, moved, unmounted };
-  /// A file that is no longer where it was is closed.
+  /// `unmounted`: what it is on is mounted there no longer. `cut_off`: it is shorter than it was.
+  enum class Gone { no, deleted, moved, unmounted, cut_off };
+  /// A file that is no longer where it was, or as it was, is closed.
   Gone close_if_gone();
   void close() noexcept;
 

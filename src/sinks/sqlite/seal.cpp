@@ -139,7 +139,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
 }
 
 Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
-  bool is_known = live != nullptr && live->is_complete();
+  const bool is_known = live != nullptr && live->is_complete();
   const bool has_checksums = run.format >= first_version_with_checksums;
   std::uint64_t lost_by_disk = 0;
   if (has_checksums) {
@@ -176,16 +176,15 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot)
       unnamed += live->counts(slot).offered;
   }
-  is_known = is_known && unnamed == 0;
   if (has_checksums) {
     if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
-  remark += is_known      ? "; lost " + std::to_string(lost) + " events, published and not yet committed"
+  remark += !is_known     ? "; what was published after that is unknown"
             : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
                                 " of sensors that had only begun, whose names are unknown"
-                          : "; what was published after that is unknown";
+                          : "; lost " + std::to_string(lost) + " events, published and not yet committed";
   if (lost_by_disk != 0) {
     remark += "; at least " + std::to_string(lost_by_disk) +
               " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
@@ -195,7 +194,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
   if (!update) return std::move(update).error();
   update->bind(1, last_time).bind(3, remark).bind(4, run.run);
   if (is_known && run.remark.empty()) {
-    update->bind(2, lost);
+    update->bind(2, lost + static_cast<std::int64_t>(unnamed));
   } else {
     update->bind_null(2);
   }

@@ -95,6 +95,7 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
                                 (has_checksums ? "t.*" : "t.run, t.time, t.origin, t.sequence") + " FROM " +
                                 sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
+  if (has_checksums) checksums.check_widths(topic.table, sqlite3_column_count(statement->raw()) - 1);
   struct Origin {
     OriginRows* rows = nullptr;
     RangeCheck* ranges = nullptr;
@@ -112,6 +113,13 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     const std::int64_t run = statement->integer(1);
     if (sqlite3_column_type(statement->raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
       problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) + " has no number as its run.");
+      if (problems.size() > 100) break;
+      continue;
+    }
+    if (sqlite3_column_type(statement->raw(), 3) != SQLITE_TEXT) [[unlikely]] {
+      // Reading it as a text would make it one, for its hash too.
+      problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) +
+                         " has no text as its origin.");
       if (problems.size() > 100) break;
       continue;
     }
@@ -270,6 +278,9 @@ Result<VerifyReport> verify(const Recording& recording) {
   for (const RunReport& run : report.runs) numbers.push_back(run.info.run);
   if (auto scanned = checksums->scan_accounts(*recording.file(), numbers, report.problems); !scanned)
     return std::move(scanned).error();
+  if (auto looked = detail::check_layout(*recording.file(), *version, *topics, report.problems); !looked)
+    return std::move(looked).error();
+  detail::check_formats(report.runs, *version, report.problems);
   if (*version >= sqlite::first_version_with_checksums)
     detail::check_topics(*checksums, *topics, numbers, report.problems);
   for (RunReport& run : report.runs) {

@@ -353,7 +353,12 @@ void note_end(const Findings& found) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
                          : "Its account is not complete: what was lost is not known.");
-    if (info.lost && *info.lost != found.report.unsaved) {
+    // What was lost of sensors that had only begun is in no ledger, and is counted since then.
+    const bool may_be_more = info.format >= sqlite::first_version_of_own_data_account;
+    if (info.lost && *info.lost > found.report.unsaved && may_be_more) {
+      found.note(plural(*info.lost - found.report.unsaved, "event") + " of " + number(*info.lost) +
+                 " lost were of sensors that had only begun, whose names are unknown.");
+    } else if (info.lost && *info.lost != found.report.unsaved) {
       found.problem("The run says " + number(*info.lost) + " lost, its ledger says " + number(found.report.unsaved) +
                     " not saved.");
     }
@@ -423,6 +428,7 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
   };
   strays(of_run.segments_of, "stretch of schedule");
   strays(of_run.gaps_of, "gap");
+  check_format(found, of_run, checksums);
   check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);

@@ -23,7 +23,14 @@ void RangeCheck::add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash&
   if (range.found.rows == 0) range.first_found = sequence;
   range.last_found = sequence;
   if (range.is_known) {
-    range.found.add(sqlite::hash_of(hash, row, 2, std::min(range.columns, sqlite3_column_count(row) - 1) + 1));
+    const int end = sqlite3_column_count(row);
+    const int hashed = std::clamp(range.columns + 1, 2, end);
+    range.found.add(sqlite::hash_of(hash, row, 2, hashed));
+    for (int column = hashed; column < end; ++column) {
+      if (sqlite3_column_type(row, column) == SQLITE_NULL) continue;
+      ++beyond;
+      break;
+    }
   } else {
     ++range.found.rows;
   }
@@ -42,6 +49,8 @@ Result<Checksums> Checksums::load(const RecordingFile& file) {
     if (!row) return std::move(row).error();
     if (!*row) break;
     const std::int64_t run = query->integer(0);
+    const bool has_texts = sqlite3_column_type(query->raw(), 1) == SQLITE_TEXT &&
+                           sqlite3_column_type(query->raw(), 2) == SQLITE_TEXT;  // reading makes them texts
     const std::string table(query->text(1)), origin(query->text(2));
     const bool is_known = !query->is_null(7);
     const sqlite::RowSum said{static_cast<std::uint64_t>(query->integer(6)),
@@ -53,6 +62,9 @@ Result<Checksums> Checksums::load(const RecordingFile& file) {
         checksums.strays.push_back("A checksum of " + table + " of run " + std::to_string(run) +
                                    " has something else in it than numbers.");
     }
+    if (!has_texts)
+      checksums.strays.push_back("A checksum of " + table + " of run " + std::to_string(run) +
+                                 " has no text as its table or its origin.");
     const bool is_account = table == sqlite::topic_table_name ||
                             std::find(sqlite::account_tables.begin(), sqlite::account_tables.end(), table) !=
                                 sqlite::account_tables.end();
@@ -105,6 +117,13 @@ Result<void> Checksums::scan_accounts(const RecordingFile& file, const std::vect
       line->second.found.add(
           sqlite::hash_of(hash, query->raw(), is_of_all ? 0 : 1, std::min(line->second.columns, columns)));
     }
+    // Its columns are those of the version that made the file, or brought it up to date: there is one with checksums.
+    static_assert(sqlite::schema_version == sqlite::first_version_with_checksums);
+    for (const auto& [run, line] : lines_of) {
+      if (line.columns == columns) continue;
+      problems.push_back(std::string(table) + ": a checksum is of " + std::to_string(line.columns) + " of its " +
+                         std::to_string(columns) + " columns.");
+    }
     for (const auto& [run, rows] : unknown) {
       problems.push_back(std::string(table) + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
                          ", which is not in the list of runs.");
@@ -117,6 +136,19 @@ Result<void> Checksums::scan_accounts(const RecordingFile& file, const std::vect
   }
   if (accounts.contains(sqlite::topic_table_name)) return scan(sqlite::topic_table_name, true);
   return {};
+}
+
+void Checksums::check_widths(const std::string& table, int columns) {
+  constexpr int least = 4;  // run, time, origin and sequence
+  for (const auto& [run, origins] : values[table]) {
+    for (const auto& [origin, check] : origins) {
+      for (const RangeCheck::Range& range : check.ranges) {
+        if (range.columns >= least && range.columns <= columns) continue;
+        strays.push_back("A checksum of " + table + " of run " + std::to_string(run) + " is of " +
+                         std::to_string(range.columns) + " of its " + std::to_string(columns) + " columns.");
+      }
+    }
+  }
 }
 
 RangeCheck* Checksums::find(std::string_view table, std::int64_t run, const std::string& origin) {
@@ -240,6 +272,10 @@ void check_checksums(const Findings& found, const OriginMap& rows, const Checksu
       const std::string place = place_of(table, origin);
       check_ranges(found, place + ": ", *check, unknown);
       if (check->outside != 0) outside[place] += check->outside;
+      if (check->beyond != 0) {
+        found.problem(place + ": " + plural(check->beyond, "row") + (check->beyond == 1 ? " has" : " have") +
+                      " values in columns that came later.");
+      }
     }
   }
   for (const auto& [key, origin] : rows) {

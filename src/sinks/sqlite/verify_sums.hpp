@@ -24,6 +24,7 @@ class RangeCheck {
     std::uint64_t first_found = 0, last_found = 0;
   };
   std::vector<Range> ranges;  // in the order of the sequences
+  std::uint64_t beyond = 0;   // rows with a value in a column that their table did not have yet
   std::uint64_t outside = 0;  // rows in no range
   std::uint64_t first_outside = 0;
 
@@ -52,6 +53,8 @@ struct Checksums {
   /// Hashes the tables of the account. `problems`: rows of runs that are not there.
   Result<void> scan_accounts(const RecordingFile& file, const std::vector<std::int64_t>& runs,
                              std::vector<std::string>& problems);
+  /// Of ranges that have other columns than their table, which has so many.
+  void check_widths(const std::string& table, int columns);
   RangeCheck* find(std::string_view table, std::int64_t run, const std::string& origin);
 };
 
