@@ -315,6 +315,7 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   const bool is_named = std::any_of(std::begin(commands), std::end(commands),
                                     [&](const Command& command) { return command.name == first; });
   if (!is_named && !first.empty() && !first.starts_with("-")) {
+    const ForPeople wrapped;
     std::cerr << "rtdata: " << wrong_command(std::string(first)) << std::endl;
     return app::exit_other;
   }
