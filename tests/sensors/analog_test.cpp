@@ -136,6 +136,25 @@ TEST_CASE("US-10 a sensor publishes the value in the user's unit, and each bad r
   CHECK(sensor.counts().balances());
 }
 
+TEST_CASE("US-10 a reading that no finite number stands for is unreadable, and is not published") {
+  ScratchDirectory directory;
+  const std::string file = directory.file("adc0", "4095\n");
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  Heard heard(loop);
+  std::vector<std::string> errors;
+  AnalogSensor sensor(loop, {.name = "chamber", .rate = 10_Hz, .faulted_after = 100},
+                      {.file = file, .scale = 1e308});
+  sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
+  loop.advance(250ms);  // ticks at 0, 100, 200
+  CHECK(heard.readings.empty());
+  REQUIRE(!errors.empty());
+  CHECK(errors.front() == "out-of-range");
+  CHECK(sensor.counts().failed == 3);
+  CHECK(sensor.counts().unreadable == 3);
+  CHECK(sensor.counts().balances());
+}
+
 TEST_CASE("US-10 a file that is missing at the start is retried, and throws when it is required") {
   ScratchDirectory directory;
   const std::string file = directory.file("adc0");
