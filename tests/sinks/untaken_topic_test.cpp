@@ -2,6 +2,7 @@
 #include <doctest/doctest.h>
 #include <sqlite3.h>
 
+#include <array>
 #include <filesystem>
 #include <fstream>
 
@@ -127,6 +128,27 @@ TEST_SUITE("sinks") {
     CHECK_MESSAGE(report.exit_code() == 0, report.text());
     CHECK(report.runs.back().rows == 6);
     CHECK(report.runs.back().dropped == 5);
+  }
+
+  TEST_CASE("topics called as tables of a recording or of SQLite are recorded, in whatever case their letters are") {
+    const Directory directory;
+    const std::string path = directory / "run.db";
+    constexpr std::array topics{"RTDATA_GAP", "RTDATA_RUN",    "Rtdata_run_utc",
+                                "SQLITE_foo", "Sqlite_schema", "rtdata_topic"};
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      for (const char* topic : topics) publish(loop, topic, 3);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 3 * topics.size());
+      CHECK(refused(sink) == 0);
+      CHECK(sink.health() == Health::ok);
+      CHECK(loop.close(1s) == 0);
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const VerifyReport report = verify(recording).or_throw();
+    CHECK_MESSAGE(report.exit_code() == 0, report.text());
+    CHECK(report.runs.back().rows == 3 * topics.size());
   }
 
   TEST_CASE(
