@@ -4,17 +4,30 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <filesystem>
 #include <system_error>
 
+#include "config/written_file.hpp"
+
 namespace rtdata::app {
 namespace {
 
-/// One path for each file, however it is written.
-std::filesystem::path canonical(const std::string& path) {
-  std::error_code ignored;
-  return std::filesystem::weakly_canonical(std::filesystem::absolute(path, ignored), ignored);
+/// Why the log cannot be this file while the sink writes those of its topics; empty: it can.
+std::string conflict_with(const SinkPlan& sink, const SystemPlan& plan, const config_detail::WrittenFile& log) {
+  const auto conflict_with_file = [&](const std::string& path) {
+    return conflict(log, {path, "the sink at " + sink.item.place().text(), sink.is_beside});
+  };
+  if (sink.path.empty() || sink.path == "-") return "";
+  std::string why = conflict_with_file(sink.path);
+  for (auto sensor = plan.sensors.begin(); why.empty() && sink.file_of_topic && sensor != plan.sensors.end();
+       ++sensor) {
+    const auto is_wanted = [&](const std::string& pattern) { return topic_matches(pattern, sensor->topic); };
+    if (std::any_of(sink.topics.begin(), sink.topics.end(), is_wanted))
+      why = conflict_with_file(sink.file_of_topic(sensor->topic));
+  }
+  return why;
 }
 
 /// Why it cannot be appended to; empty: it can.
@@ -40,25 +53,32 @@ std::string log_file_of(const SystemPlan& plan, const std::string& given) {
   return (stem.empty() ? "rtdata" : stem) + ".log";
 }
 
-void check_log_file(const std::string& file, SystemPlan& plan) {
+bool check_log_file(const std::string& file, SystemPlan& plan) {
   const auto add = [&](Problems& to, const char* id, const std::string& message) {
     const ConfigItem* log = plan.document.root.is_object() ? plan.document.root.find("log") : nullptr;
     const ConfigItem* at = log != nullptr && log->is_object() ? log->find("file") : nullptr;
     to.add((at != nullptr ? *at : plan.document.root).problem(id, message));
   };
-  const std::filesystem::path whole = canonical(file);
-  if (!plan.document.file.empty() && whole == canonical(plan.document.file)) {
-    add(plan.problems, "duplicate-path", "the log would be written into the configuration; choose another file for it");
-  }
+  const bool is_told = file == plan.settings.log.file;  // by the plan
+  bool is_free = true;
+  const auto refuse = [&](const std::string& message) {
+    is_free = false;
+    if (!is_told) add(plan.problems, "duplicate-path", message);
+  };
+  const config_detail::WrittenFile log{file, "the log", [&](const std::string& path, const std::string& other) {
+                                         return config_detail::is_rotated_log(plan.settings.log, path, other);
+                                       }};
+  if (!plan.document.file.empty() && !conflict(log, {plan.document.file, "the configuration", {}}).empty())
+    refuse("the configuration is in the way of the log \"" + file + "\"; choose another file for it");
   for (const SinkPlan& sink : plan.sinks) {
-    if (sink.path.empty() || sink.path == "-" || canonical(sink.path) != whole) continue;
-    add(plan.problems, "duplicate-path",
-        "the log of the program and the sink at " + sink.item.place().text() + " would write one file, \"" + file +
-            "\"; choose another for the log (`log.file`, or --log), or for the sink");
+    const std::string why = conflict_with(sink, plan, log);
+    if (!why.empty())
+      refuse("the log would be \"" + file + "\": " + why + " for the log (`log.file`, or --log), or for the sink");
   }
   if (const std::string why = obstacle(file); !why.empty() && plan.good())
     add(plan.warnings, "cannot-write",
         "the log file \"" + file + "\" cannot be written: " + why + "; nothing is logged");
+  return is_free;
 }
 
 }  // namespace rtdata::app

@@ -9,7 +9,8 @@ namespace rtdata::app {
 
 /// `given`: on the command line; empty: as the configuration says, or its name with .log, in the working directory.
 std::string log_file_of(const SystemPlan& plan, const std::string& given);
-/// Adds a mistake to the plan when the file is the configuration's or a sink's, a warning when it cannot be written.
-void check_log_file(const std::string& file, SystemPlan& plan);
+/// False, and a mistake in the plan, when the file is in the way of the configuration or of a sink's files, or they of it;
+/// a warning when it cannot be written.
+bool check_log_file(const std::string& file, SystemPlan& plan);
 
 }  // namespace rtdata::app

@@ -61,9 +61,7 @@ class Run {
   void open_log(SystemPlan& plan) {
     const LogSettings& settings = plan.settings.log;
     const std::string file = log_file_of(plan, options_.log_file);
-    const std::size_t before = plan.problems.size();
-    check_log_file(file, plan);
-    if (plan.problems.size() != before) return;  // it is another's file
+    if (!check_log_file(file, plan)) return;  // it is another's file
     // Probably a mistyped name: a log beside it would only be in the way.
     const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
     if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;

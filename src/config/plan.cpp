@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "config/warnings.hpp"
+#include "config/written_file.hpp"
 #include "loop/name.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
@@ -148,13 +149,19 @@ class AcrossItems {
     const ConfigItem& file = child_or_self(log, "file");
     const std::string& path = plan_.settings.log.file;
     if (path.empty()) return;
-    const std::string whole = canonical(path);
-    const auto known = paths_.find(whole);
-    if (known != paths_.end()) {
-      plan_.problems.add(file.problem("duplicate-path", "the sink at " + place_of(known->second->item) +
-                                                            " writes this file; give the log one of its own"));
-    } else if (!plan_.document.file.empty() && whole == canonical(plan_.document.file)) {
-      plan_.problems.add(file.problem("duplicate-path", "this is the configuration; choose another file"));
+    const LogSettings& settings = plan_.settings.log;
+    const config_detail::WrittenFile written{path, "the log", [&](const std::string& log, const std::string& other) {
+                                               return config_detail::is_rotated_log(settings, log, other);
+                                             }};
+    if (const std::string why = conflict_with_configuration(written); !why.empty()) {
+      plan_.problems.add(file.problem("duplicate-path", why));
+      return;
+    }
+    for (const SinkFile& known : files_) {
+      const std::string why = conflict(written, known.file);
+      if (why.empty()) continue;
+      plan_.problems.add(file.problem("duplicate-path", why + " for the log"));
+      return;
     }
   }
 
@@ -174,6 +181,10 @@ class AcrossItems {
 
   void warn_of_patterns(const std::vector<SinkPlan>& sinks) {
     for (const SinkPlan& sink : sinks) {
+      if (const ConfigItem* topics = sink.item.find("topics"); topics != nullptr && sink.topics.empty() && sink.make) {
+        plan_.warnings.add(topics->problem("matches-nothing", "the list is empty: nothing goes to this sink"));
+        continue;
+      }
       const bool is_idle = std::none_of(sink.topics.begin(), sink.topics.end(), [&](const std::string& pattern) {
         return pattern.starts_with("$") || std::any_of(topics_.begin(), topics_.end(), [&](const auto& topic) {
                  return topic_matches(pattern, topic.first);
@@ -274,12 +285,33 @@ class AcrossItems {
     plan_.problems.add(topic_item(sensor).problem("description-differs", std::move(message)));
   }
 
-  /// One path for each file, however it is written.
-  static std::string canonical(const std::string& path) {
-    std::error_code ignored;
-    const std::string found = std::filesystem::weakly_canonical(std::filesystem::absolute(path, ignored), ignored)
-                                  .string();
-    return found.empty() ? path : found;
+  struct SinkFile {
+    config_detail::WrittenFile file;
+    const SinkPlan* sink;
+  };
+
+  static SinkFile file_of(const SinkPlan& sink, const std::string& path) {
+    return {{path, "the sink at " + place_of(sink.item), sink.is_beside}, &sink};
+  }
+
+  /// Why it cannot be written; empty: it can.
+  std::string conflict_with_configuration(const config_detail::WrittenFile& written) const {
+    if (plan_.document.file.empty()) return "";
+    const config_detail::FileIdentity configuration(plan_.document.file);
+    if (written.identity.is_same(configuration)) return "this is the configuration; choose another file";
+    if (configuration.is_beside(written.identity, written.is_beside))
+      return "the configuration would be taken for a file beside \"" + written.path + "\"; choose another file";
+    return "";
+  }
+
+  /// The same with all that are known. A sink has several topics in one file, but none in one beside another.
+  std::string conflict_with_files(const SinkFile& written) const {
+    if (std::string why = conflict_with_configuration(written.file); !why.empty()) return why;
+    for (const SinkFile& known : files_) {
+      if (known.sink == written.sink && known.file.identity.is_same(written.file.identity)) continue;
+      if (std::string why = conflict(written.file, known.file); !why.empty()) return why;
+    }
+    return "";
   }
 
   static bool wants(const SinkPlan& sink, std::string_view topic) {
@@ -294,34 +326,26 @@ class AcrossItems {
       for (const auto& [topic, sensor] : topics_) {
         const std::string file = wants(sink, topic) ? sink.file_of_topic(topic) : "";
         if (file.empty() || file == sink.path) continue;
-        const std::string path = canonical(file);
-        const auto [known, is_new] = paths_.try_emplace(path, &sink);
-        const ConfigItem& written = child_or_self(sink.item, "path");
-        const bool is_configuration = !plan_.document.file.empty() && path == canonical(plan_.document.file);
-        if (!is_configuration && (is_new || known->second == &sink)) continue;
-        const std::string beginning = "the events of topic \"" + topic + "\" go to \"" + file + "\", ";
-        plan_.problems.add(written.problem(
-            "duplicate-path", is_configuration ? beginning + "which is the configuration; choose another name"
-                                               : beginning + "and the sink at " + place_of(known->second->item) +
-                                                     " writes that file already; two writers on one file destroy it"));
+        SinkFile written = file_of(sink, file);
+        if (const std::string why = conflict_with_files(written); !why.empty()) {
+          plan_.problems.add(
+              child_or_self(sink.item, "path")
+                  .problem("duplicate-path", "the events of topic \"" + topic + "\" go to \"" + file + "\": " + why));
+        } else {
+          files_.push_back(std::move(written));
+        }
       }
     }
   }
 
   void check_path(const SinkPlan& sink) {
-    const std::string path = canonical(sink.path);
-    if (!plan_.document.file.empty() && path == canonical(plan_.document.file)) {
-      plan_.problems.add(
-          child_or_self(sink.item, "path").problem("duplicate-path", "this is the configuration; choose another file"));
-      return;
+    SinkFile written = file_of(sink, sink.path);
+    if (const std::string why = conflict_with_files(written); !why.empty()) {
+      refused_paths_.try_emplace(sink.item.path(), &sink.item);
+      plan_.problems.add(child_or_self(sink.item, "path").problem("duplicate-path", why));
+    } else {
+      files_.push_back(std::move(written));
     }
-    const auto [known, is_new] = paths_.try_emplace(path, &sink);
-    if (is_new) return;
-    refused_paths_.try_emplace(sink.item.path(), &sink.item);
-    plan_.problems.add(child_or_self(sink.item, "path")
-                           .problem("duplicate-path", "the sink at " + place_of(known->second->item) + " writes \"" +
-                                                          known->second->path +
-                                                          "\" already; two writers on one file destroy it"));
   }
 
   /// Where a sensor's topic is said: its `topic`, or else its `name`.
@@ -336,7 +360,7 @@ class AcrossItems {
   Names refused_paths_;
   std::map<std::string, const SensorPlan*> topics_;
   std::map<std::string, const SensorPlan*> topic_by_lower_case_;
-  std::map<std::string, const SinkPlan*> paths_;
+  std::vector<SinkFile> files_;
 };
 
 std::vector<SensorLoad> loads_on(const std::string& tier, const std::vector<SensorPlan>& sensors) {

@@ -1,12 +1,15 @@
 #include "config/warnings.hpp"
 
 #include <fcntl.h>
+#include <linux/magic.h>
 #include <sys/stat.h>
+#include <sys/statfs.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdint>
 #include <filesystem>
 #include <system_error>
 
@@ -106,6 +109,16 @@ struct Warn {
   }
 };
 
+/// Where the kernel shows what it knows: no file of ours can be made there.
+bool is_of_kernel(const std::string& folder) {
+  struct statfs about {};
+  if (::statfs(folder.c_str(), &about) != 0) return false;
+  constexpr std::array<std::uint32_t, 8> systems{PROC_SUPER_MAGIC,    SYSFS_MAGIC,       CGROUP_SUPER_MAGIC,
+                                                 CGROUP2_SUPER_MAGIC, DEBUGFS_MAGIC,     TRACEFS_MAGIC,
+                                                 SECURITYFS_MAGIC,    DEVPTS_SUPER_MAGIC};
+  return std::find(systems.begin(), systems.end(), static_cast<std::uint32_t>(about.f_type)) != systems.end();
+}
+
 struct CheckFiles {
   Problems& problems;
 
@@ -126,9 +139,12 @@ struct CheckFiles {
     const std::string folder = parsed.has_parent_path() ? parsed.parent_path().string() : ".";
     struct stat about {};
     const bool is_there = ::stat(path.c_str(), &about) == 0;
+    if (!is_there && (errno == ENAMETOOLONG || errno == ELOOP))
+      return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
     if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
     if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is no regular file: give the path of a file");
     if (!parsed.has_filename()) return refuse(shown + " names no file");
+    if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
     if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
       return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
     if (is_there) return;

@@ -88,6 +88,7 @@ void check(const AnalogConfig& config, const std::string& name) {
   for (const double volts : {config.zero_value_voltage, span, config.scale, config.zero_voltage, config.span_voltage}) {
     if (!std::isfinite(volts)) refuse("a voltage or the scale is not finite", "set it to a number");
   }
+  if (config.scale == 0) refuse("its scale is 0", "set it to the full value, such as 10");
   if (config.span_voltage == 0) refuse("span_voltage is 0", "set it to the range of the converter, such as 3.3");
   if (const std::string_view mistake = mistake_in_range(config); !mistake.empty()) refuse(mistake.data(), range_advice);
 }

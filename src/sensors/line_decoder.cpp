@@ -35,6 +35,8 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
       return refused("field " + field.name, "a line holds no " + std::string(name_of(field.type)),
                      "choose another `type`");
     }
+    if (field.scale == 0)
+      return refused("field " + field.name, "a scale of 0 makes all of it 0", "set another `scale`");
     if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
       return refused("field " + field.name, "only a float or double can be scaled", "make its `type` double");
     }
@@ -93,6 +95,39 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
   }
 }
 
+/// What could begin a number of CSV, so that no line with one in its first column is taken for a comment.
+bool begins_a_number(std::string_view text) noexcept {
+  if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
+  return text.find_first_not_of("0123456789.") == std::string_view::npos &&
+         std::count(text.begin(), text.end(), '.') <= 1;
+}
+
+void check_marks(const SerialConfig& config) {
+  const auto refuse = [](const char* key, std::string why, const char* advice) {
+    throw SetupError(refused(key, std::move(why), advice));
+  };
+  constexpr std::string_view ends("\n\r\0", 3);
+  const std::string& comment = config.comment;
+  const bool is_csv = config.format == LineFormat::csv;
+  if (comment.find_first_of(ends) != std::string::npos)
+    refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
+  if (!comment.empty() && comment.find_first_not_of(" \t") == std::string::npos)
+    refuse("comment", "lines of data may begin with a blank", "such as \"#\", or \"\" for none");
+  if (!is_csv) {
+    if (comment.starts_with('{')) refuse("comment", "each object begins with {", "such as \"#\", or \"\" for none");
+    return;
+  }
+  if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
+    refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
+  if (std::string_view("0123456789+-.eE").find(config.separator) != std::string_view::npos)
+    refuse("separator", "numbers hold it", "such as \",\" or \";\"");
+  if (comment.empty()) return;
+  if (comment.front() == config.separator)
+    refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
+  if (comment.front() == '"' || begins_a_number(comment))
+    refuse("comment", "lines of data may begin with it", "such as \"#\", or \"\" for none");
+}
+
 std::string shown(std::string_view text) {
   std::string shown = "\"";
   for (const char c : text.substr(0, 40)) shown += c >= ' ' && c < 127 ? c : '?';
@@ -109,6 +144,7 @@ LineDecoder::LineDecoder(const SerialConfig& config)
       comment_(config.comment),
       payload_((description_->size() + sizeof(std::max_align_t) - 1) / sizeof(std::max_align_t)),
       seen_(fields_.size()) {
+  check_marks(config);
   cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));

@@ -288,8 +288,10 @@ void check_config(const SerialConfig& config, const ConfigItem& item, Problems& 
     const detail::LineDecoder decoder(config);
   } catch (const SetupError& error) {
     const Error& e = error.error();
-    const std::string key = e.where == "sequence_field" ? e.where : "fields";
+    const bool is_of_key = e.where == "sequence_field" || e.where == "separator" || e.where == "comment";
+    const std::string key = is_of_key ? e.where : "fields";
     const ConfigItem* at = item.find(key);
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
     const bool is_key = e.where.empty() || e.where == key;
     problems.add(
         (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));

@@ -118,6 +118,17 @@ TEST_SUITE("config") {
     const auto sinks = [&](const std::string& list) {
       return R"({"sensors": [)" + load + R"(], "sinks": [)" + list + "]}";
     };
+    const auto beside = [](const std::string& type, const std::string& path, const std::string& other_type,
+                           const std::string& other) {
+      return R"({"type": ")" + type + R"(", "path": ")" + path + R"("}, {"type": ")" + other_type + R"(", "path": ")" +
+             other + "\"}";
+    };
+    std::filesystem::create_symlink("x", folder.path() + "/x-link");  // to what is not there
+    std::filesystem::create_symlink("nothing.db", folder.path() + "/link.db");
+    folder.write("hard1", "");
+    std::filesystem::create_hard_link(folder.path() + "/hard1", folder.path() + "/hard2");
+    folder.write("h.db-wal", "");
+    std::filesystem::create_hard_link(folder.path() + "/h.db-wal", folder.path() + "/hard-wal");
     struct Mistake {
       std::string text;
       std::string words;
@@ -161,8 +172,68 @@ TEST_SUITE("config") {
          "writes \"x\" already"},
         {R"({"log": {"file": "run.db"}, "sensors": [)" + load +
              R"(], "sinks": [{"type": "sqlite", "path": "./run.db"}]})",
-         "give the log one of its own"},
-        {sinks(R"({"type": "sqlite", "path": "bad.log"})"), "would write one file, \"bad.log\""},
+         "two writers on one file destroy it; choose another for the log"},
+        {sinks(R"({"type": "sqlite", "path": "bad.log"})"), "the log would be \"bad.log\": the sink at "},
+        // The files beside those that are written.
+        {sinks(beside("sqlite", "x.db", "file", "x.db-wal")), "\"x.db-wal\" is a file that the sink at "},
+        {sinks(beside("file", "x.db-wal", "sqlite", "x.db")), "would be taken for a file beside \"x.db\""},
+        {sinks(beside("sqlite", "x.db", "file", "./x.db-shm")), "keeps beside \"x.db\"; choose another"},
+        {sinks(beside("sqlite", "x.db", "sqlite", "x.db-lock")), "\"x.db-lock\" is a file that the sink at "},
+        {sinks(beside("sqlite", "x.db", "file", "x.db-journal")), "\"x.db-journal\" is a file that the sink at "},
+        {sinks(beside("file", "x.csv", "sqlite", "x.csv.half")), "\"x.csv.half\" is a file that the sink at "},
+        {sinks(R"({"type": "file", "path": "r.csv", "rotate": {"time": "1 h"}, "keep": 1},
+                  {"type": "sqlite", "path": "r-00000001.csv"})"),
+         "\"r-00000001.csv\" is a file that the sink at "},
+        {sinks(R"({"type": "file", "path": "{topic}.db-wal"}, {"type": "sqlite", "path": "a.db"})"),
+         "the events of topic \"a\" go to \"a.db-wal\": \"a.db-wal\" is a file that "},
+        {sinks(beside("file", "x", "file", "x-link")), "writes \"x\" already"},
+        {sinks(beside("sqlite", "link.db", "file", "nothing.db-wal")),
+         "\"nothing.db-wal\" is a file that the sink at "},
+        {sinks(beside("sqlite", "link.db", "file", "link.db-lock")), "\"link.db-lock\" is a file that the sink at "},
+        {sinks(beside("file", "hard1", "file", "hard2")), "writes \"hard1\" already"},
+        {sinks(beside("sqlite", "h.db", "file", "hard-wal")), "\"hard-wal\" is a file that the sink at "},
+        {R"({"log": {"file": "a.log", "max_bytes": 4096}, "sensors": [)" + load +
+             R"(], "sinks": [{"type": "file", "path": "a.log.1"}]})",
+         "\"a.log.1\", which the sink at "},
+        {sinks(R"({"type": "file", "path": "bad.log.5"})"), "\"bad.log.5\", which the sink at "},
+        {R"({"log": {"file": "x.db-wal"}, "sensors": [)" + load +
+             R"(], "sinks": [{"type": "sqlite", "path": "x.db"}]})",
+         "\"x.db-wal\" is a file that the sink at "},
+        {R"({"log": {"file": "hard2"}, "sensors": [)" + load + R"(], "sinks": [{"type": "file", "path": "hard1"}]})",
+         "two writers on one file destroy it"},
+        // Paths that are none.
+        {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
+        {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},
+        {sinks(R"({"type": "sqlite", "path": "/proc/x.db"})"), "the kernel lets no file be made"},
+        {sinks(R"({"type": "file", "path": "/sys/x.csv"})"), "the kernel lets no file be made"},
+        {sinks(R"({"type": "sqlite", "path": ")" + std::string(300, 'n') + "\"}"), "its name is longer than 247 bytes"},
+        {sinks(R"({"type": "file", "path": ")" + std::string(300, 'n') + "\"}"), "File name too long"},
+        {sinks(R"({"type": "sqlite", "path": ")" + std::string(248, 'n') + "\"}"), "its name is longer than 247 bytes"},
+        {R"({"sensors": [{"name": ")" + std::string(60, 't') +
+             R"(", "type": "host", "quantity": "load", "rate": "1 Hz"}], "sinks": [{"type": "file", "path": "{topic})" +
+             std::string(200, 'n') + "\"}]}",
+         "the name of its file is too long"},
+        {serial(R"(, "comment": ",")"), "comment: comments would begin with the separator"},
+        {sinks(R"({"type": "sqlite", "path": "./)" + std::string(200, 'm') + "/" + std::string(200, 'n') + "/" +
+               std::string(200, 'o') + "\"}"),
+         "it is longer, with its folders, than 504 bytes"},
+        // Marks that are among what they divide.
+        {serial(R"(, "separator": "\"")"), "separator: it has another meaning in CSV"},
+        {serial(R"(, "separator": "\n")"), "separator: it has another meaning in CSV"},
+        {serial(R"(, "separator": "1")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "-")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": ".")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "#")"), "comments would begin with the separator"},
+        {serial(R"(, "comment": "1")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "-")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "\"")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "\n")"), "comment: no line begins with the end of a line"},
+        {serial(R"(, "comment": " ")"), "comment: lines of data may begin with a blank"},
+        {serial(R"(, "format": "json", "comment": "{")"), "comment: each object begins with {"},
+        {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "scale": 0}]}]})",
+         "scale: it must not be 0"},
+        {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "scale": 0}]})",
+         "scale: it must not be 0"},
         {R"({"log": {"file": "bad.json"}, "sensors": [)" + load + "]}", "this is the configuration"},
         {sinks(R"({"type": "sqlite", "path": {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}})"),
          "there is no variable RTDATA_TEST_NO_SUCH_VARIABLE in the environment"},
@@ -190,7 +261,7 @@ TEST_SUITE("config") {
     const std::string text = R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}],
                                  "sinks": [{"type": "sqlite", "path": "run.db"}]})";
     folder.write("good.json", text);
-    for (const char* log : {"run.db", "good.json"}) {
+    for (const char* log : {"run.db", "run.db-wal", "good.json"}) {
       Process run(folder, rtdata::test::built("rtdata"), {"run", "good.json", "--for", "1ms", "--log", log});
       CHECK(run.end() == 2);
       CHECK(folder.read("good.json") == text);
@@ -233,8 +304,10 @@ TEST_SUITE("config") {
         warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "device": "sda"}])" +
                  sinks),
         "sensors[0].device: it means nothing with `quantity` load"));
-    CHECK(has(warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}]})"),
-              "there are no sinks"));
+    const std::string load = R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}])";
+    CHECK(has(warnings(load + "}"), "there are no sinks"));
+    CHECK(has(warnings(load + R"(, "sinks": [{"type": "console", "topics": []}]})"),
+              "sinks[0].topics: the list is empty: nothing goes to this sink"));
     const auto file = [&](const std::string& type, const std::string& path) {
       return R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}], "sinks": [{"type": ")" +
              type + R"(", "path": "/tmp/)" + path + "\"}]}";

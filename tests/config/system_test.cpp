@@ -237,7 +237,7 @@ f.json:16:38: sinks[2].when_full
         text ==
         "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its own\n"
         "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy "
-        "it\n"
+        "it; choose another\n"
         "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
   }
 

@@ -2,6 +2,7 @@
 #include <doctest/doctest.h>
 #include <sqlite3.h>
 
+#include <array>
 #include <filesystem>
 #include <fstream>
 
@@ -129,6 +130,27 @@ TEST_SUITE("sinks") {
     CHECK(report.runs.back().dropped == 5);
   }
 
+  TEST_CASE("topics called as tables of a recording or of SQLite are recorded, in whatever case their letters are") {
+    const Directory directory;
+    const std::string path = directory / "run.db";
+    constexpr std::array topics{"RTDATA_GAP", "RTDATA_RUN",    "Rtdata_run_utc",
+                                "SQLITE_foo", "Sqlite_schema", "rtdata_topic"};
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      for (const char* topic : topics) publish(loop, topic, 3);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 3 * topics.size());
+      CHECK(refused(sink) == 0);
+      CHECK(sink.health() == Health::ok);
+      CHECK(loop.close(1s) == 0);
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const VerifyReport report = verify(recording).or_throw();
+    CHECK_MESSAGE(report.exit_code() == 0, report.text());
+    CHECK(report.runs.back().rows == 3 * topics.size());
+  }
+
   TEST_CASE(
       "a recording that is deleted or moved while it is written is told at the next commit, and what comes is "
       "refused") {
@@ -229,8 +251,8 @@ TEST_SUITE("sinks") {
     CHECK(problems(sink("run-{topic}.jsonl") + "," + sink("run-c.jsonl")) == "");
     const std::string told = problems(sink("run-room-a.jsonl") + "," + sink("run-{topic}.jsonl"));
     CHECK(has(told, "sinks[1].path: the events of topic \"room/a\" go to \"" + directory / "run-room-a.jsonl"));
-    CHECK(has(told, "and the sink at f.json:2:"));
-    CHECK(has(told, " writes that file already; two writers on one file destroy it"));
+    CHECK(has(told, ": the sink at f.json:2:"));
+    CHECK(has(told, " already; two writers on one file destroy it"));
     CHECK_FALSE(has(told, "topic \"b\""));
     CHECK(has(problems(sink("run-{topic}.jsonl") + "," + sink("run-b.jsonl")), "the events of topic \"b\" go to "));
     CHECK(problems(sink("run-{topic}.jsonl", "room/#") + "," + sink("run-b.jsonl")) == "");

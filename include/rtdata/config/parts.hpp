@@ -94,6 +94,9 @@ struct SinkPlan {
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics;
   /// The file that a topic's events go to; empty: all go to `path`.
   std::function<std::string(std::string_view topic)> file_of_topic;
+  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has the
+  /// files that it writes and no others.
+  std::function<bool(const std::string& file, const std::string& other)> is_beside;
   std::function<Owned<Sink>(Loop&)> make;
 };
 
@@ -180,7 +183,8 @@ class Registry {
   /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
   /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made. A
   /// function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where `path` does
-  /// not: then two sinks on one are found too.
+  /// not: then two sinks on one are found too. A function `is_beside(const C&, const std::string& file, const std::string&
+  /// other)` there says which files go with one that it writes, such as a log or a lock: then they are no other sink's.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -197,6 +201,10 @@ class Registry {
       }
       if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
         plan.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
+      if constexpr (requires(const std::string& file) { is_beside(config, file, file); })
+        plan.is_beside = [config](const std::string& file, const std::string& other) {
+          return is_beside(config, file, other);
+        };
       plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
       return plan;
     });

@@ -66,7 +66,7 @@ struct AnalogConfig {
                   rtdata::unit("V")),
         parameter("span_value_voltage", &AnalogConfig::span_value_voltage,
                   "voltage of the full value; default span_voltage", rtdata::unit("V")),
-        parameter("scale", &AnalogConfig::scale, "the full value, in the sensor's unit"),
+        parameter("scale", &AnalogConfig::scale, "the full value, in the sensor's unit", not_zero),
         parameter("quantization_bits", &AnalogConfig::quantization_bits, "resolution of the converter",
                   rtdata::unit("bit"), range(1, 62)),
         parameter("zero_voltage", &AnalogConfig::zero_voltage, "voltage at which the converter gives 0",

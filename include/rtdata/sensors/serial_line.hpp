@@ -63,7 +63,8 @@ struct LineField {
                           value("uint64", Kind::u64), value("float", Kind::f32), value("double", Kind::f64),
                           value("text", Kind::text))),
         parameter("unit", &LineField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("scale", &LineField::scale, "factor, for float and double", only_with("type", "float", "double")),
+        parameter("scale", &LineField::scale, "factor, for float and double", not_zero,
+                  only_with("type", "float", "double")),
         parameter("key", &LineField::key, "JSON: where it is, levels separated by dots; empty: as the name"),
         parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
                   only_with("type", "text")),
@@ -127,7 +128,8 @@ struct SerialConfig {
 /// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
 Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
 
-/// What no parameter says by itself: that `fields` and `sequence_field` go together.
+/// What no parameter says by itself: that `fields` and `sequence_field` go together, and that `separator` and `comment`
+/// are none of what columns hold.
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems);
 /// Of the most that is read at once, 1 KiB of short lines.
 ReadTime read_time(const SerialConfig& config);

@@ -52,8 +52,12 @@ struct SqliteConfig {
 /// Of these, which a recording cannot have a table for: an error each, `where` its topic.
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
+/// Whether `other` goes with the recording `file`: its log, the log's index, its journal or its lock.
+bool is_beside(const SqliteConfig& config, const std::string& file, const std::string& other);
+
 /// Whether what is at the path, if anything, is a recording, as far as its first bytes tell; the file is not changed.
-/// Errors: not-a-recording, newer-version.
+/// Errors: bad-argument (SQLite would take it for something else than the path of a file, or it is too long),
+/// not-a-recording, newer-version.
 Result<void> check_recordable(const std::string& path);
 
 class SqliteSink : public Sink {

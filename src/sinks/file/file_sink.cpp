@@ -1,6 +1,9 @@
 #include "rtdata/sinks/file.hpp"
 
+#include <sys/stat.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -36,9 +39,14 @@ std::string path_of(std::string path, std::string_view topic) {
   return path;
 }
 
-/// A file holds one topic: this one, unless there is another already.
+/// A file holds one topic: this one, unless there is another already, or the topic makes its name too long.
 Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const std::string& pattern,
                        const std::string& path, std::string_view topic) {
+  struct stat about {};
+  if (::stat(path.c_str(), &about) != 0 && errno == ENAMETOOLONG) {
+    return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
+                 "the name of its file is too long", "choose a shorter `path`, or give it a sink of its own"};
+  }
   const auto [other, is_new] = topic_by_path.try_emplace(path, topic);
   if (is_new || other->second == topic) return {};
   const bool is_pattern = pattern.find(topic_mark) != std::string::npos;
@@ -283,6 +291,11 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
 }
 
 std::string file_of_topic(const FileConfig& config, std::string_view topic) { return path_of(config.path, topic); }
+
+bool is_beside(const FileConfig& config, const std::string& file, const std::string& other) {
+  return (other.starts_with(file) && std::string_view(other).substr(file.size()) == ".half") ||
+         (config.rotate.is_on() && Rotation::is_numbered(file, other));
+}
 
 void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
   const std::string wrong = Rotation::mistake(config);

@@ -82,6 +82,12 @@ std::string Rotation::name(const std::string& path, std::uint64_t number) {
   return (parts.folder / (parts.stem + "-" + digits + parts.extension)).string();
 }
 
+bool Rotation::is_numbered(const std::string& path, const std::string& other) {
+  const Parts parts = parts_of(path);
+  const std::filesystem::path whole(other);
+  return whole.parent_path() == parts.folder && number_in(whole.filename().string(), parts) != 0;
+}
+
 std::map<std::uint64_t, std::string> Rotation::numbered(const std::string& path) const {
   const Parts parts = parts_of(path);
   std::map<std::uint64_t, std::string> found;

@@ -29,6 +29,8 @@ class Rotation {
 
   /// The name that a file gets.
   static std::string name(const std::string& path, std::uint64_t number);
+  /// Whether it is such a name.
+  static bool is_numbered(const std::string& path, const std::string& other);
   /// What is wrong with the settings; empty: nothing.
   static std::string mistake(const FileConfig& config);
 

@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <array>
+#include <climits>
 #include <cstring>
+#include <filesystem>
+#include <system_error>
 
 #include "loop/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
@@ -24,7 +27,32 @@ SinkConfig named(const SqliteConfig& config) {
   return sink;
 }
 
+/// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
+Result<void> check_path(const std::string& path) {
+  constexpr std::string_view longest_ending = "-journal";
+  const auto refuse = [&](std::string why, const char* advice) {
+    return Error{Errc::bad_argument, "cannot record into", path, std::move(why), advice};
+  };
+  if (path == ":memory:" || path.starts_with("file:"))
+    return refuse("to SQLite this is no path of a file", "write ./ before it, or choose another path");
+  std::error_code failed;
+  const std::filesystem::path whole = std::filesystem::absolute(path, failed);
+  const long limit = ::pathconf(whole.parent_path().c_str(), _PC_NAME_MAX);
+  const std::size_t longest_name = limit > 0 ? static_cast<std::size_t>(limit) : NAME_MAX;
+  if (whole.filename().native().size() + longest_ending.size() > longest_name)
+    return refuse("its name is longer than " + std::to_string(longest_name - longest_ending.size()) + " bytes",
+                  "choose a shorter one");
+  const sqlite3_vfs* files = ::sqlite3_vfs_find(nullptr);
+  const auto longest_path = static_cast<std::size_t>(files != nullptr ? files->mxPathname : PATH_MAX);
+  if (std::filesystem::weakly_canonical(whole, failed).native().size() + longest_ending.size() > longest_path)
+    return refuse(
+        "it is longer, with its folders, than " + std::to_string(longest_path - longest_ending.size()) + " bytes",
+        "choose a shorter one");
+  return {};
+}
+
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
+  check_path(config.path).or_throw();
   detail::RuntimeCore& runtime = loop.runtime().core();
   const sqlite::RunInfo run{runtime.config.name,
                             runtime.config.notes,
@@ -50,7 +78,14 @@ std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRe
   return refused;
 }
 
+bool is_beside(const SqliteConfig&, const std::string& file, const std::string& other) {
+  if (!other.starts_with(file)) return false;
+  const std::string_view ending = std::string_view(other).substr(file.size());
+  return ending == "-wal" || ending == "-shm" || ending == "-journal" || ending == "-lock";
+}
+
 Result<void> check_recordable(const std::string& path) {
+  if (auto is_path = check_path(path); !is_path) return is_path;
   constexpr std::string_view magic("SQLite format 3\0", 16);
   std::array<unsigned char, 100> head{};
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);

@@ -46,9 +46,14 @@ bool is_part_of(const Description& part, const Description& whole) {
   });
 }
 
+/// As SQLite compares names: without the case of the letters of ASCII.
+bool starts_with(const std::string& name, const char* start) {
+  return ::sqlite3_strnicmp(name.c_str(), start, static_cast<int>(std::strlen(start))) == 0;
+}
+
 /// Tables of ours and of SQLite's own are out of reach of topics.
 std::string table_name(const std::string& topic, std::int64_t version) {
-  std::string name = topic.starts_with("rtdata_") || topic.starts_with("sqlite_") ? "topic~" + topic : topic;
+  std::string name = starts_with(topic, "rtdata_") || starts_with(topic, "sqlite_") ? "topic~" + topic : topic;
   if (version > 1) name += "~" + std::to_string(version);
   return name;
 }
