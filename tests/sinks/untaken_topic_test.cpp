@@ -12,6 +12,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/sink_kinds.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace sinks;
@@ -192,6 +193,76 @@ TEST_SUITE("sinks") {
       while (rows.next().or_throw() != nullptr) ++count;
       CHECK(count == 3);
     }
+  }
+
+  TEST_CASE("US-26 a log that is cut off while it is recorded ends the recording, which stays whole and is sealed") {
+    for (const std::uintmax_t part : {std::uintmax_t{0}, std::uintmax_t{2}, std::uintmax_t{3}}) {
+      CAPTURE(part);
+      sinks::Directory directory;
+      const std::string path = directory / "run.db";
+      {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path});
+        publish(loop, "a", 2);
+        loop.advance(2s);
+      }
+      {
+        Loop loop{Loop::Manual{}};
+        std::vector<std::string> errors;
+        loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+        SqliteSink sink(loop, {.path = path});
+        for (int i = 0; i < 5; ++i) {
+          publish(loop, "a", 3);
+          loop.advance(2s);
+        }
+        CHECK(sink.counts().stored == 15);
+        const std::string log = path + "-wal";
+        std::filesystem::resize_file(log, part == 0 ? 0 : std::filesystem::file_size(log) / part);
+        publish(loop, "a", 4);
+        loop.advance(2s);
+        CHECK(sink.health() == Health::faulted);
+        CHECK(refused(sink) == 4);
+        CHECK(sink.counts().balances());
+        REQUIRE(errors.size() == 1);
+        CHECK(has(errors[0], "recording has ended: " + path + ": its log, " + log + ", was cut off"));
+        loop.close(1s);
+        CHECK(loop.runtime().has_loss());
+      }
+      {
+        Loop loop{Loop::Manual{}};
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path});
+        publish(loop, "a", 1);
+        loop.advance(2s);
+      }
+      const Recording recording = Recording::open(path).or_throw();
+      const VerifyReport report = verify(recording).or_throw();
+      CAPTURE(report.text());
+      CHECK(report.exit_code() == 0);
+      CHECK(report.runs.front().rows == 2);
+      CHECK(report.runs.back().rows == 1);
+      if (report.runs.size() == 3) CHECK(report.runs[1].info.state == RunState::sealed);
+    }
+  }
+
+  TEST_CASE("US-26 another program that brings the log into the file and empties it costs nothing") {
+    sinks::Directory directory;
+    const std::string path = directory / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      for (int i = 0; i < 3; ++i) {
+        publish(loop, "a", 3);
+        loop.advance(2s);
+        auto other = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+        other.execute("PRAGMA wal_checkpoint(TRUNCATE)").or_throw();
+        CHECK(std::filesystem::file_size(path + "-wal") == 0);
+      }
+      publish(loop, "a", 3);
+      loop.advance(2s);
+      CHECK(sink.counts().stored == 12);
+    }
+    CHECK(verify(Recording::open(path).or_throw()).or_throw().verdict() == Verdict::balanced);
   }
 
   TEST_CASE("what a sink cannot take is a mistake in the configuration") {

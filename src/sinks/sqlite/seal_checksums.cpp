@@ -157,6 +157,12 @@ Result<std::uint64_t> rows_lost_by_disk(Database& database, std::int64_t run, Li
     if (*last < range->last_sequence)
       lost += std::min(range->rows, range->last_sequence - std::max(*last, range->first_sequence - 1));
   }
+  // Of an origin with rows even the transaction that named it is not there.
+  for (std::uint32_t slot = 0; slot < live->slots(); ++slot) {
+    const bool is_named = std::any_of(origins->begin(), origins->end(),
+                                      [&](const Origin& origin) { return origin.slot == std::int64_t{slot}; });
+    if (!is_named && live->has(slot)) lost += live->slot(slot).range.settled().value_or(LiveRange{}).rows;
+  }
   return lost;
 }
 

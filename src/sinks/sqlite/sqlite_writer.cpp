@@ -246,7 +246,10 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
   return check_columns(topic, description);
 }
 
-Result<void> SqliteWriter::open() { return prepare_account(); }
+Result<void> SqliteWriter::open() {
+  log_bytes_ = std::max<std::int64_t>(log_size(), 0);
+  return prepare_account();
+}
 
 Result<void> SqliteWriter::prepare_account() {
   struct Prepared {
@@ -365,6 +368,23 @@ Result<void> SqliteWriter::store(Batch& batch) {
   if (done) stage();
   if (done) done = commit_.run();
   return done;
+}
+
+std::int64_t SqliteWriter::log_size() {
+  sqlite3_file* log = nullptr;
+  sqlite3_int64 size = 0;
+  const bool is_known = sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_JOURNAL_POINTER, &log) ==
+                            SQLITE_OK &&
+                        log != nullptr && log->pMethods != nullptr && log->pMethods->xFileSize(log, &size) == SQLITE_OK;
+  return is_known ? size : -1;
+}
+
+bool SqliteWriter::is_log_cut_off() {
+  if (is_log_lost_) return true;
+  const std::int64_t size = log_size();
+  if (size < 0 || size >= log_bytes_) return false;
+  // Another program may have brought all of it into the file and emptied it: then there is nothing to be read from it.
+  return size != 0 || !checkpoint(SQLITE_CHECKPOINT_PASSIVE);
 }
 
 bool SqliteWriter::has_moved() {
@@ -579,6 +599,7 @@ void SqliteWriter::committed() {
   ranges_.committed(live_);
   sums_.committed();
   if (live_) live_.sums().settle();
+  log_bytes_ = std::max<std::int64_t>(log_size(), 0);
 }
 
 void SqliteWriter::rolled_back() {
@@ -587,6 +608,14 @@ void SqliteWriter::rolled_back() {
 }
 
 Result<void> SqliteWriter::tend_log() {
+  if (is_log_cut_off()) {
+    // What the file has is whole, up to the last checkpoint: with what is left of the log it would not be.
+    (void)sqlite3_db_config(database_.raw(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
+    is_log_lost_ = true;
+    return Error{Errc::closed, "recording has ended", config_.path,
+                 "its log, " + config_.path + "-wal, was cut off: what was only there is gone",
+                 "leave it alone while it is recorded into; the next start seals the run"};
+  }
   const std::uint64_t limit = pruner_.log_bytes();
   std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
   if (limit != 0) most = std::min(most, limit / 2);
@@ -612,6 +641,7 @@ Result<void> SqliteWriter::checkpoint(int mode) {
   const int status = sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, mode, nullptr, nullptr);
   if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY)
     return error_of(database_.raw(), "cannot checkpoint the recording");
+  log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   return {};
 }
 
@@ -696,10 +726,13 @@ Result<void> SqliteWriter::close() {
   for (Statement* statement :
        {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
     *statement = Statement();
-  (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
+  if (!is_log_lost_)
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();
-  live_.remove();
-  lock_.remove();
+  if (!is_log_lost_) {  // otherwise the next start needs them
+    live_.remove();
+    lock_.remove();
+  }
   is_closed_ = true;
   return {};
 }

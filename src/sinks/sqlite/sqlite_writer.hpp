@@ -61,10 +61,13 @@ class SqliteWriter final : public Writer {
   Result<TopicTable*> table_of(const Record& record);
   Result<void> write_escaped(const Batch& batch);
   Result<void> write_account(const Batch& batch, const Account& account);
-  /// The file is no longer at its path.
   /// In one transaction.
   Result<void> store(Batch& batch);
+  /// The file is no longer at its path.
   bool has_moved();
+  /// Somebody has cut off the log, of which the file has not everything yet.
+  bool is_log_cut_off();
+  std::int64_t log_size();
   enum class GapIs { closed, under_way };
   Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
   Result<void> write_checksums(const Account* account);
@@ -116,12 +119,14 @@ class SqliteWriter final : public Writer {
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
   SteadyTime readers_waited_for_at_{};
-  int log_pages_ = 0;  // after the last transaction
+  int log_pages_ = 0;           // after the last transaction
+  std::int64_t log_bytes_ = 0;  // of its file, as this writer left it
   std::size_t rows_in_last_ = 0;
   int page_bytes_ = 4096;
   std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
+  bool is_log_lost_ = false;
 };
 
 /// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
