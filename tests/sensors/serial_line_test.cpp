@@ -67,8 +67,7 @@ struct Bench {
     loop.run();
   }
   void run(std::string_view text, std::uint64_t received) {
-    run(text, [&] { return sensor.counts().received >= received; });
-    loop.poll();
+    run(text, [&] { return sensor.counts().received >= received && events.size() >= sensor.counts().published; });
   }
 
   ScratchDirectory directory;
