@@ -241,7 +241,9 @@ TEST_SUITE("sinks") {
       CHECK(report.exit_code() == 0);
       CHECK(report.runs.front().rows == 2);
       CHECK(report.runs.back().rows == 1);
-      if (report.runs.size() == 3) CHECK(report.runs[1].info.state == RunState::sealed);
+      REQUIRE(report.runs.size() == 3);
+      CHECK(report.runs[1].info.state == RunState::sealed);
+      CHECK(report.runs[1].info.lost == 19);
     }
   }
 

@@ -337,7 +337,7 @@ OutputFile::Gone OutputFile::close_if_gone() {
   struct stat there {};
   const bool is_there = ::stat(path_.c_str(), &there) == 0 && there.st_dev == about.st_dev &&
                         there.st_ino == about.st_ino;
-  const bool is_cut_off = about.st_nlink > 0 && is_there && about.st_size < static_cast<off_t>(size_);
+  const bool is_cut_off = has_begun_ && about.st_nlink > 0 && is_there && about.st_size < static_cast<off_t>(size_);
   if (about.st_nlink > 0 && is_there && !is_cut_off) return Gone::no;
   // The batch under way is written again from its start; what is there of it would be twice.
   const auto batch_begins = static_cast<off_t>(size_ - (done_ - done_before_));

@@ -247,7 +247,8 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
 }
 
 Result<void> SqliteWriter::open() {
-  log_bytes_ = std::max<std::int64_t>(log_size(), 0);
+  // The run is in the database whatever becomes of the log. What fails here fails, and is told, when the log is full.
+  if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   return prepare_account();
 }
 
