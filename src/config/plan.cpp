@@ -150,8 +150,8 @@ class AcrossItems {
     const std::string& path = plan_.settings.log.file;
     if (path.empty()) return;
     const LogSettings& settings = plan_.settings.log;
-    const config_detail::WrittenFile written{path, "the log", [&](const std::string& log, const std::string& other) {
-                                               return config_detail::is_rotated_log(settings, log, other);
+    const config_detail::WrittenFile written{path, "the log", [&](const std::string& full, const std::string& other) {
+                                               return config_detail::is_rotated_log(settings, full, other);
                                              }};
     if (const std::string why = conflict_with_configuration(written); !why.empty()) {
       plan_.problems.add(file.problem("duplicate-path", why));
@@ -308,7 +308,7 @@ class AcrossItems {
   std::string conflict_with_files(const SinkFile& written) const {
     if (std::string why = conflict_with_configuration(written.file); !why.empty()) return why;
     for (const SinkFile& known : files_) {
-      if (known.sink == written.sink && known.file.identity.is_same(written.file.identity)) continue;
+      if (known.sink == written.sink && known.file.path == written.file.path) continue;
       if (std::string why = conflict(written.file, known.file); !why.empty()) return why;
     }
     return "";
