@@ -143,8 +143,7 @@ TEST_CASE("US-10 a reading that no finite number stands for is unreadable, and i
   be_quiet(loop);
   Heard heard(loop);
   std::vector<std::string> errors;
-  AnalogSensor sensor(loop, {.name = "chamber", .rate = 10_Hz, .faulted_after = 100},
-                      {.file = file, .scale = 1e308});
+  AnalogSensor sensor(loop, {.name = "chamber", .rate = 10_Hz, .faulted_after = 100}, {.file = file, .scale = 1e308});
   sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
   loop.advance(250ms);  // ticks at 0, 100, 200
   CHECK(heard.readings.empty());
