@@ -201,7 +201,6 @@ TEST_SUITE("config") {
          "\"x.db-wal\" is a file that the sink at "},
         {R"({"log": {"file": "hard2"}, "sensors": [)" + load + R"(], "sinks": [{"type": "file", "path": "hard1"}]})",
          "two writers on one file destroy it"},
-        {sinks(R"({"type": "file", "path": "r.csv", "rotate": {}})"), "rotate: it does not say when"},
         // Paths that are none.
         {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
         {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},

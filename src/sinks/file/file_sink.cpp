@@ -299,12 +299,6 @@ bool is_beside(const FileConfig& config, const std::string& file, const std::str
 
 void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
   const std::string wrong = Rotation::mistake(config);
-  const ConfigItem* rotate = item.find("rotate");
-  const auto is_nothing = [](const ConfigChild& child) { return child.item.is_null(); };
-  if (wrong.empty() && rotate != nullptr && rotate->is_object() &&
-      std::all_of(rotate->children().begin(), rotate->children().end(), is_nothing)) {
-    problems.add(rotate->problem("bad-value", "it does not say when: give `bytes`, `time` or both"));
-  }
   if (wrong.empty()) return;
   const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");
   problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
