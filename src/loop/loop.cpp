@@ -59,9 +59,10 @@ void check_uv(int status, const char* what) {
   if (status != 0) throw_uv(status, what);
 }
 
-/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process: seen to here.
+/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process: seen to here. libuv 1.44 takes 4,
+/// later versions also rings of io_uring.
 void require_descriptors() {
-  int taken[3];
+  int taken[8];
   int count = 0, failure = 0;
   for (int& one : taken) {
     one = ::eventfd(0, EFD_CLOEXEC);

@@ -19,6 +19,15 @@ using rtdata::test::Folder;
 
 namespace {
 
+/// Paths of sinks are looked at: they lie in a folder that can be written, which the one of the sources need not be.
+struct InFolder {
+  InFolder() { std::filesystem::current_path(folder.path()); }
+  InFolder(const InFolder&) = delete;
+  ~InFolder() { std::filesystem::current_path(before); }
+  const std::filesystem::path before = std::filesystem::current_path();
+  const Folder folder;
+};
+
 SystemPlan planned(const std::string& rate, const std::string& sinks) {
   return plan_system(standard_registry(),
                      parse_config(R"({"sensors": [{"name": "m", "type": "host", "quantity": "memory",
@@ -31,6 +40,7 @@ SystemPlan planned(const std::string& rate, const std::string& sinks) {
 
 TEST_SUITE("app") {
   TEST_CASE("growth of files is estimated from rates and fields, within a factor of two") {
+    const InFolder here;
     const SystemPlan plan = planned("1 kHz", R"({"type": "sqlite", "path": "a.db"}, {"type": "file", "path": "a.jsonl"},
       {"type": "file", "path": "a.csv", "format": "csv", "topics": ["host/+"]},
       {"type": "file", "path": "a.raw", "format": "raw"}, {"type": "console"},
@@ -50,6 +60,7 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("a sink without limit that fills the disk is a warning, one with a limit is none") {
+    const InFolder here;
     const auto disk = [](const std::string&) { return Disk{1, 30'000'000'000}; };
     const std::string unlimited = R"({"type": "sqlite", "path": "a.db"}, {"type": "file", "path": "a.jsonl"})";
     SystemPlan fast = planned("1 kHz", unlimited);
@@ -85,6 +96,7 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("NFR-5 the starter file may run for months: gentle rates, and limits") {
+    const InFolder here;
     const Registry registry = standard_registry();
     SystemPlan plan = plan_system(registry, parse_config(starter_file(registry, "first.json")));
     REQUIRE(plan.good());
@@ -99,6 +111,7 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("NFR-5 the starter file spares SD cards") {
+    const InFolder here;
     const Folder folder;
     struct stat status {};
     REQUIRE(::stat(folder.path().c_str(), &status) == 0);
