@@ -61,7 +61,7 @@ void kill_after(std::chrono::microseconds time, clockid_t clock) {
   timer_t timer{};
   if (::timer_create(clock, &event, &timer) != 0) ::_exit(1);
   itimerspec when{};
-  when.it_value.tv_nsec = time.count() * 1000;
+  when.it_value.tv_nsec = static_cast<long>(time.count() * 1000);
   if (::timer_settime(timer, 0, &when, nullptr) != 0) ::_exit(1);
 }
 
