@@ -24,7 +24,7 @@ Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecR
                                                                                : CsvConfig::TimeFormat::nanoseconds});
   }
   auto codec = registry.make(config.format == "jsonl" ? "json" : config.format);
-  if (codec || codec.error().advice.find("json") == std::string::npos) return codec;
+  if (codec || registry.find("json") == nullptr) return codec;
   Error error = std::move(codec).error();
   error.advice += " (json and jsonl are one: an object a line)";
   return error;

@@ -37,8 +37,6 @@ std::string host_name() {
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
 }
 
-std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(value); }
-
 void throw_if(const Result<void>& result) { result.or_throw(); }
 
 /// The version of the recording's format; 0: the file is empty.
@@ -249,61 +247,13 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
 Result<void> SqliteWriter::open() {
   // The run is in the database whatever becomes of the log. What fails here fails, and is told, when the log is full.
   if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
-  return prepare_account();
-}
-
-Result<void> SqliteWriter::prepare_account() {
-  struct Prepared {
-    Statement& statement;
-    const char* sql;
-  };
-  const Prepared all[] = {
-      {begin_, "BEGIN IMMEDIATE"},
-      {commit_, "COMMIT"},
-      {ledger_,
-       "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, "
-       "late, received, "
-       "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
-       "first_sequence, "
-       "last_sequence, rows_up_to, carried, unreadable, one_a_read, lateness) "
-       "VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
-       "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
-       "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
-       "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
-       "repeated=excluded.repeated, filtered=excluded.filtered, lost=excluded.lost, offered=excluded.offered, "
-       "stored=excluded.stored, "
-       "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
-       "dropped_refused=excluded.dropped_refused, "
-       "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
-       "carried=excluded.carried, unreadable=excluded.unreadable, one_a_read=excluded.one_a_read, "
-       "lateness=excluded.lateness"},
-      {schedule_,
-       "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled, late_after) "
-       "VALUES(?,?,?,?,?,?,?,?) "
-       "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
-       "period=excluded.period, late_after=excluded.late_after"},
-      {slot_,
-       "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, "
-       "in_flight, late, "
-       "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
-       "first_sequence, "
-       "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
-      {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
-      {grown_gap_,
-       "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
-       "WHERE rowid = ?"},
-      {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
-      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
-      {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
-      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ?"},
-  };
-  for (const Prepared& one : all) {
-    if (one.statement) continue;
-    auto made = database_.prepare(one.sql);
+  for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
+    if (*statement) continue;
+    auto made = database_.prepare(sql);
     if (!made) return std::move(made).error();
-    one.statement = std::move(*made);
+    *statement = std::move(*made);
   }
-  return {};
+  return account_.prepare(database_, run_, boot_id_);
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
@@ -314,7 +264,6 @@ Result<void> SqliteWriter::write(Batch& batch) {
   }
   // Before the batch, not after it: what fails here must not make it come again when it is stored already.
   if (auto done = tend_log(); !done) return done;
-  const auto slots = static_cast<std::uint32_t>(batch.slots());
   escaped_.begin_batch();
   const auto undo = [&]() noexcept {
     roll_back();
@@ -332,11 +281,8 @@ Result<void> SqliteWriter::write(Batch& batch) {
     return done;
   }
   committed();
-  known_slots_ = slots;
-  if (batch.account() != nullptr) {
-    grown_gaps_.swap(next_gaps_);
-    now_ = std::max(now_, batch.account()->at);
-  }
+  account_.committed(batch);
+  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   rows_in_last_ = batch.size();
   // It is stored: whatever happens from here on, it must not come again.
   try {
@@ -357,14 +303,13 @@ void SqliteWriter::roll_back() noexcept {
 }
 
 Result<void> SqliteWriter::store(Batch& batch) {
-  if (batch.account() != nullptr) next_gaps_ = grown_gaps_;
   auto done = begin_.run();
   // First, so that the new rows take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
-  if (done) done = write_slots(batch);
+  if (done) done = account_.write_slots(batch, tables_);
   if (done) done = write_rows(batch);
-  if (done) done = write_escaped(batch);
-  if (done && batch.account() != nullptr) done = write_account(batch, *batch.account());
+  if (done) done = account_.write_escaped(batch, escaped_);
+  if (done && batch.account() != nullptr) done = account_.write(batch, *batch.account(), tables_);
   if (done) done = write_checksums(batch.account());
   if (done) stage();
   if (done) done = commit_.run();
@@ -391,18 +336,6 @@ bool SqliteWriter::is_log_cut_off() {
 bool SqliteWriter::has_moved() {
   int moved = 0;
   return sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_HAS_MOVED, &moved) == SQLITE_OK && moved != 0;
-}
-
-Result<void> SqliteWriter::write_slots(const Batch& batch) {
-  // Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
-  for (std::uint32_t i = known_slots_; i < batch.slots(); ++i) {
-    const SlotInfo& slot = batch.slot(i);
-    const bool has_table = slot.topic_number < tables_.size() && tables_[slot.topic_number] != nullptr;
-    slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
-    slot_.bind(5, has_table ? tables_[slot.topic_number]->last_rowid() : 0);
-    if (auto done = slot_.run(); !done) return done;
-  }
-  return {};
 }
 
 Result<void> SqliteWriter::write_rows(Batch& batch) {
@@ -448,135 +381,6 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   if (number >= tables_.size()) tables_.resize(number + 1);
   tables_[number] = std::make_unique<TopicTable>(std::move(*table));
   return tables_[number].get();
-}
-
-Result<void> SqliteWriter::write_escaped(const Batch& batch) {
-  for (const auto& [number, count] : escaped_.in_batch()) {
-    auto add = database_.prepare(
-        "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
-        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts");
-    if (!add) return std::move(add).error();
-    const SlotInfo& slot = batch.slot(number);
-    add->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
-    if (auto done = add->run(); !done) return done;
-  }
-  return {};
-}
-
-Result<void> SqliteWriter::write_account(const Batch& batch, const Account& account) {
-  const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
-    schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
-    schedule_.bind(5, segment.period.count())
-        .bind(6, to_nanoseconds(segment.end))
-        .bind(7, as_integer(segment.scheduled))
-        .bind(8, segment.late_after.count());
-    return schedule_.run();
-  };
-  for (const Account::SegmentEntry& entry : account.segments) {
-    if (auto done = put_segment(batch.slot(entry.slot), entry.segment); !done) return done;
-  }
-  for (const OriginAccount& origin : account.origins) {
-    const SlotInfo& slot = batch.slot(origin.slot);
-    const SensorCounts& s = origin.sensor;
-    const bool has_table = slot.topic_number < tables_.size() && tables_[slot.topic_number] != nullptr;
-    ledger_.bind(1, run_)
-        .bind(2, slot.topic)
-        .bind(3, slot.origin)
-        .bind(4, std::int64_t{origin.slot})
-        .bind(5, std::int64_t{s.has_schedule});
-    ledger_.bind(6, as_integer(s.scheduled))
-        .bind(7, as_integer(s.taken))
-        .bind(8, as_integer(s.missed))
-        .bind(9, as_integer(s.failed));
-    ledger_.bind(10, as_integer(s.in_flight)).bind(11, as_integer(s.late)).bind(12, as_integer(s.received));
-    ledger_.bind(13, as_integer(s.published)).bind(14, as_integer(s.repeated)).bind(15, as_integer(s.filtered));
-    if (s.lost_is_known) {
-      ledger_.bind(16, as_integer(s.lost));
-    } else {
-      ledger_.bind_null(16);
-    }
-    ledger_.bind(17, as_integer(origin.offered)).bind(18, as_integer(batch.stored_after(origin.slot)));
-    ledger_.bind(19, as_integer(origin.dropped_newest)).bind(20, as_integer(origin.dropped_oldest));
-    ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
-    ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
-    ledger_.bind(24, has_table ? tables_[slot.topic_number]->last_rowid() : 0).bind(25, as_integer(origin.carried));
-    ledger_.bind(26, as_integer(s.unreadable)).bind(27, std::int64_t{s.has_schedule && s.is_one_a_read});
-    ledger_.bind(28, as_integer(s.lateness));
-    if (auto done = ledger_.run(); !done) return done;
-    if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
-      if (auto done = put_segment(slot, origin.segment); !done) return done;
-    }
-  }
-  for (const Account::GapEntry& entry : account.gaps) {
-    if (auto done = write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed); !done) return done;
-  }
-  for (const OriginAccount& origin : account.origins) {  // those that are under way are the last
-    if (!origin.has_gap) continue;
-    if (auto done = write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way); !done) return done;
-  }
-  for (const ClockPair& pair : account.clock) {
-    clock_.bind(1, run_)
-        .bind(2, pair.monotonic.time_since_epoch().count())
-        .bind(3, to_nanoseconds(pair.realtime))
-        .bind(4, std::string_view(pair.source));
-    clock_.bind(5, std::string_view(pair.occasion));
-    if (pair.accuracy) {
-      clock_.bind(6, pair.accuracy->count());
-    } else {
-      clock_.bind_null(6);
-    }
-    if (auto done = clock_.run(); !done) return done;
-  }
-  if (!account.clock.empty()) {
-    if (auto done = write_utc_line(database_, boot_id_); !done) return done;
-  }
-  for (const Account::ErrorEntry& entry : account.errors) {
-    error_.bind(1, run_)
-        .bind(2, to_nanoseconds(entry.time))
-        .bind(3, entry.object)
-        .bind(4, entry.id)
-        .bind(5, entry.text)
-        .bind(6, as_integer(entry.count))
-        .bind(7, to_nanoseconds(entry.last));
-    if (auto done = error_.run(); !done) return done;
-  }
-  for (const Account::HealthEntry& entry : account.health) {
-    health_.bind(1, run_)
-        .bind(2, to_nanoseconds(entry.time))
-        .bind(3, entry.change.kind.view())
-        .bind(4, entry.change.name.view());
-    health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
-    health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
-    if (auto done = health_.run(); !done) return done;
-  }
-  const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
-  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
-  return run_end_.run();
-}
-
-/// One that an account had while it was under way has a row, which grows.
-Result<void> SqliteWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
-  const auto run_with = [&](Statement& statement) {
-    statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
-    statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
-    if (gap.count != 0) {
-      statement.bind(8, as_integer(gap.count));
-    } else {
-      statement.bind_null(8);
-    }
-    return statement.run();
-  };
-  const auto known = next_gaps_.find(number);
-  // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
-  if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
-    grown_gap_.bind(9, known->second.second);
-    known->second.first = gap.first;
-    if (what == GapIs::closed) next_gaps_.erase(known);
-    return run_with(grown_gap_);
-  }
-  if (auto done = run_with(gap_); !done) return done;
-  if (what == GapIs::under_way) next_gaps_[number] = {gap.first, database_.last_rowid()};
-  return {};
 }
 
 Result<void> SqliteWriter::write_checksums(const Account* account) {
@@ -724,9 +528,9 @@ Result<void> SqliteWriter::close() {
   if (is_closed_) return {};
   tables_.clear();
   pruner_.close();
-  for (Statement* statement :
-       {&begin_, &commit_, &slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
-    *statement = Statement();
+  account_.close();
+  begin_ = Statement();
+  commit_ = Statement();
   if (!is_log_lost_)
     (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();

@@ -6,12 +6,12 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/account_sums.hpp"
+#include "sinks/sqlite/account_writer.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
 #include "sinks/sqlite/prune.hpp"
@@ -55,12 +55,9 @@ class SqliteWriter final : public Writer {
   Result<void> configure();
   Result<void> make_schema();
   Result<void> begin_run(const RunInfo& run, const std::string& uuid);
-  Result<void> write_slots(const Batch& batch);
   Result<void> write_rows(Batch& batch);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
-  Result<void> write_escaped(const Batch& batch);
-  Result<void> write_account(const Batch& batch, const Account& account);
   /// In one transaction.
   Result<void> store(Batch& batch);
   /// The file is no longer at its path.
@@ -68,15 +65,12 @@ class SqliteWriter final : public Writer {
   /// Somebody has cut off the log, of which the file has not everything yet.
   bool is_log_cut_off();
   std::int64_t log_size();
-  enum class GapIs { closed, under_way };
-  Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
   Result<void> write_checksums(const Account* account);
   /// Of the checksums: before a transaction commits, after it has, and after it was given up.
   void stage();
   void committed();
   void rolled_back();
   void roll_back() noexcept;
-  Result<void> prepare_account();
   Result<void> prune();
   /// Between two transactions: brings the log into the database when it is time.
   Result<void> tend_log();
@@ -94,23 +88,11 @@ class SqliteWriter final : public Writer {
   std::int64_t run_ = 0;
   std::string boot_id_;
   detail::EscapedTexts escaped_;
-  std::vector<std::unique_ptr<TopicTable>> tables_;  // by topic number
-  std::map<std::uint32_t, Error> untaken_;           // topics whose tables cannot be made
+  TopicTables tables_;
+  std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
-  Statement slot_;
-  Statement ledger_;
-  Statement schedule_;
-  Statement gap_;
-  Statement grown_gap_;
-  Statement clock_;
-  Statement error_;
-  Statement health_;
-  Statement run_end_;
-  // Gaps under way that the recording has, by slot: when they began, and their rows.
-  using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
-  GrownGaps grown_gaps_;
-  GrownGaps next_gaps_;  // as the transaction under way leaves them
+  AccountWriter account_;
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
@@ -123,7 +105,6 @@ class SqliteWriter final : public Writer {
   std::int64_t log_bytes_ = 0;  // of its file, as this writer left it
   std::size_t rows_in_last_ = 0;
   int page_bytes_ = 4096;
-  std::uint32_t known_slots_ = 0;  // those that are in the ledger
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
   bool is_log_lost_ = false;

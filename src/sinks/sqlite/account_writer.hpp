@@ -1,0 +1,56 @@
+// Writes what became of the data of a run into its recording. Thread: the writer's.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/topic_table.hpp"
+
+namespace rtdata::sqlite {
+
+using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic number; null: it has none yet
+
+/// All but `prepare`, `committed` and `close` belong into a transaction, of which the caller says when it has committed; of
+/// one that is rolled back nothing is left here.
+class AccountWriter {
+ public:
+  /// The statements, as far as they are not there. `database` outlives them, see `close`.
+  Result<void> prepare(Database& database, std::int64_t run, const std::string& boot_id);
+  /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
+  Result<void> write_slots(const Batch& batch, const TopicTables& tables);
+  Result<void> write(const Batch& batch, const Account& account, const TopicTables& tables);
+  /// How many texts of a batch were no UTF-8.
+  Result<void> write_escaped(const Batch& batch, const detail::EscapedTexts& escaped);
+  void committed(const Batch& batch) noexcept;
+  /// Lets go of the database.
+  void close() noexcept;
+
+ private:
+  enum class GapIs { closed, under_way };
+  Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
+
+  Database* database_ = nullptr;
+  std::int64_t run_ = 0;
+  std::string boot_id_;
+  Statement slot_;
+  Statement ledger_;
+  Statement schedule_;
+  Statement gap_;
+  Statement grown_gap_;
+  Statement clock_;
+  Statement error_;
+  Statement health_;
+  Statement run_end_;
+  // Gaps under way that the recording has, by slot: when they began, and their rows.
+  using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
+  GrownGaps grown_gaps_;
+  GrownGaps next_gaps_;            // as the transaction under way leaves them
+  std::uint32_t known_slots_ = 0;  // those that are in the ledger
+};
+
+}  // namespace rtdata::sqlite
