@@ -120,11 +120,9 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
 
 namespace {
 
-std::string count_text(std::uint64_t count) { return std::to_string(count); }
-
 /// "12 (queue full)"
 std::string dropped_text(const SinkCounts& counts) {
-  std::string text = count_text(counts.all_dropped());
+  std::string text = std::to_string(counts.all_dropped());
   for (std::size_t i = 0; i < drop_reasons; ++i) {
     if (counts.dropped[i] == 0) continue;
     text += " (" + std::string(name_of(static_cast<DropReason>(i))) + ")";
@@ -144,12 +142,12 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
   heading.insert(heading.end(), {">dropped", "health"});
   Table topics(heading);
   for (const TopicAccount& topic : account.topics) {
-    std::vector<std::string> row{topic.topic, count_text(topic.events), count_text(topic.late),
-                                 count_text(topic.missed), count_text(topic.failed)};
-    if (has_unreadable) row.push_back(count_text(topic.unreadable));
-    row.push_back(count_text(topic.lost));
-    if (has_outages) row.push_back(count_text(topic.outages.number));
-    row.insert(row.end(), {count_text(topic.dropped), std::string(name_of(topic.health))});
+    std::vector<std::string> row{topic.topic, std::to_string(topic.events), std::to_string(topic.late),
+                                 std::to_string(topic.missed), std::to_string(topic.failed)};
+    if (has_unreadable) row.push_back(std::to_string(topic.unreadable));
+    row.push_back(std::to_string(topic.lost));
+    if (has_outages) row.push_back(std::to_string(topic.outages.number));
+    row.insert(row.end(), {std::to_string(topic.dropped), std::string(name_of(topic.health))});
     topics.add(row, topic.health == Health::ok ? "" : topic.reason);
   }
   if (!topics.empty()) text += topics.text("", columns);
@@ -159,8 +157,8 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
     const std::string where = path == paths.end() || path->second.empty() ? "-"
                               : path->second == "-"                       ? "standard output"
                                                                           : path->second;
-    sinks.add({sink.name, count_text(sink.counts.stored), dropped_text(sink.counts), std::string(name_of(sink.health)),
-               where},
+    sinks.add({sink.name, std::to_string(sink.counts.stored), dropped_text(sink.counts),
+               std::string(name_of(sink.health)), where},
               sink.health == Health::ok ? "" : sink.reason);
   }
   if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text("", columns);

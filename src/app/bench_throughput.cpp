@@ -179,13 +179,16 @@ bool uses(const std::string& folder) {
 }
 
 /// A sink that could not store goes on trying when its deadline of closing passes, on a thread that is left behind: until
-/// that has ended, too, its files take room and are no other's to remove.
-void wait_until_closed(const std::string& folder) {
+/// that has ended, too, its files take room and are no other's to remove. Nothing tells when they are closed: it is looked
+/// for. False: they are not after a minute.
+bool wait_until_closed(const std::string& folder) {
   const auto end = SteadyClock::now() + std::chrono::minutes{1};
-  while (uses(folder) && SteadyClock::now() < end) {
+  while (uses(folder)) {
+    if (SteadyClock::now() >= end) return false;
     stop_if_interrupted();
     std::this_thread::sleep_for(std::chrono::milliseconds{10});
   }
+  return true;
 }
 
 /// The same columns by SQLite alone, on this thread: prepared, WAL, synchronous=NORMAL, as many rows a transaction.
@@ -237,7 +240,10 @@ nlohmann::ordered_json measure_storage(const std::string& parent, Duration durat
   const TemporaryFolder folder(parent);
   Json json{{"folder", parent}};
   json["rtdata"] = measure_sink(folder.path(), duration / 2);
-  wait_until_closed(std::filesystem::absolute(folder.path()).lexically_normal().string());
+  if (!wait_until_closed(std::filesystem::absolute(folder.path()).lexically_normal().string())) {
+    json["limit"] = {{"error", "not measured: the recording's files were not let go of within a minute"}};
+    return json;
+  }
   // What a recording that could not be closed leaves for the next run, of which there will be none.
   sqlite::LiveFile::remove_left(folder.path() + database_name);
   json["limit"] = measure_bare_sqlite(folder.path(), duration / 2);
