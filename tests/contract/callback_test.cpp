@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "contract/at_end.hpp"
 #include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
@@ -86,16 +87,6 @@ struct Device {
   Result<void> open() { return on_open(); }
   Result<Number> read() { return on_read(); }
   void close() { on_close(); }
-};
-
-/// Calls a function when it goes.
-struct AtEnd {
-  explicit AtEnd(std::function<void()> f) : function(std::make_shared<std::function<void()>>(std::move(f))) {}
-  AtEnd(AtEnd&&) = default;
-  ~AtEnd() {
-    if (function) (*function)();
-  }
-  std::shared_ptr<std::function<void()>> function;
 };
 
 }  // namespace

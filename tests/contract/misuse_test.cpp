@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "contract/at_end.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -90,15 +91,6 @@ struct Meddler {
   std::function<void()>* moved;
   explicit Meddler(std::function<void()>* m) : moved(m) {}
   Meddler(Meddler&& other) : moved(other.moved) { (*moved)(); }
-};
-
-struct AtEnd {
-  explicit AtEnd(std::function<void()> f) : function(std::make_shared<std::function<void()>>(std::move(f))) {}
-  AtEnd(AtEnd&&) = default;
-  ~AtEnd() {
-    if (function) (*function)();
-  }
-  std::shared_ptr<std::function<void()>> function;
 };
 
 /// A loop, own or borrowed, of which each kind of callback does something.

@@ -150,12 +150,7 @@ TEST_SUITE("sinks") {
       REQUIRE(::waitpid(child, &status, 0) == child);
       REQUIRE(WIFSIGNALED(status));
       REQUIRE(WTERMSIG(status) == SIGKILL);
-      {
-        Loop loop{Loop::Manual{}};
-        loop.runtime().on_log([](const LogRecord&) {});
-        SqliteSink sink(loop, {.path = path});
-        loop.close();
-      }
+      recordings::seal(path);
       ::unsetenv("RUNTIME_DIRECTORY");
       const VerifyReport report = recordings::verified(path);
       INFO(recordings::problems_of(report));

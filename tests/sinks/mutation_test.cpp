@@ -143,6 +143,15 @@ std::string seen_as(const std::string& path) {
   return report->exit_code() == 0 ? "" : problems_of(*report);
 }
 
+/// A copy of the recording, changed so, is not what it says; `make` makes the change.
+void check_seen(const std::string& path, const std::string& changed, const std::string& change,
+                void (*make)(const std::string& path, const std::string& statements)) {
+  CAPTURE(change);
+  std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+  make(changed, change);
+  CHECK(!seen_as(changed).empty());
+}
+
 }  // namespace
 
 TEST_SUITE("sinks") {
@@ -218,10 +227,7 @@ TEST_SUITE("sinks") {
              "UPDATE rtdata_schedule SET first_due = first_due + 100000000, end = end + 100000000",
              "UPDATE rtdata_schedule SET period = period / 2, end = first_due + (end - first_due) / 2",
          }) {
-      CAPTURE(change);
-      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
-      written_as(changed, change);
-      CHECK(!seen_as(changed).empty());
+      check_seen(path, changed, change, written_as);
     }
   }
 
@@ -240,10 +246,7 @@ TEST_SUITE("sinks") {
              "DELETE FROM rtdata_error",
              "UPDATE climate SET temperature = 1",
          }) {
-      CAPTURE(change);
-      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
-      sql(changed, change);
-      CHECK(!seen_as(changed).empty());
+      check_seen(path, changed, change, sql);
     }
   }
 
@@ -283,10 +286,7 @@ TEST_SUITE("sinks") {
              "DROP VIEW rtdata_field",
              "CREATE TRIGGER t AFTER INSERT ON rtdata_gap BEGIN DELETE FROM rtdata_gap; END",
          }) {
-      CAPTURE(change);
-      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
-      sql(changed, change);
-      CHECK(!seen_as(changed).empty());
+      check_seen(path, changed, change, sql);
     }
     // What users add for themselves is none of this.
     std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);

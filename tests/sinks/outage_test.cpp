@@ -26,6 +26,7 @@ using namespace sinks;
 using namespace std::chrono_literals;
 using namespace rtdata::literals;
 using recordings::number;
+using recordings::seal;
 
 namespace {
 
@@ -38,14 +39,6 @@ void kill_in_child(const std::function<void()>& work) {
   int status = 0;
   REQUIRE(::waitpid(child, &status, 0) == child);
   REQUIRE(WIFSIGNALED(status));
-}
-
-/// The next start, which seals what is there.
-void seal(const std::string& path) {
-  Loop loop{Loop::Manual{}};
-  loop.runtime().on_log([](const LogRecord&) {});
-  SqliteSink sink(loop, {.path = path});
-  loop.close();
 }
 
 /// Nothing in it is approximate but for what the seal says.

@@ -152,6 +152,14 @@ inline VerifyReport check_balanced(const std::string& path) {
   return report;
 }
 
+/// The next start, which seals what is there.
+inline void seal(const std::string& path) {
+  Loop loop{Loop::Manual{}};
+  loop.runtime().on_log([](const LogRecord&) {});
+  SqliteSink sink(loop, {.path = path});
+  CHECK(loop.close() == 0);
+}
+
 inline Everything full() {
   Everything e = payloads::full();
   e.numbers[1] = std::numeric_limits<float>::infinity();
