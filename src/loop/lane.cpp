@@ -35,7 +35,9 @@ struct Lane::Worker {
   std::condition_variable_any job_finished;
   Wake* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
 
-  Worker() { ::sem_init(&wake, 0, 0); }
+  const void* const runtime;  // whose lane it is; may be gone
+
+  explicit Worker(const void* runtime_) : runtime(runtime_) { ::sem_init(&wake, 0, 0); }
   ~Worker() { ::sem_destroy(&wake); }
 
   void push(std::shared_ptr<LaneJob> job) {
@@ -55,6 +57,7 @@ struct Lane::Worker {
   }
 
   void run() {
+    LoopCore::lane_of() = runtime;
     for (;;) {
       while (::sem_wait(&wake) != 0) {
       }
@@ -156,7 +159,7 @@ bool Lane::start_worker() noexcept {
   if (left_behind() >= most_left_behind) return false;
   const SignalsBlocked for_the_worker;
   try {
-    worker_ = std::make_shared<Worker>();
+    worker_ = std::make_shared<Worker>(&loop_.runtime);
     worker_->loop_wake = &loop_.wake();
     // Detached, since it may have to be left behind; `ended` stands for joining.
     std::thread([worker = worker_, cpus = loop_.worker_cpus] {

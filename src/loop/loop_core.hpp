@@ -162,9 +162,18 @@ class LoopCore {
     if (is_run_by_another_thread()) [[unlikely]]
       refuse_thread(what, object);
   }
+  /// Or this thread is one of the runtime's lanes: these go on while the loop does not run.
   bool is_run_by_another_thread() const noexcept {
     const void* running = thread_.load(std::memory_order_relaxed);
-    return running != nullptr && running != this_thread();
+    return running != nullptr ? running != this_thread() : lane_of() == &runtime;
+  }
+  /// The runtime whose lane this thread is; null on all others.
+  static const void*& lane_of() noexcept {
+#ifdef __GLIBC__
+    [[gnu::tls_model("initial-exec")]]
+#endif
+    static thread_local const void* own = nullptr;
+    return own;
   }
   /// Brackets user code that belongs on a lane and runs on this thread: meanwhile nothing of the loop may be used but what
   /// any thread may use.

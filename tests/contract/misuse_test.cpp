@@ -8,9 +8,11 @@
 #include <unistd.h>
 #include <uv.h>
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -272,22 +274,30 @@ TEST_SUITE("contract") {
         auto* place = new Place;
         make_place(*place, kind, *new uv_loop_t);
         place->keep(Sink(*place->loop, {.name = "s", .topics = {"#"}, .batch_rows = 1},
-                         std::make_unique<DoingWriter>([place] { place->loop.reset(); })));
+                         std::make_unique<DoingWriter>([place] { std::destroy_at(place->loop.get()); })));
         place->loop->topic<Number>("a").publish({1});
         for (int i = 0; i < 100; ++i) place->turn();
       });
       CHECK(has(end, "signal " + std::to_string(SIGABRT)));
       CHECK(has(end, "rtdata: fatal: a loop is destroyed too early: loop main"));
     }
-    const std::string end = end_of([&] {
-      auto* loop = new Loop;
-      auto tier = std::make_unique<Tier>(*loop, Tier::Config{});
-      Sink sink(*loop, {.name = "s", .topics = {"#"}, .batch_rows = 1},
-                std::make_unique<DoingWriter>([&] { tier.reset(); }));
-      loop->topic<Number>("a").publish({1});
-      loop->run_for(30s);
-    });
-    CHECK(has(end, "rtdata: fatal: a tier is destroyed where it may not be: tier fast"));
+    for (const bool while_running : {true, false}) {
+      CAPTURE(while_running);
+      const std::string end = end_of([&] {
+        auto* loop = new Loop;
+        auto tier = std::make_unique<Tier>(*loop, Tier::Config{});
+        std::atomic<bool> is_time{while_running};
+        Sink sink(*loop, {.name = "s", .topics = {"#"}, .batch_rows = 1}, std::make_unique<DoingWriter>([&] {
+          while (!is_time) std::this_thread::sleep_for(1ms);
+          tier.reset();
+        }));
+        loop->topic<Number>("a").publish({1});
+        loop->run_for(while_running ? 30s : 50ms);
+        is_time = true;
+        std::this_thread::sleep_for(30s);
+      });
+      CHECK(has(end, "rtdata: fatal: a tier is destroyed where it may not be: tier fast"));
+    }
   }
 
   TEST_CASE("a tier that is destroyed in a callback of its own ends the program; one that is stopped there stops") {
