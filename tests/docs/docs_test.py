@@ -95,7 +95,7 @@ def check_links(source):
 
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
-    header = (source / "include/rtdata/config/problem.hpp").read_text()
+    header = (source / "include/rtdata/data/problem.hpp").read_text()
     listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
     headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))

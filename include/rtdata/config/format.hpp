@@ -20,8 +20,8 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/convert.hpp"
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/config_value.hpp"
 
 namespace rtdata {
 
