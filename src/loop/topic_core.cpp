@@ -45,7 +45,7 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
     return;
   }
   if (followers_ == Followers::several) return hand_out(origin, time, sequence, payload);
-  if (!is_short_ || !is_ready || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
+  if (!is_short_ || !is_ready() || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
   // One of a burst of short ones, for handlers alone: without a call.
   std::byte* to = slot(head_++);
   ::new (to) EventHeader{time, sequence, origin.name};
@@ -73,7 +73,7 @@ void TopicCore::enqueue(const OriginCore& origin, Time time, std::uint64_t seque
     return;
   }
   ++head_;
-  if (!is_ready) runtime_.own_loop->add_ready(*this);
+  if (!is_ready()) runtime_.own_loop->deliveries.add(*this);
 }
 
 void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride) {
@@ -108,7 +108,7 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
     copy_all([](std::byte* to, const void* from, std::size_t size) { std::memcpy(to, from, size); });
   }
   head_ += taken;
-  if (taken > 0 && !is_ready) runtime_.own_loop->add_ready(*this);
+  if (taken > 0 && !is_ready()) runtime_.own_loop->deliveries.add(*this);
 }
 
 void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence) {
@@ -246,14 +246,14 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     delivering_ = node;
     {
       Call call(*node);
-      loop.begins(node);
+      loop.nodes.begins(node);
       const auto result = node->deliver(run, map.get());
       Link& link = links_[i];  // the vector may have grown meanwhile
       link.delivered += result.seen - result.cancelled;
       link.cancelled += result.cancelled;
       link.next += result.seen;
       const MonotonicTime to = loop.now();
-      loop.time_callback(node->times, from, to, [&] { return node->name; });
+      loop.blame.time_callback(node->times, from, to, [&] { return node->name; });
       from = to;
       if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
     }
@@ -286,8 +286,6 @@ void TopicCore::drop_slots(std::uint64_t last) noexcept {
 void TopicCore::abandon() noexcept {
   const LoopCore::Calling user_code(runtime_);  // destructors, in which nothing is to be delivered
   drop_slots(head_);
-  is_ready = false;
-  next_ready = nullptr;
 }
 
 SubscriptionCounts TopicCore::subscription_counts() const noexcept {
