@@ -413,7 +413,7 @@ LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end
   while (unfinished > 0) {
     TopicCore* topic = ready_first_;
     const bool is_of_round = topic->is_in_round();  // others became ready meanwhile
-    if (is_of_round) current = topic->deliver_group(*this, current);
+    if (is_of_round) current = topic->deliver_group(*this, current, end);
     if (is_of_round && !topic->is_in_round()) --unfinished;
     if (!topic->has_pending()) {
       ready_first_ = topic->next_ready;
@@ -426,7 +426,7 @@ LoopCore::Left LoopCore::deliver_round(MonotonicTime& current, MonotonicTime end
       ready_last_ = topic;
       topic->next_ready = nullptr;
     }
-    if (end != MonotonicTime::max() && (current >= end || is_something_due(current))) return Left::later;
+    if (must_pause_delivery(current, end)) return Left::later;
   }
   round_is_open_ = false;
   ++rounds_;

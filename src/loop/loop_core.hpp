@@ -98,6 +98,10 @@ class LoopCore {
   // Deliveries
   void add_ready(TopicCore& topic);
   void deliver_all();
+  /// A delivery that may last up to `limit` makes way for what is due. The end of time: it makes way for nothing.
+  bool must_pause_delivery(MonotonicTime now, MonotonicTime limit) const noexcept {
+    return limit != MonotonicTime::max() && (now >= limit || is_something_due(now));
+  }
 
   // A tier's loop belongs to its thread, also between two runs.
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }

@@ -91,8 +91,9 @@ class TopicCore {
   void find_way(OriginCore& origin) noexcept;
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
-  /// Delivers one small group of events of the round to every link, beginning now; returns when it ended.
-  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now);
+  /// Delivers one small group of events of the round to every link, beginning at `begin`; returns when it ended. Between
+  /// two handlers it returns early when the loop has something else to do, or at `time_limit`: the next call goes on there.
+  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit);
   RuntimeCore& runtime() const noexcept { return runtime_; }
   bool has_pending() const noexcept { return head_ != tail_; }
   /// What is queued now belongs to a round of deliveries, what is published from now on does not.
@@ -130,6 +131,8 @@ class TopicCore {
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
+  /// To what the slowest handler took for its events of a group.
+  void adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept;
   /// Destroys what is queued up to this position.
   void drop_slots(std::uint64_t last) noexcept;
 
@@ -151,7 +154,8 @@ class TopicCore {
   std::uint64_t tail_ = 0;
   std::uint64_t round_end_ = 0;
   std::uint64_t dropped_ = 0;
-  std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
+  std::uint64_t group_ = 1;                      // events per group, adapted to what handlers take
+  const SubscriptionNode* slow_last_ = nullptr;  // took too long for the last group; compared only, it may be gone
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
   bool is_moving_cancelled_ = false;
