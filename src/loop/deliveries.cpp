@@ -40,6 +40,10 @@ Deliveries::Left Deliveries::deliver(Budget budget) {
   return left;
 }
 
+bool Deliveries::must_pause(MonotonicTime now, MonotonicTime limit) const noexcept {
+  return limit != MonotonicTime::max() && (now >= limit || loop_.deadlines.is_due(now));
+}
+
 Deliveries::Left Deliveries::deliver_round(MonotonicTime& current, MonotonicTime end) {
   // A round that was broken off goes on, so that the rounds of handlers in a circle are counted whatever comes due between.
   std::size_t unfinished = 0;
@@ -51,7 +55,7 @@ Deliveries::Left Deliveries::deliver_round(MonotonicTime& current, MonotonicTime
   while (unfinished > 0) {
     DeliveryQueue* queue = first_;
     const bool is_of_round = queue->is_in_round();  // others became ready meanwhile
-    if (is_of_round) current = queue->deliver_group(loop_, current);
+    if (is_of_round) current = queue->deliver_group(loop_, current, end);
     if (is_of_round && !queue->is_in_round()) --unfinished;
     if (!queue->has_pending()) {
       first_ = queue->next_ready_;
@@ -63,7 +67,7 @@ Deliveries::Left Deliveries::deliver_round(MonotonicTime& current, MonotonicTime
       last_ = queue;
       queue->next_ready_ = nullptr;
     }
-    if (end != MonotonicTime::max() && (current >= end || loop_.deadlines.is_due(current))) return Left::later;
+    if (must_pause(current, end)) return Left::later;
   }
   round_is_open_ = false;
   ++rounds_;

@@ -12,8 +12,9 @@ class LoopCore;
 /// A queue of events for handlers on a loop: the loop's side of a topic.
 class DeliveryQueue {
  public:
-  /// Delivers one small group of events, beginning now; returns when it ended.
-  virtual MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now) = 0;
+  /// Delivers one small group of events of the round, beginning at `begin`; returns when it ended. Between two handlers it
+  /// returns early when `Deliveries::must_pause`: the next call goes on there.
+  virtual MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) = 0;
 
   bool has_pending() const noexcept { return head_ != tail_; }
   /// Is among those that the loop delivers from.
@@ -56,6 +57,8 @@ class Deliveries {
     circle,  // handlers went on publishing for each other
   };
   Left deliver(Budget budget);
+  /// A delivery that may last up to `limit` makes way for what is due. The end of time: it makes way for nothing.
+  bool must_pause(MonotonicTime now, MonotonicTime limit) const noexcept;
   /// In virtual time handlers in a circle are bounded by rounds at one instant: another instant begins.
   void begin_instant() noexcept { rounds_ = 0; }
 

@@ -13,9 +13,12 @@
 namespace rtdata::detail {
 namespace {
 
-// Handlers of a few nanoseconds share a look at the clock; one of some microseconds is timed alone.
+// Events for which a handler takes a few nanoseconds share a look at the clock; one that takes some microseconds is timed
+// alone. The aim is for the events of a group in one handler: with many handlers the look costs each of them no more.
 constexpr std::uint64_t most_in_group = 128;
 constexpr Duration group_aim = std::chrono::microseconds{5};
+// What takes longer than the aim once was interrupted, as a rule; beyond this it is taken for slow at once.
+constexpr Duration slow_at_once = 20 * group_aim;
 
 // So that there is always a time after the last event's.
 constexpr Time latest_time = Time::max() - std::chrono::hours{24};
@@ -232,13 +235,20 @@ void TopicCore::cancel(const OriginCore& origin) noexcept {
   cancelled_until_ = head_;
 }
 
-MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
+MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) {
   const std::uint64_t to_ring_end = mask_ + 1 - (tail_ & mask_);
   const std::uint64_t end = tail_ + std::min({group_, round_end_ - tail_, to_ring_end});
   MonotonicTime from = begin;
+  Duration longest{0};
+  const SubscriptionNode* slowest = nullptr;
+  bool is_complete = true;
   for (std::size_t i = 0; i < links_.size(); ++i) {
     SubscriptionNode* node = links_[i].node;
     if (node == nullptr || links_[i].next >= end) continue;
+    if (from != begin && loop.deliveries.must_pause(from, time_limit)) {
+      is_complete = false;  // the next call goes on with this handler
+      break;
+    }
     const std::uint64_t next = links_[i].next;
     const EventRun run{*this,           slot(next), stride_, next, end - next, is_cancelled_.data() + (next & mask_),
                        cancelled_until_};
@@ -252,19 +262,19 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
       link.delivered += result.seen - result.cancelled;
       link.cancelled += result.cancelled;
       link.next += result.seen;
-      const MonotonicTime to = loop.now();
+      const MonotonicTime to = std::max(from, loop.quick_now());
       loop.blame.time_callback(node->times, from, to, [&] { return node->name; });
+      if (to - from > longest) {
+        longest = to - from;
+        slowest = node;
+      }
       from = to;
       if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
     }
     delivering_ = nullptr;
   }
-  if (from - begin > group_aim) {
-    group_ = 1;
-  } else if (from - begin < group_aim / 2 && group_ < most_in_group) {
-    group_ *= 2;
-  }
-  drop_slots(end);
+  adapt_group(longest, slowest, is_complete);
+  if (is_complete) drop_slots(end);
   if (needs_sweep_) {
     std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
     needs_sweep_ = false;
@@ -272,6 +282,18 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     if (links_.empty()) drop_slots(head_);
   }
   return from;
+}
+
+void TopicCore::adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept {
+  if (longest <= group_aim) {
+    slow_last_ = nullptr;
+    if (is_complete && longest < group_aim / 2 && group_ < most_in_group) group_ *= 2;
+    return;
+  }
+  const bool is_slow = slowest == std::exchange(slow_last_, slowest) || longest > slow_at_once;
+  if (is_slow)
+    group_ = std::max<std::uint64_t>(
+        group_ * static_cast<std::uint64_t>(group_aim.count()) / static_cast<std::uint64_t>(longest.count()), 1);
 }
 
 void TopicCore::drop_slots(std::uint64_t last) noexcept {

@@ -93,7 +93,7 @@ class TopicCore final : public DeliveryQueue {
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
   /// To every link.
-  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now) override;
+  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) override;
   RuntimeCore& runtime() const noexcept { return runtime_; }
   /// The loop is gone: what is queued is cancelled.
   void abandon() noexcept;
@@ -125,6 +125,8 @@ class TopicCore final : public DeliveryQueue {
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
+  /// To what the slowest handler took for its events of a group.
+  void adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept;
   /// Destroys what is queued up to this position.
   void drop_slots(std::uint64_t last) noexcept;
 
@@ -143,7 +145,8 @@ class TopicCore final : public DeliveryQueue {
   std::size_t stride_ = 0;
   std::size_t mask_ = 0;
   std::uint64_t dropped_ = 0;
-  std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
+  std::uint64_t group_ = 1;                      // events per group, adapted to what handlers take
+  const SubscriptionNode* slow_last_ = nullptr;  // took too long for the last group; compared only, it may be gone
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
   bool is_moving_cancelled_ = false;
