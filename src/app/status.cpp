@@ -195,7 +195,7 @@ void StatusSource::ask_tiers(Snapshot& shot) {
     if (known == tiers_.end()) known = tiers_.insert(tiers_.end(), AskedTier{tier->config.name, {}, {}, {}});
     if (known->asked != nullptr && known->asked->is_done()) known->answered = std::move(known->asked);
     if (known->asked == nullptr)
-      known->asked = detail::CallbackSurvey::begin(tier->loop.core());  // else it hangs: one question is enough
+      known->asked = tier->loop.core().nodes.begin_survey();  // else it hangs: one question is enough
     known->doing = tier->where();
     shot.tiers.push_back(*known);
   }

@@ -91,6 +91,8 @@ std::string_view id(Errc code) noexcept {
       return "held-too-long";
     case Errc::not_turning:
       return "not-turning";
+    case Errc::backlog:
+      return "backlog";
     case Errc::closed:
       return "closed";
   }

@@ -42,7 +42,7 @@ void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence,
 
 Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
     : from_(from), to_(to), ring_(ring_bytes), is_to_main_(to.runtime.hub == nullptr) {
-  from_.add_deadline();
+  from_.deadlines.reserve_one();
   from_.runtime.outbound.push_back(this);
   to_.runtime.inbound.push_back(this);
   from_.runtime.listeners.push_back(this);
@@ -53,8 +53,8 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
 }
 
 Bridge::~Bridge() {
-  from_.remove(reminder_);
-  from_.drop_deadline();
+  from_.deadlines.remove(reminder_);
+  from_.deadlines.release_one();
   to_.runtime.forget_announcements(*this);
   for (Passage* passage : heard_) {
     if (passage != nullptr && passage->mirror != nullptr && !passage->is_past) passage->mirror->passage = nullptr;
@@ -74,7 +74,7 @@ void Bridge::wake() noexcept {
   if (!has_announced_ && !ring_.has_unpublished()) return;
   has_announced_ = false;
   ring_.publish();
-  to_.wake().send();
+  to_.uv.wake().send();
 }
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
@@ -223,7 +223,7 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   passage.told = told;
   record->counts = counts;
   record->sequence = origin.sequence;
-  record->under_way = origin.has_segment() ? origin.segment(from_.handled_until()) : Segment{};
+  record->under_way = origin.has_segment() ? origin.segment(from_.deadlines.handled_until()) : Segment{};
   record->has_gap = origin.gap_under_way() != nullptr;
   if (record->has_gap) record->gap = *origin.gap_under_way();
   record->outages = outages;
@@ -301,7 +301,7 @@ void Bridge::report_lost_notes(LoopCore& on) {
 }
 
 void Bridge::Reminder::fire(MonotonicTime) {
-  bridge.from_.remove(*this);
+  bridge.from_.deadlines.remove(*this);
   bridge.is_reminded_ = true;
 }
 
@@ -316,7 +316,7 @@ void Bridge::turn_done() {
     }
     if (accounts_left_ > 0 && !reminder_.is_listed()) {
       reminder_.due = next_accounts_;
-      from_.insert(reminder_);
+      from_.deadlines.insert(reminder_);
     }
   }
   wake();

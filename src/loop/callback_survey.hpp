@@ -11,15 +11,14 @@
 
 namespace rtdata::detail {
 
-class LoopCore;
 class Node;
+class Nodes;
 
-/// Goes through a loop's objects on its thread, a few in a turn, so that nothing there waits for it. Asked for and
-/// waited for on any thread; a loop that hangs never finishes it.
+/// The loop goes through its objects on its own thread, a few in a turn, so that it is not held. Any thread may ask for a
+/// survey (`Nodes::begin_survey`) and wait for it; a loop that hangs never finishes it.
 class CallbackSurvey {
  public:
   static constexpr std::size_t most_in_turn = 16;
-  static std::shared_ptr<CallbackSurvey> begin(LoopCore& loop);
 
   bool is_done() const noexcept { return done_.is_set(); }
   bool wait(Duration at_most) const noexcept { return done_.wait(at_most); }
@@ -27,7 +26,7 @@ class CallbackSurvey {
   const std::vector<CallbackStatus>& callbacks() const noexcept { return callbacks_; }
 
  private:
-  friend class LoopCore;
+  friend class Nodes;
   Node* next_ = nullptr;  // moved on by the loop when that node goes
   std::vector<CallbackStatus> callbacks_;
   Latch done_;

@@ -30,7 +30,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     }
     runtime_.unknown_end.clear();
     loop_.core().run_due();
-    for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().handled_until()); });
+    for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().deadlines.handled_until()); });
     drain_tiers();
   }
 

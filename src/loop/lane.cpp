@@ -97,12 +97,12 @@ struct Lane::Delayed final : Deadline {
   };
   explicit Delayed(Lane& lane_) : lane(lane_) {}
   void fire(MonotonicTime) override {
-    lane.loop_.remove(*this);
+    lane.loop_.deadlines.remove(*this);
     const LaneJob::Outcome outcome = completions.front().outcome;
     completions.erase(completions.begin());
     if (!completions.empty()) {
       due = completions.front().at;
-      lane.loop_.insert(*this);
+      lane.loop_.deadlines.insert(*this);
     }
     lane.finish(0, outcome);
   }
@@ -119,21 +119,21 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after)
   needs_thread_ = !loop_.is_manual();
   make_room(ring_size);
   behind_.reserve(most_left_behind);
-  for (int i = 0; i < 2; ++i) loop_.add_deadline();
+  for (int i = 0; i < 2; ++i) loop_.deadlines.reserve_one();
   try {
-    loop_.add(*this);
+    loop_.lanes.add(*this);
   } catch (...) {
-    for (int i = 0; i < 2; ++i) loop_.drop_deadline();
+    for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
     throw;
   }
 }
 
 Lane::~Lane() {
   *is_alive_ = false;
-  loop_.remove(*this);
-  loop_.remove(*watchdog_);
-  loop_.remove(*delayed_);
-  for (int i = 0; i < 2; ++i) loop_.drop_deadline();
+  loop_.lanes.remove(*this);
+  loop_.deadlines.remove(*watchdog_);
+  loop_.deadlines.remove(*delayed_);
+  for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
   if (worker_ != nullptr) {
     worker_->end();
     std::unique_lock lock(worker_->mutex);
@@ -160,9 +160,9 @@ bool Lane::start_worker() noexcept {
   const SignalsBlocked for_the_worker;
   try {
     worker_ = std::make_shared<Worker>(&loop_.runtime);
-    worker_->loop_wake = &loop_.wake();
+    worker_->loop_wake = &loop_.uv.wake();
     // Detached, since it may have to be left behind; `ended` stands for joining.
-    std::thread([worker = worker_, cpus = loop_.worker_cpus] {
+    std::thread([worker = worker_, cpus = loop_.lanes.processors] {
       if (cpus) ::sched_setaffinity(0, sizeof *cpus, &*cpus);
       worker->run();
     }).detach();
@@ -189,14 +189,14 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
     loop_.ref();
     const MonotonicTime from = delayed_->completions.empty() ? loop_.now()
                                                              : std::max(delayed_->completions.back().at, loop_.now());
-    if (loop_.lane_duration > give_up_after_) {
+    if (loop_.lanes.scripted_duration > give_up_after_) {
       delayed_->completions.push_back({later(from, give_up_after_), LaneJob::Outcome::given_up});
     } else {
-      delayed_->completions.push_back({later(from, loop_.lane_duration), LaneJob::Outcome::finished});
+      delayed_->completions.push_back({later(from, loop_.lanes.scripted_duration), LaneJob::Outcome::finished});
     }
     if (!delayed_->is_listed()) {
       delayed_->due = delayed_->completions.front().at;
-      loop_.insert(*delayed_);
+      loop_.deadlines.insert(*delayed_);
     }
     return true;
   }
@@ -207,7 +207,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job) {
   hand_over();
   if (!watchdog_->is_listed()) {
     watchdog_->due = later(loop_.now(), give_up_after_);
-    loop_.insert(*watchdog_);
+    loop_.deadlines.insert(*watchdog_);
   }
   return true;
 }
@@ -276,7 +276,7 @@ void Lane::leave_behind() noexcept {
 
 void Lane::check_limit() {
   const auto is_alive = is_alive_;
-  loop_.remove(*watchdog_);
+  loop_.deadlines.remove(*watchdog_);
   collect();
   if (!*is_alive || outstanding_.empty()) return;
   const LaneJob& first = *outstanding_.front();
@@ -291,7 +291,7 @@ void Lane::check_limit() {
   }
   if (outstanding_.empty() || watchdog_->is_listed()) return;
   watchdog_->due = due;
-  loop_.insert(*watchdog_);
+  loop_.deadlines.insert(*watchdog_);
 }
 
 void Lane::give_up() {
@@ -309,37 +309,6 @@ void Lane::give_up() {
   } else {
     for (std::size_t left = outstanding_.size(); left > 0 && *is_alive; --left) finish(0, LaneJob::Outcome::given_up);
   }
-}
-
-// ---- the loop's lanes
-
-Lane& LoopCore::lane(const std::string& key, Duration give_up_after) {
-  for (auto& [name, lane] : lanes_) {
-    if (name != key) continue;
-    lane->allow(give_up_after);
-    return *lane;
-  }
-  lanes_.emplace_back(key, std::make_unique<Lane>(*this, key, give_up_after));
-  return *lanes_.back().second;
-}
-
-void LoopCore::remove(Lane& lane) noexcept {
-  const auto found = std::find(all_lanes_.begin(), all_lanes_.end(), &lane);
-  if (found == all_lanes_.end()) return;
-  if (collecting_) {
-    *found = nullptr;
-  } else {
-    all_lanes_.erase(found);
-  }
-}
-
-void LoopCore::collect_lanes() {
-  collecting_ = true;
-  for (std::size_t i = 0; i < all_lanes_.size(); ++i) {
-    if (all_lanes_[i] != nullptr) all_lanes_[i]->collect();
-  }
-  collecting_ = false;
-  std::erase(all_lanes_, nullptr);
 }
 
 }  // namespace rtdata::detail

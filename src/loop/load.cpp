@@ -99,13 +99,13 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
   return load;
 }
 
-LoopLoad detail::LoopCore::load() const {
+LoopLoad Loop::load() const {
   std::vector<SensorLoad> loads;
-  for (const SensorEntry* sensor : runtime.sensors) {
-    if (sensor->loop() != this) continue;
+  for (const detail::SensorEntry* sensor : core_->runtime.sensors) {
+    if (sensor->loop() != core_.get()) continue;
     if (auto load = sensor->load()) loads.push_back(std::move(*load));
   }
-  return estimate_load(config.name, loads);
+  return estimate_load(core_->config.name, loads);
 }
 
 }  // namespace rtdata

@@ -55,7 +55,7 @@ void RuntimeCore::log(LogLevel level, std::string_view object, std::string_view 
   const std::string key = std::string(object) + '\n' + std::string(text);
   LogLine line{level, std::string(object), std::string(text), std::string(error_id)};
   if (auto joined = lines_.take(key, std::move(line), clock_->monotonic())) return log_line(*joined);
-  flush_repeats_later(nullptr, lines_.held_until());
+  flush_repeats_at(lines_.held_until());
 } catch (...) {
   tell_of_no_memory();
 }
@@ -92,7 +92,14 @@ void RuntimeCore::report_all_kept() {
   }
 }
 
+void RuntimeCore::attach(LoopCore& loop) {
+  loop.deadlines.reserve_one();
+  own_loop = &loop;
+}
+
 void RuntimeCore::forget(LoopCore& loop) noexcept {
+  for (const auto& topic : topics_) topic->abandon();
+  loop.deadlines.remove(flusher_);
   for (Kept& kept : kept_) {
     if (kept.loop == &loop) kept.loop = nullptr;
   }
@@ -107,12 +114,19 @@ void RuntimeCore::forget(LoopCore& loop) noexcept {
 void RuntimeCore::report(LoopCore* loop, std::string_view object, const Error& error) {
   const std::string key = std::string(object) + '\n' + std::string(error.id());
   if (auto joined = errors_.take(key, {std::string(object), error}, clock_->monotonic())) return write(loop, *joined);
-  flush_repeats_later(loop, errors_.held_until());
+  flush_repeats_at(errors_.held_until());
 }
 
-void RuntimeCore::flush_repeats_later(LoopCore* loop, MonotonicTime due) {
-  if (loop == nullptr) loop = own_loop;
-  if (loop != nullptr) loop->flush_repeats_at(due);
+void RuntimeCore::flush_repeats_at(MonotonicTime due) noexcept {
+  if (own_loop == nullptr || (flusher_.is_listed() && flusher_.due <= due)) return;
+  own_loop->deadlines.remove(flusher_);
+  flusher_.due = due;
+  own_loop->deadlines.insert(flusher_);
+}
+
+void RuntimeCore::Flusher::fire(MonotonicTime) {
+  runtime.own_loop->deadlines.remove(*this);
+  runtime.flush_repeats(Repeated::due);
 }
 
 namespace {
@@ -132,7 +146,7 @@ void RuntimeCore::health_changed(std::string_view kind, std::string_view name, H
   if (auto joined = changes_.take(key, change, clock_->monotonic())) {
     write(*joined);
   } else {
-    flush_repeats_later(nullptr, changes_.held_until());
+    flush_repeats_at(changes_.held_until());
   }
   publish_from_program(topic(health_topic, payload_type<HealthChange>()), &change);
 } catch (const std::bad_alloc&) {
@@ -148,7 +162,7 @@ void RuntimeCore::flush_repeats(Repeated which) noexcept try {
   for (const auto& change : is_all ? changes_.take_all() : changes_.take_due(now)) write(change);
   // Before user code runs, which may close the loop. Not at once, since there may be thousands.
   for (const auto next : {errors_.next_due(), lines_.next_due(), changes_.next_due()}) {
-    if (next) flush_repeats_later(nullptr, std::max(*next, later(now, std::chrono::milliseconds{250})));
+    if (next) flush_repeats_at(std::max(*next, later(now, std::chrono::milliseconds{250})));
   }
   for (const auto& error : errors) write(nullptr, error);
   for (const auto& line : lines) log_line(line);

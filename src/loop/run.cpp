@@ -1,4 +1,4 @@
-// Running a loop: in real time, in steps, in virtual time; and what other threads ask of it.
+// Running a loop: in real time, in steps, in virtual time; and calls that other threads wait for.
 #include <sys/prctl.h>
 
 #include <algorithm>
@@ -8,35 +8,9 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
-#include "loop/tier_core.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::detail {
-
-void LoopCore::post(Callback<void()> function) {
-  if (!function) refuse_empty("cannot post", "loop " + config.name);
-  {
-    const std::lock_guard lock(posted_mutex_);
-    if (!takes_posts_) return;  // the function goes when the lock is free again
-    posted_.push_back(std::move(function));
-  }
-  wake().send();
-}
-
-void LoopCore::drop_posted() noexcept {
-  std::vector<Callback<void()>> unrun;
-  {
-    const std::lock_guard lock(posted_mutex_);
-    takes_posts_ = false;
-    unrun.swap(posted_);
-  }
-  unrun.clear();  // outside the lock: captures may post
-}
-
-bool LoopCore::has_posted() noexcept {
-  const std::lock_guard lock(posted_mutex_);
-  return !posted_.empty();
-}
 
 void LoopCore::call_there(Callback<void()> function) {
   std::binary_semaphore is_done{0};
@@ -51,53 +25,20 @@ void LoopCore::call_there(Callback<void()> function) {
     is_done.release();
   });
   if (!is_done.try_acquire_for(std::chrono::seconds{1})) {
-    const std::string at = doing();
-    if (runtime.hub != nullptr)
-      runtime.hub->log(LogLevel::warning, "loop " + config.name,
+    const std::string at = nodes.doing();
+    runtime.main().log(LogLevel::warning, "loop " + config.name,
                        "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
     while (!is_done.try_acquire_for(std::chrono::milliseconds{100})) {
-      if (!runs_elsewhere()) run_posted();  // a tier that was given up has ended meanwhile
+      if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
     }
   }
   if (thrown) std::rethrow_exception(thrown);
 }
 
-void LoopCore::run_posted() {
-  call_own("loop", [&] {
-    collect_lanes();
-    runtime.receive();
-  });
-  {
-    const std::lock_guard lock(posted_mutex_);
-    running_posted_.swap(posted_);
-  }
-  for (Callback<void()>& function : running_posted_) {
-    CallbackTimes times;
-    const MonotonicTime from = now();
-    begins(nullptr);
-    call_user("posted function", function);
-    if (held_last_ < from)  // nothing that it called was blamed
-      time_callback(times, from, now(), [] { return std::string("posted function"); });
-  }
-  running_posted_.clear();
-}
-
 void LoopCore::request_stop() noexcept {
-  if (attached_) return;
+  if (is_attached()) return;
   stop_requested_.store(true, std::memory_order_relaxed);
-  wake().send();
-}
-
-void LoopCore::start_tiers() {
-  for (TierCore* tier : runtime.tiers) tier->start_first();
-}
-
-void LoopCore::start_tiers_in_turn() noexcept {
-  try {
-    start_tiers();
-  } catch (const SetupError& e) {  // not tried again in each turn
-    runtime.report(this, "loop " + config.name, e.error());
-  }
+  uv.wake().send();
 }
 
 LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
@@ -117,24 +58,24 @@ LoopCore::Running::~Running() {
 }
 
 void LoopCore::run() {
-  if (attached_) {
+  if (is_attached()) {
     throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name,
                       "it is attached to the program's own loop", "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
   }
   const Running running(*this, "cannot run");
-  start_tiers();
+  runtime.start_tiers();
   if (manual_ != nullptr) {
-    begin_advancing();
+    begin_instant();
     if (!is_stopping()) settle();
-    while (!is_stopping() && refs_ > 0 && next_due()) advance_to(*next_due());
+    while (!is_stopping() && refs_ > 0 && deadlines.next_due()) advance_to(*deadlines.next_due());
   } else {
     const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
     if (!is_stopping()) run_due();
     while (!is_stopping()) {
-      run_posted();  // libuv does not look at them when nothing else keeps the loop alive
-      if (!is_stopping()) uv_run(uv_loop_, UV_RUN_DEFAULT);
-      if (!has_posted()) break;
+      take_sent(end_of_budget());  // libuv does not look at them when nothing else keeps the loop alive
+      if (!is_stopping()) uv_run(uv.loop(), UV_RUN_DEFAULT);
+      if (!posts.has_some()) break;
     }
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(slack));
   }
@@ -161,7 +102,7 @@ void LoopCore::run_for(Duration duration) {
 }
 
 void LoopCore::poll() {
-  if (attached_) {
+  if (is_attached()) {
     check_thread("cannot poll", "");
     check_not_ending("cannot poll");
     if (is_in_user_code()) {
@@ -174,12 +115,12 @@ void LoopCore::poll() {
   }
   const Running running(*this, "cannot poll");
   if (manual_ != nullptr) {
-    begin_advancing();
+    begin_instant();
     settle();
     return;
   }
   run_due();
-  run_posted();
+  take_sent(MonotonicTime::max());
   look_at_io();
   deliver_all();
 }
@@ -191,22 +132,20 @@ void LoopCore::advance(Duration duration) {
   }
   const Running running(*this, "cannot advance");
   const MonotonicTime target = later(now(), duration);
-  begin_advancing();
+  begin_instant();
   if (!is_stopping()) settle();
-  while (!is_stopping() && next_due() && *next_due() <= target) advance_to(*next_due());
+  while (!is_stopping() && deadlines.next_due() && *deadlines.next_due() <= target) advance_to(*deadlines.next_due());
   if (!is_stopping()) advance_to(target);
   forget_stop();
 }
 
-void LoopCore::begin_advancing() noexcept { rounds_ = turns_ = 0; }
-
-std::optional<MonotonicTime> LoopCore::next_due() const noexcept {
-  if (deadlines_.top() == nullptr || deadlines_.top()->due == MonotonicTime::max()) return std::nullopt;
-  return deadlines_.top()->due;
+void LoopCore::begin_instant() noexcept {
+  deliveries.begin_instant();
+  turns_ = 0;
 }
 
 void LoopCore::advance_to(MonotonicTime target) {
-  // What brings itself on again at one instant (a timer of zero that starts itself) would keep time from going on.
+  // A chain at one instant (a timer of zero that starts itself) would stop the time for ever.
   constexpr int most_turns = 1000;
   constexpr Duration turn = std::chrono::microseconds{1};
   const MonotonicTime from = now();
@@ -215,26 +154,26 @@ void LoopCore::advance_to(MonotonicTime target) {
   } else if (++turns_ > most_turns) {
     manual_->pass(turn);
   }
-  if (now() > from) begin_advancing();
+  if (now() > from) begin_instant();
   settle();
 }
 
 void LoopCore::look_at_io() {
   ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
-  uv_run(uv_loop_, UV_RUN_NOWAIT);
+  uv_run(uv.loop(), UV_RUN_NOWAIT);
   unref();
 }
 
 void LoopCore::settle() {
-  // As in real time: what is due comes before deliveries, also when a handler took so long that something came due.
-  Left left = Left::nothing;
+  // As in real time, deadlines come before deliveries, also when a handler took so long that one came due.
+  bool is_some_left = false;
   do {
     call_own("clock", [&] { runtime.look_at_clock(); });
     run_due();
-    run_posted();
+    is_some_left = take_sent(end_of_budget());
     look_at_io();
-    left = deliver(Budget::limited);
-  } while (left == Left::later && !is_stopping());
+    if (deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later) is_some_left = true;
+  } while (is_some_left && !is_stopping());
 }
 
 }  // namespace rtdata::detail

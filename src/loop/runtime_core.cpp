@@ -384,6 +384,22 @@ void RuntimeCore::forget_announcements(const Bridge& of) {
   std::erase_if(announced_, [&](const Announcement& one) { return one.bridge == &of; });
 }
 
+std::string RuntimeCore::user_of_loop() const {
+  return tiers.empty() ? std::string() : "tier " + tiers.front()->config.name;
+}
+
+void RuntimeCore::start_tiers() {
+  for (TierCore* tier : tiers) tier->start_first();
+}
+
+void RuntimeCore::start_tiers_in_turn() noexcept {
+  try {
+    start_tiers();
+  } catch (const SetupError& e) {
+    report(own_loop, "loop " + own_loop->config.name, e.error());
+  }
+}
+
 void RuntimeCore::send_now() noexcept {
   for (Bridge* bridge : outbound) bridge->wake();
 }
@@ -453,13 +469,19 @@ std::vector<LoopStatus> Runtime::loops() const {
     return Duration{std::chrono::seconds{spent.tv_sec} + std::chrono::nanoseconds{spent.tv_nsec}};
   };
   std::vector<LoopStatus> all;
-  if (const detail::LoopCore* loop = core_->own_loop) {
-    all.push_back({loop->config.name, core_->hub != nullptr, loop->is_running(), current_scheduling(),
-                   processor_time(::pthread_self())});
+  if (detail::LoopCore* loop = core_->own_loop) {
+    all.push_back({loop->config.name,
+                   core_->hub != nullptr,
+                   loop->is_running(),
+                   current_scheduling(),
+                   processor_time(::pthread_self()),
+                   {},
+                   loop->posts.counts()});
   }
   for (detail::TierCore* tier : core_->tiers) {
     all.push_back({tier->config.name, true, tier->is_running(), tier->scheduling,
-                   tier->is_running() ? processor_time(tier->native_thread()) : Duration{0}, tier->warnings});
+                   tier->is_running() ? processor_time(tier->native_thread()) : Duration{0}, tier->warnings,
+                   tier->loop.core().posts.counts()});
   }
   return all;
 }

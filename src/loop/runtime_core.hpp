@@ -174,8 +174,17 @@ class RuntimeCore {
   std::vector<SensorEntry*> sensors;
   LoopCore* own_loop = nullptr;  ///< while it has one
   unsigned calling = 0;          ///< calls of user code on the stack, see LoopCore::Calling
-  /// The loop is gone: what is kept for it is told to the log.
+  void attach(LoopCore& loop);
+  /// The loop ends: its topics cancel what is queued, and the log gets the reports that were kept for it.
   void forget(LoopCore& loop) noexcept;
+  /// The tier that still uses the loop, for people; empty: none.
+  std::string user_of_loop() const;
+  /// The main loop's: starts those that were never started. SetupError.
+  void start_tiers();
+  /// The same; reports the error, and does not try it again in each turn.
+  void start_tiers_in_turn() noexcept;
+  /// That of the main loop.
+  RuntimeCore& main() noexcept { return hub != nullptr ? *hub : *this; }
 
   // Tiers: each has a runtime core of its own, of which this thread touches none but its own; what one publishes comes to
   // the others through bridges.
@@ -248,6 +257,8 @@ class RuntimeCore {
     if (!kept_.empty()) [[unlikely]]
       report_all_kept();
   }
+  /// `flush_repeats` of those due is called at this instant, or earlier.
+  void flush_repeats_at(MonotonicTime due) noexcept;
   enum class Repeated { due, all };
   /// Tells of the errors, lines of the log and changes of health that were held back, as far as it is time, or of all.
   void flush_repeats(Repeated which) noexcept;
@@ -294,7 +305,6 @@ class RuntimeCore {
   void write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept;
   void write(const Joined<HealthChange>& joined) noexcept;
   void log_line(const Joined<LogLine>& joined) noexcept;
-  void flush_repeats_later(LoopCore* loop, MonotonicTime due);
   /// A source of the time of day.
   struct ClockSource {
     ClockPair recorded, latest;
@@ -323,6 +333,12 @@ class RuntimeCore {
   std::atomic<std::uint32_t> reports_under_way_{0};  // from tiers, see tell_hub
   std::atomic<std::uint64_t> reports_dropped_{0};
   std::vector<Kept> kept_;
+  struct Flusher final : Deadline {
+    explicit Flusher(RuntimeCore& runtime_) : runtime(runtime_) {}
+    void fire(MonotonicTime now) override;
+    RuntimeCore& runtime;
+  };
+  Flusher flusher_{*this};
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};

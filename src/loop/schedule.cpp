@@ -44,7 +44,7 @@ void RateGroup::fire(MonotonicTime now) {
   first_missed_ = due;
   firing_due_ = due + behind * period_;
   due = later(firing_due_, period_);
-  loop_.moved(*this);
+  loop_.deadlines.moved(*this);
   firing_ = true;
   const std::size_t end = members_.size();  // what joins meanwhile is first due later
   MonotonicTime from = now;
@@ -69,7 +69,7 @@ void RateGroup::fire(MonotonicTime now) {
     const MonotonicTime to = std::max(from, loop_.quick_now());
     // A member that removed itself may be gone.
     if (members_[position_ - 1] == member &&
-        loop_.time_callback(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
+        loop_.blame.time_callback(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
       if (members_[position_ - 1] == member) member->held(to - from);
       from = loop_.now();
     } else {
@@ -109,7 +109,7 @@ void Schedule::begin_waiting() noexcept {
   }
   std::erase_if(waiting_, [](const RateMember* member) { return !member->is_waiting_; });
   // So that a turn comes, also when nothing else brings one.
-  if (!waiting_.empty()) loop_.flush_repeats_at(later(loop_.now(), try_again_after));
+  if (!waiting_.empty()) loop_.runtime.flush_repeats_at(later(loop_.now(), try_again_after));
 }
 
 void Schedule::tell(const RateMember& member, const char* why) noexcept try {
@@ -142,20 +142,20 @@ void Schedule::place(RateMember& member) {
     made->members_.reserve(1);
     const auto at = groups_.emplace(key, std::move(made));
     try {
-      loop_.add_deadline();
+      loop_.deadlines.reserve_one();
     } catch (...) {
       groups_.erase(at);
       throw;
     }
     group = at->second.get();
     group->due = first_due;
-    loop_.insert(*group);
+    loop_.deadlines.insert(*group);
     group->members_.push_back(&member);
   } else {
     group->members_.push_back(&member);  // throws: nothing has changed
     if (first_due < group->due) {        // its members all start later
       group->due = first_due;
-      loop_.moved(*group);
+      loop_.deadlines.moved(*group);
     }
   }
   ++group->live_;
@@ -183,8 +183,8 @@ void Schedule::remove(RateMember& member) noexcept {
 }
 
 void Schedule::discard(RateGroup& group) noexcept {
-  loop_.remove(group);
-  loop_.drop_deadline();
+  loop_.deadlines.remove(group);
+  loop_.deadlines.release_one();
   const auto at = std::find_if(groups_.begin(), groups_.end(),
                                [&](const auto& entry) { return entry.second.get() == &group; });
   groups_.erase(at);

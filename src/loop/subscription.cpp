@@ -196,7 +196,7 @@ CallbackTimes Subscription::times() const noexcept {
 void Subscription::set_name(std::string name) {
   if (!is_open()) return;
   node()->loop()->check_thread("cannot name", name);
-  node()->loop()->rename(static_cast<detail::SubscriptionNode*>(node())->name, std::move(name));
+  node()->loop()->nodes.rename(static_cast<detail::SubscriptionNode*>(node())->name, std::move(name));
 }
 
 Subscription Loop::subscribe(std::string_view pattern, Callback<void(const EventView&)> handler) {

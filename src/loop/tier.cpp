@@ -226,7 +226,7 @@ void TierCore::start() {
   warnings.clear();
   loop.core().ref();
   main.core().ref();
-  ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().worker_cpus.emplace());
+  ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().lanes.processors.emplace());
   const SignalsBlocked for_the_tier;
   Latch is_set_up;  // not std::binary_semaphore: see lane.cpp
   try {
@@ -272,7 +272,7 @@ void TierCore::stop() noexcept {
 }
 
 std::string TierCore::where() {
-  std::string name = loop.core().doing();
+  std::string name = loop.core().nodes.doing();
   return name.empty() ? "a callback" : name;
 }
 
@@ -487,7 +487,7 @@ const Tier::Config& Tier::config() const noexcept { return core_->config; }
 void Tier::start() { core_->start(); }
 void Tier::stop() noexcept { core_->stop(); }
 bool Tier::stop_within(Duration at_most) noexcept { return core_->stop_within(at_most); }
-std::string Tier::doing() const { return core_->loop.core().doing(); }
+std::string Tier::doing() const { return core_->loop.core().nodes.doing(); }
 bool Tier::is_running() const noexcept { return core_->is_running(); }
 void Tier::call_erased(Callback<void()> function) { core_->call(std::move(function)); }
 Scheduling Tier::scheduling() const noexcept { return core_->scheduling; }

@@ -10,7 +10,7 @@ class TimerNode final : public Node, public Deadline {
   TimerNode(LoopCore& loop, Timer::Config config, Callback<void()> callback)
       : Node(loop), config_(std::move(config)), callback_(std::move(callback)) {
     if (!callback_) refuse_empty("cannot make timer", config_.name);
-    loop.add_deadline();
+    loop.deadlines.reserve_one();
   }
 
   void start_at(MonotonicTime at) {
@@ -18,9 +18,9 @@ class TimerNode final : public Node, public Deadline {
     loop()->check_thread("cannot start timer", config_.name);
     due = at;
     if (is_listed()) {
-      loop()->moved(*this);
+      loop()->deadlines.moved(*this);
     } else {
-      loop()->insert(*this);
+      loop()->deadlines.insert(*this);
       loop()->ref();
     }
   }
@@ -33,22 +33,22 @@ class TimerNode final : public Node, public Deadline {
   void stop() {
     if (!is_open() || !is_listed()) return;
     loop()->check_thread("cannot stop timer", config_.name);
-    loop()->remove(*this);
+    loop()->deadlines.remove(*this);
     loop()->unref();
   }
   void fire(MonotonicTime now) override {
     stop();
     LoopCore& on = *loop();
     Call call(*this);
-    on.begins(this);
+    on.nodes.begins(this);
     on.call_user(config_.name, [&] { callback_(); });
-    on.time_callback(times_, now, on.now(), [&] { return config_.name; });
+    on.blame.time_callback(times_, now, on.now(), [&] { return config_.name; });
   }
 
  private:
   void on_close() noexcept override {
     stop();
-    loop()->drop_deadline();
+    loop()->deadlines.release_one();
   }
   void drop_callbacks() noexcept override { callback_.reset(); }
   Timer::Config config_;
@@ -103,7 +103,7 @@ class TickerNode final : public Node, public RateMember {
     missed += tick.missed;
     LoopCore& on = *loop();
     Call call(*this);
-    on.begins(this);
+    on.nodes.begins(this);
     on.call_user(config_.name, [&] { callback_(told); });
   }
   std::string blame_name() const override { return config_.name; }

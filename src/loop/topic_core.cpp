@@ -13,9 +13,12 @@
 namespace rtdata::detail {
 namespace {
 
-// Handlers of a few nanoseconds share a look at the clock; one of some microseconds is timed alone.
+// Events for which a handler takes a few nanoseconds share a look at the clock; one that takes some microseconds is timed
+// alone. The aim is for the events of a group in one handler: with many handlers the look costs each of them no more.
 constexpr std::uint64_t most_in_group = 128;
 constexpr Duration group_aim = std::chrono::microseconds{5};
+// What takes longer than the aim once was interrupted, as a rule; beyond this it is taken for slow at once.
+constexpr Duration slow_at_once = 20 * group_aim;
 
 // So that there is always a time after the last event's.
 constexpr Time latest_time = Time::max() - std::chrono::hours{24};
@@ -45,7 +48,7 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
     return;
   }
   if (followers_ == Followers::several) return hand_out(origin, time, sequence, payload);
-  if (!is_short_ || !is_ready || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
+  if (!is_short_ || !is_ready() || head_ - tail_ > mask_) return enqueue(origin, time, sequence, payload);
   // One of a burst of short ones, for handlers alone: without a call.
   std::byte* to = slot(head_++);
   ::new (to) EventHeader{time, sequence, origin.name};
@@ -73,7 +76,7 @@ void TopicCore::enqueue(const OriginCore& origin, Time time, std::uint64_t seque
     return;
   }
   ++head_;
-  if (!is_ready) runtime_.own_loop->add_ready(*this);
+  if (!is_ready()) runtime_.own_loop->deliveries.add(*this);
 }
 
 void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride) {
@@ -108,7 +111,7 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
     copy_all([](std::byte* to, const void* from, std::size_t size) { std::memcpy(to, from, size); });
   }
   head_ += taken;
-  if (taken > 0 && !is_ready) runtime_.own_loop->add_ready(*this);
+  if (taken > 0 && !is_ready()) runtime_.own_loop->deliveries.add(*this);
 }
 
 void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence) {
@@ -232,13 +235,20 @@ void TopicCore::cancel(const OriginCore& origin) noexcept {
   cancelled_until_ = head_;
 }
 
-MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
+MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) {
   const std::uint64_t to_ring_end = mask_ + 1 - (tail_ & mask_);
   const std::uint64_t end = tail_ + std::min({group_, round_end_ - tail_, to_ring_end});
   MonotonicTime from = begin;
+  Duration longest{0};
+  const SubscriptionNode* slowest = nullptr;
+  bool is_complete = true;
   for (std::size_t i = 0; i < links_.size(); ++i) {
     SubscriptionNode* node = links_[i].node;
     if (node == nullptr || links_[i].next >= end) continue;
+    if (from != begin && loop.deliveries.must_pause(from, time_limit)) {
+      is_complete = false;  // the next call goes on with this handler
+      break;
+    }
     const std::uint64_t next = links_[i].next;
     const EventRun run{*this,           slot(next), stride_, next, end - next, is_cancelled_.data() + (next & mask_),
                        cancelled_until_};
@@ -246,25 +256,25 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     delivering_ = node;
     {
       Call call(*node);
-      loop.begins(node);
+      loop.nodes.begins(node);
       const auto result = node->deliver(run, map.get());
       Link& link = links_[i];  // the vector may have grown meanwhile
       link.delivered += result.seen - result.cancelled;
       link.cancelled += result.cancelled;
       link.next += result.seen;
-      const MonotonicTime to = loop.now();
-      loop.time_callback(node->times, from, to, [&] { return node->name; });
+      const MonotonicTime to = std::max(from, loop.quick_now());
+      loop.blame.time_callback(node->times, from, to, [&] { return node->name; });
+      if (to - from > longest) {
+        longest = to - from;
+        slowest = node;
+      }
       from = to;
       if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
     }
     delivering_ = nullptr;
   }
-  if (from - begin > group_aim) {
-    group_ = 1;
-  } else if (from - begin < group_aim / 2 && group_ < most_in_group) {
-    group_ *= 2;
-  }
-  drop_slots(end);
+  adapt_group(longest, slowest, is_complete);
+  if (is_complete) drop_slots(end);
   if (needs_sweep_) {
     std::erase_if(links_, [](const Link& link) { return link.node == nullptr; });
     needs_sweep_ = false;
@@ -272,6 +282,18 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin) {
     if (links_.empty()) drop_slots(head_);
   }
   return from;
+}
+
+void TopicCore::adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept {
+  if (longest <= group_aim) {
+    slow_last_ = nullptr;
+    if (is_complete && longest < group_aim / 2 && group_ < most_in_group) group_ *= 2;
+    return;
+  }
+  const bool is_slow = slowest == std::exchange(slow_last_, slowest) || longest > slow_at_once;
+  if (is_slow)
+    group_ = std::max<std::uint64_t>(
+        group_ * static_cast<std::uint64_t>(group_aim.count()) / static_cast<std::uint64_t>(longest.count()), 1);
 }
 
 void TopicCore::drop_slots(std::uint64_t last) noexcept {
@@ -286,8 +308,6 @@ void TopicCore::drop_slots(std::uint64_t last) noexcept {
 void TopicCore::abandon() noexcept {
   const LoopCore::Calling user_code(runtime_);  // destructors, in which nothing is to be delivered
   drop_slots(head_);
-  is_ready = false;
-  next_ready = nullptr;
 }
 
 SubscriptionCounts TopicCore::subscription_counts() const noexcept {

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "loop/deliveries.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::detail {
@@ -31,7 +32,7 @@ class Tap {
   ~Tap() = default;
 };
 
-class TopicCore {
+class TopicCore final : public DeliveryQueue {
  public:
   TopicCore(RuntimeCore& runtime, std::string name, PayloadType type);
   ~TopicCore();
@@ -91,13 +92,9 @@ class TopicCore {
   void find_way(OriginCore& origin) noexcept;
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
-  /// Delivers one small group of events of the round to every link, beginning now; returns when it ended.
-  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime now);
+  /// To every link.
+  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) override;
   RuntimeCore& runtime() const noexcept { return runtime_; }
-  bool has_pending() const noexcept { return head_ != tail_; }
-  /// What is queued now belongs to a round of deliveries, what is published from now on does not.
-  void begin_round() noexcept { round_end_ = head_; }
-  bool is_in_round() const noexcept { return tail_ < round_end_; }
   /// The loop is gone: what is queued is cancelled.
   void abandon() noexcept;
 
@@ -107,8 +104,6 @@ class TopicCore {
   std::vector<OriginCore*>& origins() noexcept { return origins_; }
   const std::vector<OriginCore*>& origins() const noexcept { return origins_; }
 
-  TopicCore* next_ready = nullptr;  ///< of the loop's list of topics with pending deliveries
-  bool is_ready = false;
   std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once that was told
   OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
 
@@ -130,6 +125,8 @@ class TopicCore {
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
+  /// To what the slowest handler took for its events of a group.
+  void adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept;
   /// Destroys what is queued up to this position.
   void drop_slots(std::uint64_t last) noexcept;
 
@@ -147,11 +144,9 @@ class TopicCore {
   std::uint64_t cancelled_until_ = 0;
   std::size_t stride_ = 0;
   std::size_t mask_ = 0;
-  std::uint64_t head_ = 0;
-  std::uint64_t tail_ = 0;
-  std::uint64_t round_end_ = 0;
   std::uint64_t dropped_ = 0;
-  std::uint64_t group_ = 1;  // events per group, adapted to what handlers take
+  std::uint64_t group_ = 1;                      // events per group, adapted to what handlers take
+  const SubscriptionNode* slow_last_ = nullptr;  // took too long for the last group; compared only, it may be gone
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
   bool is_moving_cancelled_ = false;

@@ -31,7 +31,7 @@ class FdWatchNode final : public Node {
       : Node(loop), name_(std::move(name)), callback_(std::move(callback)) {
     if (!callback_) refuse_empty("cannot watch", name_);
     auto box = std::make_unique<Box>();
-    if (const int status = uv_poll_init(loop.uv(), &box->handle, fd); status != 0) {
+    if (const int status = uv_poll_init(loop.uv.loop(), &box->handle, fd); status != 0) {
       failed_ = status;
       return;
     }
@@ -62,11 +62,11 @@ class FdWatchNode final : public Node {
     LoopCore& on = *loop();
     const MonotonicTime from = on.now();
     Call call(*this);
-    on.begins(this);
+    on.nodes.begins(this);
     const FdEvent event{status < 0 || (got & UV_READABLE) != 0, (got & UV_WRITABLE) != 0,
                         status < 0 || (got & UV_DISCONNECT) != 0};
     on.call_user(name_, [&] { callback_(event); });
-    on.time_callback(times_, from, on.now(), [&] { return name_; });
+    on.blame.time_callback(times_, from, on.now(), [&] { return name_; });
   }
   void on_close() noexcept override {
     if (box_ == nullptr) return;
@@ -88,7 +88,7 @@ class SignalWatchNode final : public Node {
       : Node(loop), name_("signal " + std::to_string(number)), callback_(std::move(callback)) {
     if (!callback_) refuse_empty("cannot watch signal", std::to_string(number));
     box_ = new Box;
-    uv_signal_init(loop.uv(), &box_->handle);
+    uv_signal_init(loop.uv.loop(), &box_->handle);
     box_->owner = this;
     box_->handle.data = box_;
     failed_ = uv_signal_start(
@@ -113,9 +113,9 @@ class SignalWatchNode final : public Node {
     LoopCore& on = *loop();
     const MonotonicTime from = on.now();
     Call call(*this);
-    on.begins(this);
+    on.nodes.begins(this);
     on.call_user(name_, [&] { callback_(); });
-    on.time_callback(times_, from, on.now(), [&] { return name_; });
+    on.blame.time_callback(times_, from, on.now(), [&] { return name_; });
   }
   void on_close() noexcept override { Box::close(std::exchange(box_, nullptr)); }
   void drop_callbacks() noexcept override { callback_.reset(); }

@@ -281,7 +281,7 @@ void SensorNode::tick(const Tick& tick) {
     return;
   }
   Call call(*this);
-  loop()->begins(this);
+  loop()->nodes.begins(this);
   const bool was_ready = device_is_open_ && health() != Health::faulted;
   if (!was_ready && !make_ready(tick)) [[unlikely]]
     return;
@@ -409,7 +409,7 @@ void SensorNode::submit(const Tick& tick) {
   transaction->late_after_ = origin_.late_after;
   origin_.begin_read();
   try {
-    if (lane == nullptr) lane = &loop()->lane(device.lane_key(), device.give_up_after());
+    if (lane == nullptr) lane = &loop()->lanes.of(device.lane_key(), device.give_up_after());
     if (lane->submit(transaction)) return;
   } catch (...) {
     const Error error = thrown("handing its read to a lane threw");
@@ -429,7 +429,7 @@ void SensorNode::submit(const Tick& tick) {
 
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
   Call call(*this);
-  loop()->begins(this);
+  loop()->nodes.begins(this);
   LaneDevice& device = lane_side_->device;
   if (outcome != LaneJob::Outcome::finished) {
     const Error error = told([&] {

@@ -412,7 +412,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
       had_no_memory_ = false;
     }
     const Time now = loop()->runtime.event_time(loop()->now());
-    const auto told = account_.tell(part, now, loop()->handled_until(), unknown_);
+    const auto told = account_.tell(part, now, loop()->deadlines.handled_until(), unknown_);
     is_account_due_ = false;
     next_part_.stop();
     if (told.has_more) next_part_.start(pause_between_parts);

@@ -116,7 +116,7 @@ TEST_CASE("US-16 a lane is degraded while a job was given up, and ok after one t
   };
   Loop loop{Loop::Manual{}};
   Heard heard(loop);
-  detail::Lane& lane = loop.core().lane("/dev/i2c-1", 100ms);
+  detail::Lane& lane = loop.core().lanes.of("/dev/i2c-1", 100ms);
   loop.script_lane_duration(200ms);
   REQUIRE(lane.submit(std::make_shared<Job>()));
   loop.advance(300ms);

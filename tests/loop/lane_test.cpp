@@ -65,8 +65,8 @@ struct Stuck {
 TEST_SUITE("loop") {
   TEST_CASE("a lane runs its jobs on one thread, not the loop's, in order, and tells of each on the loop") {
     Loop loop;
-    Lane& lane = loop.core().lane("device", 10s);
-    CHECK(&loop.core().lane("device", 10s) == &lane);
+    Lane& lane = loop.core().lanes.of("device", 10s);
+    CHECK(&loop.core().lanes.of("device", 10s) == &lane);
     std::vector<int> ran;
     std::vector<int> told;
     std::vector<std::shared_ptr<Job>> jobs;
@@ -91,7 +91,7 @@ TEST_SUITE("loop") {
 
   TEST_CASE("a lane takes so many jobs, and refuses the next until one is done") {
     Loop loop;
-    Lane& lane = loop.core().lane("device", 10s);
+    Lane& lane = loop.core().lanes.of("device", 10s);
     Stuck stuck;
     int finished = 0;
     CHECK(lane.submit(job(stuck.work(), [&](Outcome) { ++finished; })));
@@ -107,7 +107,7 @@ TEST_SUITE("loop") {
 
   TEST_CASE("a job that outlives the limit is given up, and the next goes on with a fresh thread") {
     Loop loop;
-    Lane& lane = loop.core().lane("device", 20ms);
+    Lane& lane = loop.core().lanes.of("device", 20ms);
     Stuck stuck;
     std::vector<std::pair<char, Outcome>> told;
     const auto blocked = job(stuck.work(), [&](Outcome outcome) { told.emplace_back('a', outcome); });
@@ -128,9 +128,9 @@ TEST_SUITE("loop") {
   TEST_CASE("where several with limits of their own use one lane, the longest holds") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(300ms);
-    Lane& lane = loop.core().lane("device", 100ms);
-    CHECK(&loop.core().lane("device", 500ms) == &lane);
-    CHECK(&loop.core().lane("device", 200ms) == &lane);
+    Lane& lane = loop.core().lanes.of("device", 100ms);
+    CHECK(&loop.core().lanes.of("device", 500ms) == &lane);
+    CHECK(&loop.core().lanes.of("device", 200ms) == &lane);
     struct Job final : LaneJob {
       void run() noexcept override {}
       void done(Outcome outcome) override { ended = outcome; }
@@ -144,7 +144,7 @@ TEST_SUITE("loop") {
 
   TEST_CASE("so many threads are left behind; then nothing is taken, until one comes back") {
     Loop loop;
-    Lane& lane = loop.core().lane("device", 10s);
+    Lane& lane = loop.core().lanes.of("device", 10s);
     std::vector<std::unique_ptr<Stuck>> stuck;
     int given_up = 0;
     const auto count = [&](Outcome outcome) { given_up += outcome == Outcome::given_up ? 1 : 0; };
@@ -170,13 +170,13 @@ TEST_SUITE("loop") {
     auto stuck = std::make_unique<Stuck>();
     {
       Loop loop;
-      Lane& lane = loop.core().lane("device", 10ms);
+      Lane& lane = loop.core().lanes.of("device", 10ms);
       CHECK(lane.submit(job(stuck->work(), [&](Outcome outcome) { told.push_back(outcome); })));
       for (int i = 0; i < 3; ++i) {
         CHECK(lane.submit(job([] {},
                               [&](Outcome outcome) {
                                 told.push_back(outcome);
-                                loop.core().lane("another", 10ms);  // asked for while the lanes go
+                                loop.core().lanes.of("another", 10ms);  // asked for while the lanes go
                               })));
       }
     }
@@ -189,7 +189,7 @@ TEST_SUITE("loop") {
       Stuck stuck;
       Stuck begun;
       Loop loop;  // goes first
-      Lane& lane = loop.core().lane("device", 10s);
+      Lane& lane = loop.core().lanes.of("device", 10s);
       CHECK(lane.submit(job(
           [fd = begun.fds[1], work = stuck.work()] {
             CHECK(::write(fd, "x", 1) == 1);
@@ -205,7 +205,7 @@ TEST_SUITE("loop") {
 
   TEST_CASE("a job that is told of may submit the next, for ever and ever") {
     Loop loop;
-    Lane& lane = loop.core().lane("device", 10s);
+    Lane& lane = loop.core().lanes.of("device", 10s);
     int rounds = 0;
     const auto self = std::make_shared<Job>();
     self->told = [&, raw = std::weak_ptr<Job>(self)](Outcome) {
@@ -219,7 +219,7 @@ TEST_SUITE("loop") {
   TEST_CASE("on a manual loop jobs run at once and are told of after the scripted time, one after the other") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(10ms);
-    Lane& lane = loop.core().lane("device", 1s);
+    Lane& lane = loop.core().lanes.of("device", 1s);
     std::vector<Duration> told;
     int ran = 0;
     const auto note = [&](Outcome outcome) {
@@ -242,7 +242,7 @@ TEST_SUITE("loop") {
     {
       Loop short_lived(Loop::Manual{});
       short_lived.script_lane_duration(10ms);
-      CHECK(short_lived.core().lane("x", 1s).submit(job({}, [&](Outcome outcome) { at_end.push_back(outcome); })));
+      CHECK(short_lived.core().lanes.of("x", 1s).submit(job({}, [&](Outcome outcome) { at_end.push_back(outcome); })));
     }
     CHECK(at_end.size() == 1);
   }

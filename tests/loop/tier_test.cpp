@@ -1048,7 +1048,7 @@ TEST_SUITE("loop") {
     CHECK(run_until(loop, [&] { return sensors.back().counts().taken > 0; }));
     std::shared_ptr<detail::CallbackSurvey> all;
     const auto survey = [&] {
-      all = detail::CallbackSurvey::begin(fast.loop().core());
+      all = fast.loop().core().nodes.begin_survey();
       return all->wait(30s);
     };
     REQUIRE(survey());
@@ -1061,7 +1061,7 @@ TEST_SUITE("loop") {
     for (std::size_t i = 0; i < count; ++i) CHECK(names[i] == "sensor s" + std::to_string(i));
     // Those that go while it is under way do no harm, and the others are all there.
     fast.call([&](Loop& on) {
-      all = detail::CallbackSurvey::begin(on.core());
+      all = on.core().nodes.begin_survey();
       on.post([&] {  // between its first turn and the next
         for (std::size_t i = 0; i < count; i += 2) sensors[i].close();
       });

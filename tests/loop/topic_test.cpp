@@ -2,6 +2,7 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -276,6 +277,40 @@ TEST_SUITE("loop") {
     CHECK(ticker.missed() == 0);
     // The budget of 1 ms, and one group of at most 16 in the beginning; later groups are of one event.
     CHECK(worst <= 1ms + 16 * 400us);
+  }
+
+  TEST_CASE("US-25 an event for many slow handlers does not hold back the next tick") {
+    Loop loop(Loop::Manual{});
+    const auto topic = loop.topic<Number>("t");
+    std::vector<int> order;
+    std::vector<Subscription> slow;
+    for (int i = 0; i < 100; ++i) {
+      slow.push_back(topic.subscribe(loop, [&, i](const Event<Number>& event) {
+        order.push_back(event->index * 100 + i);
+        loop.manual_clock().pass(100us);
+      }));
+    }
+    Duration worst{};
+    Ticker ticker(loop, 5ms, [&](const Tick& tick) { worst = std::max(worst, tick.lateness()); });
+    for (int i = 0; i < 3; ++i) topic.publish({0, i});
+    loop.advance(100ms);
+    CHECK(worst <= 100us);  // one handler, not all of them
+    CHECK(ticker.missed() == 0);
+    REQUIRE(order.size() == 300);
+    CHECK(std::is_sorted(order.begin(), order.end()));  // each handler once an event, and in its place
+  }
+
+  TEST_CASE("US-25 handlers of nanoseconds are timed in groups of events, however many handlers there are") {
+    Loop loop(Loop::Manual{});
+    const auto topic = loop.topic<Number>("t");
+    std::vector<Subscription> quick;
+    for (int i = 0; i < 200; ++i)
+      quick.push_back(topic.subscribe(loop, [&](const Event<Number>&) { loop.manual_clock().pass(30ns); }));
+    for (int i = 0; i < 1000; ++i) topic.publish({0, i});
+    loop.advance(1s);
+    CHECK(quick.front().counts().delivered == 1000);
+    CHECK(quick.front().times().count < 50);
+    CHECK(quick.front().times().max <= 5us);
   }
 
   TEST_CASE("US-25 one busy topic does not hold the deliveries of others") {

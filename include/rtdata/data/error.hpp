@@ -42,6 +42,7 @@ enum class Errc {
   handler_threw,        ///< an exception left a user's callback
   held_too_long,        ///< a callback held its loop longer than its limit
   not_turning,          ///< a tier has stopped turning
+  backlog,              ///< work arrives faster than it is done
   closed,               ///< the object is closed
 };
 

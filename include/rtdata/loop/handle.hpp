@@ -1,6 +1,6 @@
 /// Handle: the rules that every object living on a loop keeps.
 ///
-///  1. A handle is a move-only value; whoever holds it owns what it stands for.
+///  1. A handle is a move-only value, and owns the object behind it.
 ///  2. After the destructor or `close()` returns, its callback never runs again and the callback's captures are gone;
 ///     when that very callback is on the stack, its captures go as soon as it returns.
 ///  3. Any handle may be closed or destroyed from any callback, its own included.
@@ -9,13 +9,13 @@
 ///  6. Closing twice is the same as closing once.
 ///  7. On an attached loop nothing of the host is closed, stopped, walked or given data, whatever a handle does.
 ///  8. A callback may use every verb of its own and of other handles, move and assign them, and throw. Assigning closes
-///     what the handle stood for after it has taken the new: when the old one's callbacks assign to it again, the last
-///     one assigned is kept. What a callback may not do is refused with SetupError (busy): running, polling or advancing
-///     its loop, and closing it with `Loop::close`; making anything on a loop that is being destroyed.
+///     the old object after the handle has taken the new one: when callbacks of the old object assign to the handle again,
+///     it keeps the last one assigned. A callback that runs, polls, advances or closes (`Loop::close`) its loop, or makes an
+///     object on a loop that is being destroyed, gets SetupError (busy).
 ///
-/// What runs on a lane (every call of a sink's Writer) may use `Loop::post` and `Loop::stop` alone: all else is refused
-/// with SetupError (busy). A handle that is closed or destroyed there is closed by its loop in its next turn, and that
-/// is reported.
+/// Code on a lane (every call of a sink's Writer) may use `Loop::post` and `Loop::stop` alone: every other verb throws
+/// SetupError (busy). A handle that is closed or destroyed on a lane is closed by its loop in the loop's next turn, and
+/// reported.
 ///
 /// Thread: the loop's, for every member. A handle of a tier may also be closed or destroyed, and a sensor of a tier
 /// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A handle
@@ -35,6 +35,7 @@ struct CallbackStatus;
 namespace detail {
 
 class LoopCore;
+class Nodes;
 
 /// What lies behind a handle: owned by the handle and, while a callback of it runs, by that call; listed in its loop.
 class Node {
@@ -49,13 +50,13 @@ class Node {
   }
   bool is_open() const noexcept { return loop_ != nullptr; }
   LoopCore* loop() const noexcept { return loop_; }
-  /// Closes and lets go of it. From another thread than that of its tier while that runs: there, waiting for it.
+  /// Closes it and drops the handle's reference. While its tier runs, the tier's thread does so and the caller waits.
   void dispose() noexcept;
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
   /// Fills in the name and times of its callbacks. False when it has none.
   virtual bool tell_times(CallbackStatus&) const { return false; }
-  /// The same name; empty when it has none. On any thread, as long as it is listed in its loop.
+  /// The same name; empty when it has none. Any thread, as long as the node is listed in its loop.
   virtual std::string callback_name() const { return {}; }
 
  protected:
@@ -67,8 +68,8 @@ class Node {
 
  private:
   friend class Call;
-  friend class LoopCore;
-  // What each callback touches comes last, beside what the derived class has of it.
+  friend class Nodes;
+  // The members that each callback touches come last, beside those of the derived class, in one line of cache.
   Node* previous_ = nullptr;
   Node* next_ = nullptr;
   LoopCore* loop_;
@@ -77,7 +78,7 @@ class Node {
   bool is_closing_ = false;
 };
 
-/// SetupError (bad-argument): what was to be called is empty.
+/// SetupError (bad-argument): the caller gave an empty function.
 [[noreturn]] void refuse_empty(const char* what, std::string_view name);
 
 /// Brackets a call of a node's callback, so that the callback may close or destroy its own handle.

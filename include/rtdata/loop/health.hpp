@@ -1,4 +1,4 @@
-/// How the parts of a system do, as events.
+/// Changes of health of the parts of a system, as events.
 ///
 ///     auto s = loop.subscribe<rtdata::HealthChange>("$rtdata/health", [](const rtdata::Event<rtdata::HealthChange>& e)
 ///     {
@@ -9,7 +9,7 @@
 /// does not match the topic; a sink records it when it names it. Recordings in SQLite keep the changes in any case, in
 /// the table rtdata_health.
 ///
-/// By kind, the name it is told under, and what its states stand for:
+/// By kind: the name in the event, and what the states mean:
 ///   sensor   its name.            degraded: reads fail. faulted: closed, and tried again now and then; or stopped by
 ///                                 `on_overrun`.
 ///   sink     its name.            faulted: it cannot store.

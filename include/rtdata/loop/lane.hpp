@@ -1,13 +1,13 @@
 /// Lane: a worker thread of a loop for blocking work: one for each sink and each physical device.
 ///
-/// Jobs run one after the other, in order. One that outlives the lane's limit is given up: its thread is left behind, the
-/// jobs that wait go on with a fresh one, and its `done` is told. With `most_left_behind` threads left behind the lane takes
-/// no job until one of them comes back. Lanes run transactions and storage, never a user's callbacks.
+/// Jobs run one after the other, in order. The lane gives up a job that outlives the limit: it leaves the job's thread
+/// behind, runs the waiting jobs on a new thread, and calls the job's `done` with `given_up`. With `most_left_behind` threads
+/// left behind the lane takes no job until one of them has returned. Lanes run transactions and storage, never a user's callbacks.
 ///
 /// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration; given up after the
 /// limit, when that is shorter.
 ///
-/// Owner: the loop, found by key, or whoever made it; its loop tells it of finished jobs either way.
+/// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of both.
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
@@ -25,8 +25,8 @@ namespace rtdata::detail {
 
 class LoopCore;
 
-/// Work for a lane. Shared by the loop and the lane's thread, since a job that is given up may still finish later: what
-/// `run` touches must belong to the job.
+/// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later: `run` may
+/// touch only what the job owns.
 class LaneJob {
  public:
   virtual ~LaneJob() = default;
@@ -62,14 +62,14 @@ class Lane {
   bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
   /// The system gives no thread.
   bool lacks_thread() const noexcept { return needs_thread_ && worker_ == nullptr && !is_stuck(); }
-  /// Gives up the first job that has not finished, whatever its time.
+  /// Gives up the first job that has not finished, however long it has run.
   void give_up();
-  /// Tells finished jobs' owners. Called by the loop when a worker has woken it. `done` may destroy the lane.
+  /// Calls `done` of finished jobs. The loop does so when a worker has woken it. `done` may destroy the lane.
   void collect();
-  /// Blocks until the first job has finished and tells its owner, but no longer than this. For closing only. On a manual
+  /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a manual
   /// loop, virtual time passes instead.
   void wait(Duration at_most);
-  /// Leaves the thread behind with what it runs, without a fresh one: nothing waits for it any more.
+  /// Leaves the thread behind with the job that it runs, and starts no new one.
   void leave_behind() noexcept;
 
  private:

@@ -10,7 +10,7 @@
 ///
 /// Order within one turn: what is due, then I/O, then deliveries under a time budget. A tick is late by at most the
 /// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us together;
-/// slower ones: one).
+/// slower ones: one). Functions given to `post` have a budget of the same length: a flood of them does not hold ticks.
 ///
 /// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its end,
 /// which never comes, so that Duration::max() means never, or without limit.
@@ -21,6 +21,7 @@
 /// Thread: the one that runs it. From other threads, and from a sink's Writer: `post` and `stop` only.
 #pragma once
 
+#include <cstddef>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -67,6 +68,7 @@ class Loop {
     Duration timer_slack{1};  ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
   };
   struct Manual {};
+  static constexpr std::size_t post_backlog = 10'000;  ///< functions given to `post` that may wait without a report
 
   Loop();
   explicit Loop(Config config);
@@ -90,22 +92,24 @@ class Loop {
   void run();
   /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
   void run_for(Duration duration);
-  /// Does what can be done now without waiting, and returns.
+  /// Runs what is due, posted or readable now, without waiting, and returns.
   void poll();
   /// Ends `run`. Thread-safe. On an attached loop: nothing.
   void stop() noexcept;
-  /// Manual loops: lets time pass, doing what comes due, in order of time, then of start. What brings itself on again at
-  /// one instant does not keep time from going on: handlers that publish for each other get 100 rounds an instant, and
-  /// after 1000 turns at one instant (a timer of zero that starts itself) each takes 1 us.
+  /// Manual loops: lets time pass, and runs what comes due in order of time, then of start. An endless chain at one instant
+  /// does not stop the time: handlers that publish for each other get 100 rounds at an instant, and after 1000 turns at one
+  /// instant (a timer of zero that starts itself) each further turn takes 1 us.
   void advance(Duration duration);
   /// Manual loops: the clock, to let a callback "take" time or to set the time of day. SetupError on others.
   ManualClock& manual_clock();
   /// Manual loops: how long each lane job is to take.
   void script_lane_duration(Duration duration);
 
-  /// Runs the function on this loop, after what is queued. Thread-safe; allocates; never blocks for long (a short lock).
-  /// What waits is not bounded: whoever posts again and again should look whether it was run. Once the loop is being
-  /// destroyed, the function is destroyed unrun.
+  /// Runs the function on this loop, after those posted before. Any thread; allocates; blocks for one short lock at most.
+  /// The queue has no limit, so that no function is lost: it is counted instead. `LoopStatus::posts` says how many were
+  /// posted, were run and wait, and the loop reports (backlog) more than `Loop::post_backlog` waiting ones. In one turn
+  /// the loop runs them for `delivery_budget` at most, and goes on with the others in its next turn, after what came due.
+  /// A loop that is being destroyed destroys the function unrun.
   void post(Callback<void()> function);
 
   MonotonicTime now() noexcept;
@@ -128,12 +132,12 @@ class Loop {
   template <class T, class F>
   [[nodiscard]] Subscription subscribe(std::string_view pattern, F&& handler);
 
-  /// Errors met at run time that no object of its own handled. Default: the runtime's log. Not called any more once the
-  /// loop is being destroyed; `drain` and `close` hand out what was held back.
+  /// Called with each error met at run time whose object has no `on_error` of its own. Default: the runtime's log. A loop
+  /// that is being destroyed does not call it any more; `drain` and `close` report the errors that were held back.
   void on_error(Callback<void(const ErrorReport&)> handler);
 
-  /// What the callbacks of the objects on this loop cost, in the order in which these were made. Sensors count their
-  /// reads on the loop, not those on lanes.
+  /// The times that callbacks of the objects on this loop took, in the order in which the objects were made. A sensor counts
+  /// its reads on the loop, not those on its lane.
   std::vector<CallbackStatus> callbacks() const;
   /// How long the sensors on this loop may hold it, by what their devices or configurations say: see load.hpp. Of a
   /// tier that runs, ask in `Tier::call`.

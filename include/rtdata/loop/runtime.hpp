@@ -2,9 +2,9 @@
 ///
 /// A Loop makes a private one unless it is given one; one loop at a time uses it. Nothing is global to the process.
 ///
-/// That of the main loop knows of all its tiers: every topic, sensor and loss of theirs, as told over the rings between
-/// them. A tier's own, `tier.loop().runtime()`, holds the tier's sensors and subscriptions and the topics that it has
-/// heard of; no sink, and no other loop. It is for the tier's thread.
+/// The main loop's runtime knows all its tiers: it has a copy of each of their topics, sensors and losses, which come over
+/// the rings between the loops. A tier's own runtime, `tier.loop().runtime()`, holds the tier's sensors and subscriptions and
+/// the topics that other loops announced to it; no sink, and no other loop. Only the tier's thread may use it.
 ///
 /// Owner: the user, or the loop that made it; it must outlive its loop: destroying it before, or in its own `on_log`, ends
 /// the program (std::abort), having said so. Thread: the loop's.
@@ -38,7 +38,7 @@ struct LogRecord {
   std::string_view error_id;  ///< stable id, empty when it is no error
 };
 
-/// How a sensor, sink or subscription does.
+/// Whether a sensor, sink, lane, loop or tier works.
 enum class Health : std::uint8_t { ok, degraded, faulted };
 std::string_view name_of(Health health) noexcept;
 
@@ -55,6 +55,15 @@ struct SensorStatus {
   Outages outages = {};  ///< without a schedule; one that lasts counts up to now
 };
 
+/// The functions given to `Loop::post` of one loop: each of them was run or waits.
+struct PostCounts {
+  std::uint64_t posted = 0;
+  std::uint64_t run = 0;
+  std::uint64_t most_waiting = 0;  ///< when the loop began to run them
+
+  std::uint64_t waiting() const noexcept { return posted - run; }
+};
+
 /// A loop or tier, and the thread that it runs on.
 struct LoopStatus {
   std::string name;
@@ -62,7 +71,8 @@ struct LoopStatus {
   bool running = false;
   Scheduling scheduling;                   ///< as the kernel granted it
   Duration processor_time{0};              ///< spent by its thread so far
-  std::vector<std::string> warnings = {};  ///< what was asked for and not granted
+  std::vector<std::string> warnings = {};  ///< settings of the thread that the kernel refused
+  PostCounts posts = {};                   ///< up to now, also while the tier runs
 };
 
 struct TopicDrops {
@@ -105,8 +115,8 @@ class Runtime {
   const Config& config() const noexcept;
   /// Where log records go. Default: warnings and errors to standard error, a line each.
   void on_log(Callback<void(const LogRecord&)> handler);
-  /// Tells what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. Nothing is set
-  /// by it: recordings keep it, and bind the UTC of their rows by the best of what they were told.
+  /// Records what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. It sets no clock:
+  /// recordings keep the pair, and derive the UTC of their rows from the most accurate pairs that they have.
   ///
   ///     loop.runtime().note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy =
   ///     1us}).or_throw();
@@ -116,8 +126,8 @@ class Runtime {
   /// that is not positive; a 17th source).
   Result<void> note_wall_clock(const ClockPair& pair);
 
-  /// Where the object of that name in reports ("sensor chamber") is described: told when it is blamed for something.
-  /// A system made from a configuration file says it of its sensors and sinks.
+  /// Notes the place (file, line, path) that configures the object of that name ("sensor chamber"): reports of callbacks that
+  /// held the loop name it. A system made from a configuration file notes the places of its sensors and sinks.
   void note_place(std::string object, std::string place);
 
   std::vector<SensorStatus> sensors() const;
@@ -126,9 +136,9 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The runtime's own first, then its tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant. It is false while what a tier did is not known: it did not stop
-  /// in the time that a drain gave it, which was reported, and has not come out of its callback since, nor was it
-  /// stopped. Here and in the next, a tier that runs counts as it was when the main loop was drained last.
+  /// Every equation of the ledger holds at this instant. False while the account of a tier is unknown: it did not stop in the
+  /// time that a drain gave it, which was reported, and has neither come out of its callback nor been stopped since. Here and
+  /// in `has_loss`, a running tier counts as it was when the main loop was drained last.
   bool balances() const;
   /// Something was missed, failed or lost, a source without a schedule had an outage, a sink dropped something or a
   /// subscription on a tier, or something could not be taken from a tier, which was reported.

@@ -1,0 +1,77 @@
+// The deliveries of a loop: queues with pending events take turns, one small group of events each, under a time budget.
+#pragma once
+
+#include <cstdint>
+
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+class LoopCore;
+
+/// A queue of events for handlers on a loop: the loop's side of a topic.
+class DeliveryQueue {
+ public:
+  /// Delivers one small group of events of the round, beginning at `begin`; returns when it ended. Between two handlers it
+  /// returns early when `Deliveries::must_pause`: the next call goes on there.
+  virtual MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) = 0;
+
+  bool has_pending() const noexcept { return head_ != tail_; }
+  /// Is among those that the loop delivers from.
+  bool is_ready() const noexcept { return is_ready_; }
+
+ protected:
+  DeliveryQueue() = default;
+  ~DeliveryQueue() = default;
+  std::uint64_t head_ = 0;  // position of the next event to come
+  std::uint64_t tail_ = 0;  // position of the next event to deliver
+  std::uint64_t round_end_ = 0;
+
+ private:
+  friend class Deliveries;
+  /// Events queued by now belong to a round of deliveries, those published from now on do not.
+  void begin_round() noexcept { round_end_ = head_; }
+  bool is_in_round() const noexcept { return tail_ < round_end_; }
+  DeliveryQueue* next_ready_ = nullptr;
+  bool is_ready_ = false;
+};
+
+/// Thread: the loop's.
+class Deliveries {
+ public:
+  explicit Deliveries(LoopCore& loop) noexcept : loop_(loop) {}
+  Deliveries(const Deliveries&) = delete;
+  Deliveries& operator=(const Deliveries&) = delete;
+  ~Deliveries();
+
+  /// It has pending events.
+  void add(DeliveryQueue& queue);
+  bool is_empty() const noexcept { return first_ == nullptr; }
+  bool is_delivering() const noexcept { return delivering_; }
+
+  enum class Budget { limited, none };
+  /// What it left in the queues.
+  enum class Left {
+    nothing,
+    later,   // the budget was spent
+    circle,  // handlers went on publishing for each other
+  };
+  Left deliver(Budget budget);
+  /// A delivery that may last up to `limit` makes way for what is due. The end of time: it makes way for nothing.
+  bool must_pause(MonotonicTime now, MonotonicTime limit) const noexcept;
+  /// In virtual time handlers in a circle are bounded by rounds at one instant: another instant begins.
+  void begin_instant() noexcept { rounds_ = 0; }
+
+ private:
+  /// Delivers the events that were queued when the round began.
+  Left deliver_round(MonotonicTime& current, MonotonicTime end);
+
+  LoopCore& loop_;
+  DeliveryQueue* first_ = nullptr;
+  DeliveryQueue* last_ = nullptr;
+  bool delivering_ = false;
+  bool round_is_open_ = false;  // a delivery has ended within it
+  int rounds_ = 0;              // in this turn; on a manual loop, at this instant
+};
+
+}  // namespace rtdata::detail
