@@ -14,6 +14,7 @@
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/tier_core.hpp"
+#include "loop/virtual_threads.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/runtime.hpp"
 
@@ -87,6 +88,8 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
   }
   if (time == Time::manual) {
     manual_ = dynamic_cast<ManualClock*>(&runtime.clock());
+    if (runtime.hub == nullptr) own_threads_ = std::make_unique<VirtualThreads>(*manual_);
+    threads_ = own_threads_ != nullptr ? own_threads_.get() : runtime.hub->own_loop->threads_;
   }
   reads_kernel_clock_ = manual_ == nullptr && !runtime.has_injected_clock();
   for (int i = 0; i < 2; ++i) add_deadline();  // the flusher, and the end of a hold
@@ -479,10 +482,11 @@ Loop::Loop(uv_loop_t* host, Config config) : own_runtime_(std::make_unique<Runti
                                              detail::LoopCore::Time::real);
 }
 Loop::Loop(Manual manual) : Loop(manual, Config{}) {}
-Loop::Loop(Manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
+Loop::Loop(Manual manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
   own_runtime_->core().use_manual_clock();
   core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr,
                                              detail::LoopCore::Time::manual);
+  core_->virtual_threads()->choose_by(manual);
 }
 Loop::Loop(Runtime& runtime, Config config)
     : core_(std::make_unique<detail::LoopCore>(*this, runtime.core(), std::move(config), nullptr,

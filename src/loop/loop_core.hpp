@@ -28,6 +28,8 @@ class RuntimeCore;
 class CallbackSurvey;
 class TopicCore;
 class Lane;
+class Latch;
+class VirtualThreads;
 
 class LoopCore {
  public:
@@ -64,6 +66,10 @@ class LoopCore {
   /// Ends the program, having said why, when the loop may not be destroyed now.
   void check_may_end() const noexcept;
   ManualClock* manual_clock() noexcept { return manual_; }
+  /// Those of a manual loop and its tiers; null in real time.
+  VirtualThreads* virtual_threads() const noexcept { return threads_; }
+  /// Whether it is set, waited for at most so long; in the loop's time.
+  bool wait_for(const Latch& latch, Duration at_most) noexcept;
   uv_loop_t* uv() noexcept { return uv_loop_; }
 
   // Running
@@ -208,7 +214,11 @@ class LoopCore {
   Handler<ErrorReport> on_error;
 
   /// A callback of the node begins; null: one that has no name.
-  void begins(const Node* node) noexcept { doing_.store(node, std::memory_order_release); }
+  void begins(const Node* node) noexcept {
+    doing_.store(node, std::memory_order_release);
+    if (threads_ != nullptr) [[unlikely]]
+      preempt();
+  }
   /// The name of the callback that began last; empty when that is not known. Any thread.
   std::string doing() const;
   /// Goes on with a survey, on the loop's thread.
@@ -286,7 +296,10 @@ class LoopCore {
   bool has_posted() noexcept;
   void start_idle() noexcept;
   void turn_done() noexcept;
-  void advance_to(MonotonicTime target);
+  /// The end of time: until another loop sends something. False: nothing ever happens.
+  bool advance_to(MonotonicTime target);
+  bool has_running_tiers() const noexcept;
+  void preempt() noexcept;
   void begin_advancing() noexcept;
   /// The first deadline, if it ever comes.
   std::optional<MonotonicTime> next_due() const noexcept;
@@ -295,6 +308,8 @@ class LoopCore {
   uv_loop_t own_loop_{};
   bool attached_ = false;
   ManualClock* manual_ = nullptr;
+  std::unique_ptr<VirtualThreads> own_threads_;  // the main loop's
+  VirtualThreads* threads_ = nullptr;
   bool reads_kernel_clock_;  // neither a manual clock nor an injected one
   CycleClock cycle_clock_;
   UvSide* side_ = nullptr;
