@@ -346,8 +346,6 @@ TEST_SUITE("loop") {
 
   TEST_CASE("a tier that cannot be made says why") {
     Loop loop;
-    Loop manual(Loop::Manual{});
-    CHECK_THROWS_AS(Tier(manual, {}), SetupError);
     CHECK_THROWS_WITH_AS(Tier(loop, {.name = "main"}), doctest::Contains("the main loop has that name"), SetupError);
     for (const std::string& name : {std::string(), std::string("a\nb"), std::string("a\x7f"), std::string(201, 'a')})
       CHECK_THROWS_WITH_AS(Tier(loop, {.name = name}), doctest::Contains("a name has 1 to 200 characters"), SetupError);
