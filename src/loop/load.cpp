@@ -101,7 +101,7 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
 
 LoopLoad detail::LoopCore::load() const {
   std::vector<SensorLoad> loads;
-  for (const SensorEntry* sensor : runtime.sensors) {
+  for (const SensorEntry* sensor : runtime.sensors.all()) {
     if (sensor->loop() != this) continue;
     if (auto load = sensor->load()) loads.push_back(std::move(*load));
   }
