@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <iostream>
+#include <utility>
 
 #include "app/account.hpp"
 #include "app/async_writer.hpp"
@@ -28,7 +29,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr unsigned redraws_per_line = 20;  // in a pipe, and for the service manager: a line every 10 s
+constexpr Duration line_period = std::chrono::seconds{10};  // in a pipe, and for the service manager
 
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
@@ -119,8 +120,9 @@ class Run {
     {
       Service service(loop);
       loop.post([&] { be_ready(service); });
-      Ticker ticker(loop, Ticker::Config{.period = redraw_period, .name = "display"},
-                    [&](const Tick&) { show(runtime, service); });
+      // Without the table there is nothing to show between two lines: the program is not woken up for it.
+      Ticker ticker(loop, Ticker::Config{.period = view_ ? redraw_period : line_period, .name = "display"},
+                    [&](const Tick& tick) { show(runtime, service, tick.due); });
       if (options_.duration) {
         loop.run_for(*options_.duration);
       } else {
@@ -129,6 +131,7 @@ class Run {
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
       close_deadline_ = deadline;
+      ticker.set_period(redraw_period);
       not_stored_ = loop.close(deadline);
     }
     tell_holds(loop.callbacks());
@@ -247,6 +250,7 @@ class Run {
   void say(LogLevel level, std::string_view object, std::string_view told, std::string_view error_id = {}) {
     const std::string text = hide_secrets(std::string(told), secrets_);
     log_.write(level, object, text, error_id);
+    tell_log_failure();
     if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
     std::string line = "rtdata: ";
     if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
@@ -279,19 +283,24 @@ class Run {
             to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
-  void show(const Runtime& runtime, Service& service) {
-    if (shows_ % redraws_per_line == 0 && shows_ > 0) (void)service.tell("STATUS=" + progress(account_of(runtime)));
-    if (const int failed = log_.counts().last_errno.load(); failed != 0 && !log_failure_told_) {
-      log_failure_told_ = true;
-      say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
-    }
+  void tell_log_failure() {
+    const int failed = log_.counts().last_errno.load();
+    if (failed == 0 || std::exchange(log_failure_told_, true)) return;
+    say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+  }
+
+  void show(const Runtime& runtime, Service& service, MonotonicTime due) {
+    if (last_line_ == MonotonicTime{}) last_line_ = due;
+    const bool is_line_due = due - last_line_ >= line_period;
+    if (is_line_due) last_line_ = due;
+    if (is_line_due) (void)service.tell("STATUS=" + progress(account_of(runtime)));
+    tell_log_failure();
     if (is_closing_) tell_storing(account_of(runtime));
     if (view_) {
       draw(account_of(runtime));
-    } else if (shows_ % redraws_per_line == 0 && shows_ > 0) {
+    } else if (is_line_due) {
       say(LogLevel::info, "", progress(account_of(runtime)));
     }
-    ++shows_;
   }
 
   void close_view() {
@@ -308,6 +317,7 @@ class Run {
   /// `unknown`: what is not in the account; empty: it is complete.
   int report(const Runtime& runtime, const std::string& unknown, const std::map<std::string, std::string>& paths,
              bool uses_stdout) {
+    tell_log_failure();
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
@@ -337,7 +347,7 @@ class Run {
   std::optional<LiveView> view_;
   std::atomic<bool> view_is_shown_{false};
   std::string note_;
-  unsigned shows_ = 0;
+  MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};  // once it is closing
   bool is_storing_told_ = false;

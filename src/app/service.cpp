@@ -11,6 +11,8 @@
 #include <cstdlib>
 #include <cstring>
 
+#include "rtdata/loop/runtime.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -72,14 +74,15 @@ Result<void> ServiceManager::tell(std::string_view state) {
   return {};
 }
 
-Service::Service(Loop& loop) : tiers_(loop, limit_for(manager_.watchdog())) {
+Service::Service(Loop& loop) {
+  if (loop.runtime().loops().size() > 1) tiers_.emplace(loop, limit_for(manager_.watchdog()));
   if (manager_.watchdog().count() == 0) return;
   const Duration period = std::max(manager_.watchdog() / 2, Duration{std::chrono::milliseconds{1}});
   ticker_ = Ticker(loop, Ticker::Config{.period = period, .name = "watchdog"}, [this](const Tick&) { feed(); });
 }
 
 void Service::feed() {
-  if (tiers_.all_turn()) {
+  if (all_turn()) {
     (void)manager_.tell("WATCHDOG=1");  // READY=1 has told of a socket that does not work
   } else {
     ++withheld_;

@@ -2,6 +2,7 @@
 // loops turn.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -31,21 +32,21 @@ class ServiceManager {
   Duration watchdog_{0};
 };
 
-/// A run as a service. Watches the loop's tiers, and feeds the watchdog at half its time while all of them turn; the
+/// A run as a service. Watches the tiers that the loop has by now, and feeds the watchdog at half its time while all of them turn; the
 /// main loop feeds it itself, so it must turn too. It must be destroyed before the loop. Thread: the loop's.
 class Service {
  public:
   explicit Service(Loop& loop);
 
   Result<void> tell(std::string_view state) { return manager_.tell(state); }
-  bool all_turn() const noexcept { return tiers_.all_turn(); }
+  bool all_turn() const noexcept { return !tiers_ || tiers_->all_turn(); }
   /// How often the watchdog was not fed since a tier did not turn.
   std::uint64_t withheld() const noexcept { return withheld_; }
 
  private:
   void feed();
   ServiceManager manager_;
-  TierWatch tiers_;
+  std::optional<TierWatch> tiers_;  // none: a watch would wake the program for nothing
   std::uint64_t withheld_ = 0;
   Ticker ticker_;  // closed: there is no watchdog
 };

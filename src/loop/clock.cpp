@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <ctime>
 
+#include "loop/deadline.hpp"
 #include "loop/first_line.hpp"
+#include "loop/virtual_threads.hpp"
 
 namespace rtdata {
 namespace {
@@ -33,6 +35,17 @@ std::optional<Duration> SystemClock::accuracy() noexcept {
 std::string ManualClock::boot_id() {
   if (boot_id_.empty()) boot_id_ = "manual " + detail::first_line("/proc/sys/kernel/random/uuid");
   return boot_id_;
+}
+
+void ManualClock::pass(Duration duration) noexcept {
+  if (duration.count() <= 0) return;
+  if (threads_ != nullptr) return threads_->sleep(duration);
+  move(duration);
+}
+
+void ManualClock::move(Duration duration) noexcept {
+  monotonic_ = detail::later(monotonic_, duration);
+  realtime_ = detail::later(realtime_, duration);
 }
 
 }  // namespace rtdata

@@ -38,7 +38,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   /// Of those that there are now. A device that is closed may close or destroy any of them.
   template <class Function>
   void for_each_sensor(const Function& function) {
-    const auto sensors = copy(runtime_.sensors);
+    const auto sensors = runtime_.sensors.all();
     for (detail::SensorEntry* sensor : sensors) sensor->retain();
     for (detail::SensorEntry* sensor : sensors) {
       if (sensor->is_open()) function(*sensor);
@@ -116,7 +116,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   /// Throws with nothing begun.
   void wait_for_reads() {
     bool reading = false;
-    for (const detail::SensorEntry* sensor : runtime_.sensors) reading = reading || sensor->is_reading();
+    for (const detail::SensorEntry* sensor : runtime_.sensors.all()) reading = reading || sensor->is_reading();
     if (reading && loop_.now() < deadline_) {
       if (!timer_) timer_ = Timer(loop_, [self = shared_from_this()] { self->go_on_waiting(); });
       timer_.start(try_again_after);

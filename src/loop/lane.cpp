@@ -14,6 +14,7 @@
 #include "loop/priority_mutex.hpp"
 #include "loop/runtime_core.hpp"
 #include "loop/signals_blocked.hpp"
+#include "loop/virtual_threads.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -94,12 +95,14 @@ struct Lane::Delayed final : Deadline {
   struct Completion {
     MonotonicTime at;
     LaneJob::Outcome outcome;
+    bool has_run;
   };
   explicit Delayed(Lane& lane_) : lane(lane_) {}
   void fire(MonotonicTime) override {
     lane.loop_.deadlines.remove(*this);
-    const LaneJob::Outcome outcome = completions.front().outcome;
+    const auto [at, outcome, has_run] = completions.front();
     completions.erase(completions.begin());
+    if (!has_run) lane.run_here(*lane.outstanding_.front());
     if (!completions.empty()) {
       due = completions.front().at;
       lane.loop_.deadlines.insert(*this);
@@ -177,22 +180,27 @@ void Lane::make_room(std::size_t jobs) {
   if (loop_.is_manual()) delayed_->completions.reserve(jobs);
 }
 
+void Lane::run_here(LaneJob& job) noexcept {
+  const LoopCore::OffLimits on_a_lane(loop_);
+  job.run();
+}
+
 bool Lane::submit(std::shared_ptr<LaneJob> job) {
   if (outstanding_.size() == most_outstanding) return false;
   if (outstanding_.size() == outstanding_.capacity()) make_room(2 * outstanding_.size());
   if (loop_.is_manual()) {
-    {
-      const LoopCore::OffLimits on_a_lane(loop_);
-      job->run();
-    }
+    const bool runs_later = loop_.virtual_threads()->choose();
+    if (!runs_later) run_here(*job);
     outstanding_.push_back(std::move(job));
     loop_.ref();
     const MonotonicTime from = delayed_->completions.empty() ? loop_.now()
                                                              : std::max(delayed_->completions.back().at, loop_.now());
     if (loop_.lanes.scripted_duration > give_up_after_) {
-      delayed_->completions.push_back({later(from, give_up_after_), LaneJob::Outcome::given_up});
+      delayed_->completions.push_back({later(from, give_up_after_), LaneJob::Outcome::given_up, !runs_later});
     } else {
-      delayed_->completions.push_back({later(from, loop_.lanes.scripted_duration), LaneJob::Outcome::finished});
+      const Duration takes = std::min(loop_.lanes.scripted_duration + loop_.virtual_threads()->choose_delay(),
+                                      give_up_after_);
+      delayed_->completions.push_back({later(from, takes), LaneJob::Outcome::finished, !runs_later});
     }
     if (!delayed_->is_listed()) {
       delayed_->due = delayed_->completions.front().at;

@@ -101,7 +101,7 @@ LoopLoad estimate_load(std::string loop, std::span<const SensorLoad> sensors) {
 
 LoopLoad Loop::load() const {
   std::vector<SensorLoad> loads;
-  for (const detail::SensorEntry* sensor : core_->runtime.sensors) {
+  for (const detail::SensorEntry* sensor : core_->runtime.sensors.all()) {
     if (sensor->loop() != core_.get()) continue;
     if (auto load = sensor->load()) loads.push_back(std::move(*load));
   }

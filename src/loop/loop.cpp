@@ -2,6 +2,7 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_threads.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata {
@@ -19,10 +20,11 @@ Loop::Loop(uv_loop_t* host, Config config) : own_runtime_(std::make_unique<Runti
                                              detail::LoopCore::Time::real);
 }
 Loop::Loop(Manual manual) : Loop(manual, Config{}) {}
-Loop::Loop(Manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
+Loop::Loop(Manual manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
   own_runtime_->core().use_manual_clock();
   core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr,
                                              detail::LoopCore::Time::manual);
+  core_->virtual_threads()->choose_by(manual);
 }
 Loop::Loop(Runtime& runtime, Config config)
     : core_(std::make_unique<detail::LoopCore>(*this, runtime.core(), std::move(config), nullptr,

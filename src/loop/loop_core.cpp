@@ -6,6 +6,7 @@
 
 #include "loop/fatal.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_threads.hpp"
 
 namespace rtdata::detail {
 
@@ -25,6 +26,8 @@ LoopCore::LoopCore(Loop& face_, RuntimeCore& runtime_, Loop::Config config_, uv_
       runtime(free_runtime(runtime_, config_)),
       config(std::move(config_)),
       manual_(time == Time::manual ? dynamic_cast<ManualClock*>(&runtime.clock()) : nullptr),
+      own_threads_(manual_ != nullptr && runtime.hub == nullptr ? std::make_unique<VirtualThreads>(*manual_) : nullptr),
+      threads_(manual_ != nullptr && runtime.hub != nullptr ? runtime.hub->own_loop->threads_ : own_threads_.get()),
       reads_kernel_clock_(manual_ == nullptr && !runtime.has_injected_clock()),
       uv(*this, host) {
   if (reads_kernel_clock_ && runtime.hub == nullptr) uv.watch_clock();

@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <exception>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -22,7 +23,9 @@
 
 namespace rtdata::detail {
 
+class Latch;
 class RuntimeCore;
+class VirtualThreads;
 
 class LoopCore {
  public:
@@ -38,6 +41,8 @@ class LoopCore {
 
  private:
   ManualClock* const manual_;
+  const std::unique_ptr<VirtualThreads> own_threads_;  // of a main loop in virtual time
+  VirtualThreads* const threads_;
   const bool reads_kernel_clock_;  // neither a manual clock nor an injected one
   CycleClock cycle_clock_;
 
@@ -47,7 +52,7 @@ class LoopCore {
   Deliveries deliveries{*this};
   Posts posts{*this};
   Lanes lanes{*this};
-  Nodes nodes{*this};
+  Nodes nodes{*this, threads_};
   Blame blame{*this, config.hold_limit};
   Handler<ErrorReport> on_error;
 
@@ -56,6 +61,10 @@ class LoopCore {
   MonotonicTime quick_now() noexcept { return reads_kernel_clock_ ? cycle_clock_.now() : now(); }
   bool is_manual() const noexcept { return manual_ != nullptr; }
   ManualClock* manual_clock() noexcept { return manual_; }
+  /// Those of a manual loop and its tiers; null in real time.
+  VirtualThreads* virtual_threads() const noexcept { return threads_; }
+  /// Whether it is set, waited for at most so long; in the loop's time.
+  bool wait_for(const Latch& latch, Duration at_most) noexcept;
   bool is_attached() const noexcept { return uv.is_attached(); }
   Schedule& schedule() noexcept { return schedule_; }
 
@@ -212,7 +221,9 @@ class LoopCore {
   void look_at_io();
   // In virtual time
   void begin_instant() noexcept;
-  void advance_to(MonotonicTime target);
+  /// The end of time: until another loop sends something. False: nothing ever happens.
+  bool advance_to(MonotonicTime target);
+  bool has_running_tiers() const noexcept;
   void settle();
 
   Schedule schedule_{*this};

@@ -6,6 +6,7 @@
 #include "loop/callback_survey.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_threads.hpp"
 
 namespace rtdata::detail {
 
@@ -28,6 +29,8 @@ void Nodes::unlink(Node& node) noexcept {
   if (first_ == &node) first_ = node.next_;
   node.previous_ = node.next_ = nullptr;
 }
+
+void Nodes::preempt() noexcept { threads_->preempt(); }
 
 void Nodes::close_all() noexcept {
   while (first_ != nullptr) {

@@ -15,17 +15,22 @@ namespace rtdata::detail {
 
 class CallbackSurvey;
 class LoopCore;
+class VirtualThreads;
 
 class Nodes {
  public:
-  explicit Nodes(LoopCore& loop) noexcept : loop_(loop) {}
+  Nodes(LoopCore& loop, VirtualThreads* threads) noexcept : loop_(loop), threads_(threads) {}
 
   // The loop's thread
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;
   void close_all() noexcept;
   /// A callback of the node begins; null: one that has no name.
-  void begins(const Node* node) noexcept { doing_.store(node, std::memory_order_release); }
+  void begins(const Node* node) noexcept {
+    doing_.store(node, std::memory_order_release);
+    if (threads_ != nullptr) [[unlikely]]
+      preempt();
+  }
   /// Changes a name that `doing` may be reading.
   void rename(std::string& name, std::string to) noexcept {
     const std::lock_guard lock(doing_mutex_);
@@ -41,7 +46,11 @@ class Nodes {
  private:
   void go_on(const std::shared_ptr<CallbackSurvey>& survey);
 
+  /// In virtual time another loop may run first.
+  void preempt() noexcept;
+
   LoopCore& loop_;
+  VirtualThreads* const threads_;  // null in real time
   Node* first_ = nullptr;
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
   std::atomic<const Node*> doing_{nullptr};

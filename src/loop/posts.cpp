@@ -7,6 +7,7 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_threads.hpp"
 
 namespace rtdata::detail {
 
@@ -19,6 +20,7 @@ void Posts::add(Callback<void()> function) {
     ++posted_;
   }
   loop_.uv.wake().send();
+  if (loop_.virtual_threads() != nullptr) loop_.virtual_threads()->preempt();
 }
 
 bool Posts::has_some() noexcept {

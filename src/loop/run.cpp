@@ -3,17 +3,18 @@
 
 #include <algorithm>
 #include <exception>
-#include <semaphore>
 #include <utility>
 
+#include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_threads.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::detail {
 
 void LoopCore::call_there(Callback<void()> function) {
-  std::binary_semaphore is_done{0};
+  Latch is_done;
   std::exception_ptr thrown;
   post([&] {
     try {
@@ -22,13 +23,13 @@ void LoopCore::call_there(Callback<void()> function) {
       thrown = std::current_exception();
     }
     runtime.send_now();
-    is_done.release();
+    is_done.set();
   });
-  if (!is_done.try_acquire_for(std::chrono::seconds{1})) {
+  if (!wait_for(is_done, std::chrono::seconds{1})) {
     const std::string at = nodes.doing();
     runtime.main().log(LogLevel::warning, "loop " + config.name,
                        "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
-    while (!is_done.try_acquire_for(std::chrono::milliseconds{100})) {
+    while (!wait_for(is_done, std::chrono::milliseconds{100})) {
       if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
     }
   }
@@ -67,7 +68,9 @@ void LoopCore::run() {
   if (manual_ != nullptr) {
     begin_instant();
     if (!is_stopping()) settle();
-    while (!is_stopping() && refs_ > 0 && deadlines.next_due()) advance_to(*deadlines.next_due());
+    while (!is_stopping() && refs_ > 0 && (deadlines.next_due() || has_running_tiers())) {
+      if (!advance_to(deadlines.next_due().value_or(MonotonicTime::max()))) break;
+    }
   } else {
     const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
@@ -134,8 +137,19 @@ void LoopCore::advance(Duration duration) {
   const MonotonicTime target = later(now(), duration);
   begin_instant();
   if (!is_stopping()) settle();
-  while (!is_stopping() && deadlines.next_due() && *deadlines.next_due() <= target) advance_to(*deadlines.next_due());
-  if (!is_stopping()) advance_to(target);
+  for (bool is_there = false; !is_there && !is_stopping();) {
+    const MonotonicTime next = std::min(deadlines.next_due().value_or(MonotonicTime::max()), target);
+    const bool is_last = !deadlines.next_due() || *deadlines.next_due() > target;
+    if (!advance_to(next)) break;
+    is_there = is_last && now() >= target;
+  }
+  // What tiers do at the very end, and what comes of it here; not for ever, when each time something does.
+  constexpr int most_rounds = 100;
+  for (int round = 0; round < most_rounds && has_running_tiers() && !is_stopping(); ++round) {
+    threads_->wait_for_others();
+    if (!uv.wake().is_sent()) break;
+    settle();
+  }
   forget_stop();
 }
 
@@ -144,18 +158,29 @@ void LoopCore::begin_instant() noexcept {
   turns_ = 0;
 }
 
-void LoopCore::advance_to(MonotonicTime target) {
+bool LoopCore::has_running_tiers() const noexcept { return threads_ != nullptr && threads_->has_others(); }
+
+bool LoopCore::wait_for(const Latch& latch, Duration at_most) noexcept {
+  if (threads_ == nullptr) return latch.wait(at_most);
+  threads_->wait(later(now(), at_most), [&] { return latch.is_set(); });
+  return latch.is_set();
+}
+
+bool LoopCore::advance_to(MonotonicTime target) {
   // A chain at one instant (a timer of zero that starts itself) would stop the time for ever.
   constexpr int most_turns = 1000;
   constexpr Duration turn = std::chrono::microseconds{1};
   const MonotonicTime from = now();
-  if (target > from) {
+  if (target > from && has_running_tiers()) {
+    if (!threads_->wait_for_news(target, [this] { return uv.wake().is_sent() || is_stopping(); })) return false;
+  } else if (target > from) {
     manual_->pass(target - from);
   } else if (++turns_ > most_turns) {
     manual_->pass(turn);
   }
   if (now() > from) begin_instant();
   settle();
+  return true;
 }
 
 void LoopCore::look_at_io() {

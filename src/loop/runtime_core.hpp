@@ -14,6 +14,7 @@
 #include "loop/deadline.hpp"
 #include "loop/handler.hpp"
 #include "loop/origin_core.hpp"
+#include "loop/placed_list.hpp"
 #include "loop/priority_mutex.hpp"
 #include "loop/repeats.hpp"
 #include "loop/topic_core.hpp"
@@ -76,6 +77,8 @@ class SensorEntry : public Node {
   virtual void count_read_begun() noexcept {}
   /// Nothing when there is nothing to read: the program feeds it.
   virtual std::optional<SensorLoad> load() const { return {}; }
+
+  std::uint32_t place = 0;  ///< in the runtime's list
 };
 
 /// Origins are found by their names.
@@ -171,7 +174,7 @@ class RuntimeCore {
   }
   std::vector<SinkStatus> closed_sinks;  ///< as they ended
   std::string unknown_end;               ///< what those that the last drain closed do not know of tiers; empty: all is
-  std::vector<SensorEntry*> sensors;
+  PlacedList<SensorEntry, &SensorEntry::place> sensors;
   LoopCore* own_loop = nullptr;  ///< while it has one
   unsigned calling = 0;          ///< calls of user code on the stack, see LoopCore::Calling
   void attach(LoopCore& loop);

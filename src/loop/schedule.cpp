@@ -32,9 +32,7 @@ MonotonicTime RateMember::next_due() const noexcept {
 
 MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
   if (!firing_) return std::max(due, member.first_due_);
-  for (std::size_t i = position_; i < members_.size(); ++i) {
-    if (members_[i] == &member) return std::max(first_missed_, member.first_due_);
-  }
+  if (member.place_ >= position_) return std::max(first_missed_, member.first_due_);
   return std::max(later(firing_due_, period_), member.first_due_);
 }
 
@@ -46,13 +44,13 @@ void RateGroup::fire(MonotonicTime now) {
   due = later(firing_due_, period_);
   loop_.deadlines.moved(*this);
   firing_ = true;
-  const std::size_t end = members_.size();  // what joins meanwhile is first due later
+  const std::size_t end = members_.places();  // what joins meanwhile is first due later
   MonotonicTime from = now;
   for (position_ = 0; position_ < end;) {
-    RateMember* member = members_[position_++];
-    if (position_ + far_ahead < end) fetch(members_[position_ + far_ahead]);
-    if (position_ + near_ahead < end && members_[position_ + near_ahead] != nullptr)
-      members_[position_ + near_ahead]->prefetch();
+    RateMember* member = members_.at(position_++);
+    if (position_ + far_ahead < end) fetch(members_.at(position_ + far_ahead));
+    if (position_ + near_ahead < end && members_.at(position_ + near_ahead) != nullptr)
+      members_.at(position_ + near_ahead)->prefetch();
     if (member == nullptr || member->first_due_ > firing_due_) continue;
     Tick tick;
     tick.due = firing_due_;
@@ -68,9 +66,9 @@ void RateGroup::fire(MonotonicTime now) {
     }
     const MonotonicTime to = std::max(from, loop_.quick_now());
     // A member that removed itself may be gone.
-    if (members_[position_ - 1] == member &&
+    if (members_.at(position_ - 1) == member &&
         loop_.blame.time_callback(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
-      if (members_[position_ - 1] == member) member->held(to - from);
+      if (members_.at(position_ - 1) == member) member->held(to - from);
       from = loop_.now();
     } else {
       from = to;
@@ -78,25 +76,22 @@ void RateGroup::fire(MonotonicTime now) {
   }
   loop_.schedule().ticking_ = nullptr;
   firing_ = false;
-  if (live_ != members_.size()) compact();
-}
-
-void RateGroup::compact() {
-  std::erase(members_, nullptr);
+  members_.close_holes();
   if (members_.empty()) loop_.schedule().discard(*this);
 }
 
 void Schedule::add(RateMember& member) {
   if (loop_.is_running()) return place(member);
-  waiting_.push_back(&member);
+  waiting_.add(member);
   member.is_waiting_ = true;
   loop_.wake_for_waiting();
 }
 
 void Schedule::begin_waiting() noexcept {
   if (waiting_.empty()) return;
-  for (std::size_t i = 0; i < waiting_.size(); ++i) {
-    RateMember* const member = waiting_[i];
+  for (std::size_t i = 0; i < waiting_.places(); ++i) {
+    RateMember* const member = waiting_.at(i);
+    if (member == nullptr) continue;
     try {
       place(*member);
     } catch (const std::bad_alloc&) {  // it waits for the next turn
@@ -106,8 +101,9 @@ void Schedule::begin_waiting() noexcept {
       tell(*member, "an exception that is no std::exception");
     }
     member->is_waiting_ = member->group_ == nullptr;
+    if (!member->is_waiting_) waiting_.remove_at(i);
   }
-  std::erase_if(waiting_, [](const RateMember* member) { return !member->is_waiting_; });
+  waiting_.close_holes();
   // So that a turn comes, also when nothing else brings one.
   if (!waiting_.empty()) loop_.runtime.flush_repeats_at(later(loop_.now(), try_again_after));
 }
@@ -129,7 +125,7 @@ void Schedule::place(RateMember& member) {
     first = (first - beside + grid - Duration{1}) / grid * grid + beside;
   first = later(MonotonicTime{first}, member.first_phase()).time_since_epoch();
   if (&member == ticking_) first = later(MonotonicTime{first}, period).time_since_epoch();
-  const Key key{period, first % period};
+  const RateGroups::key_type key{period, first % period};
   const MonotonicTime first_due{first};
   RateGroup* group = nullptr;
   const auto [begin, end] = groups_.equal_range(key);
@@ -148,17 +144,17 @@ void Schedule::place(RateMember& member) {
       throw;
     }
     group = at->second.get();
+    group->self_ = at;
     group->due = first_due;
     loop_.deadlines.insert(*group);
-    group->members_.push_back(&member);
+    group->members_.add(member);
   } else {
-    group->members_.push_back(&member);  // throws: nothing has changed
-    if (first_due < group->due) {        // its members all start later
+    group->members_.add(member);   // throws: nothing has changed
+    if (first_due < group->due) {  // its members all start later
       group->due = first_due;
       loop_.deadlines.moved(*group);
     }
   }
-  ++group->live_;
   member.group_ = group;
   member.first_due_ = first_due;
   member.schedule_began();
@@ -166,28 +162,23 @@ void Schedule::place(RateMember& member) {
 
 void Schedule::remove(RateMember& member) noexcept {
   if (std::exchange(member.is_waiting_, false)) {
-    std::erase(waiting_, &member);
+    waiting_.remove(member);
+    waiting_.tidy();
     return;
   }
   RateGroup* group = member.group_;
   if (group == nullptr) return;
   member.group_ = nullptr;
-  const auto at = std::find(group->members_.begin(), group->members_.end(), &member);
-  --group->live_;
-  if (group->firing_) {
-    *at = nullptr;
-  } else {
-    group->members_.erase(at);
-    if (group->members_.empty()) discard(*group);
-  }
+  group->members_.remove(member);
+  if (group->firing_) return;  // which closes the holes at its end
+  group->members_.tidy();
+  if (group->members_.empty()) discard(*group);
 }
 
 void Schedule::discard(RateGroup& group) noexcept {
   loop_.deadlines.remove(group);
   loop_.deadlines.release_one();
-  const auto at = std::find_if(groups_.begin(), groups_.end(),
-                               [&](const auto& entry) { return entry.second.get() == &group; });
-  groups_.erase(at);
+  groups_.erase(group.self_);
 }
 
 }  // namespace rtdata::detail

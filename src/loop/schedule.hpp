@@ -8,12 +8,15 @@
 #include <vector>
 
 #include "loop/deadline.hpp"
+#include "loop/placed_list.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::detail {
 
 class RateGroup;
+/// By period and phase; several of one only while one of them has had a tick that the other has not.
+using RateGroups = std::multimap<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>>;
 
 /// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in its
 /// own tick has the next one a period after the new start, since it has just had one.
@@ -70,7 +73,9 @@ class RateMember {
   CallbackTimes times;
 
  private:
+  std::uint32_t place_ = 0;  // among the members of its group, or of those that wait
   bool is_waiting_ = false;
+  using Members = PlacedList<RateMember, &RateMember::place_>;
 };
 
 class RateGroup final : public Deadline {
@@ -83,11 +88,10 @@ class RateGroup final : public Deadline {
 
  private:
   friend class Schedule;
-  void compact();
   LoopCore& loop_;
   Duration period_;
-  std::vector<RateMember*> members_;  // null: removed while firing
-  std::size_t live_ = 0;
+  RateGroups::iterator self_;
+  RateMember::Members members_;
   std::size_t position_ = 0;                         // while firing: members before it have had their tick
   MonotonicTime firing_due_ = MonotonicTime::min();  // of the last tick
   MonotonicTime first_missed_{};                     // while firing: first tick not dealt with before
@@ -110,10 +114,8 @@ class Schedule {
   void discard(RateGroup& group) noexcept;
   void tell(const RateMember& member, const char* why) noexcept;
   LoopCore& loop_;
-  std::vector<RateMember*> waiting_;
-  using Key = std::pair<Duration, Duration>;  // period and phase
-  std::multimap<Key, std::unique_ptr<RateGroup>>
-      groups_;  // several of a key only while one has had a tick the other has not
+  RateMember::Members waiting_;
+  RateGroups groups_;
   const RateMember* ticking_ = nullptr;
 };
 

@@ -47,10 +47,20 @@ std::size_t extent(const Leaf& leaf) { return leaf.optional == nullptr ? leaf.si
 SubscriptionNode::SubscriptionNode(LoopCore& loop, std::string_view pattern)
     : Node(loop), name("handler of " + std::string(pattern)), pattern_(pattern), runtime_(&loop.runtime) {}
 
+template <class Function>
+void SubscriptionNode::for_each_topic(const Function& function) const {
+  RuntimeCore& runtime = loop()->runtime;
+  if (!is_topic_name(pattern_)) {
+    for (const auto& topic : runtime.topics()) function(*topic);
+  } else if (TopicCore* topic = runtime.find_topic(pattern_)) {
+    function(*topic);
+  }
+}
+
 void SubscriptionNode::on_close() noexcept {
   RuntimeCore& runtime = loop()->runtime;
   std::erase(runtime.patterns, this);
-  for (const auto& topic : runtime.topics()) topic->unlink(*this);
+  for_each_topic([this](TopicCore& topic) { topic.unlink(*this); });
 }
 
 bool SubscriptionNode::tell_times(CallbackStatus& status) const {
@@ -68,14 +78,14 @@ void SubscriptionNode::report_exception(const char* what) noexcept {
 
 SubscriptionCounts SubscriptionNode::counts() const noexcept {
   SubscriptionCounts sum;
-  for (const auto& topic : loop()->runtime.topics()) {
-    const SubscriptionCounts counts = topic->counts_of(*this);
+  for_each_topic([&](const TopicCore& topic) {
+    const SubscriptionCounts counts = topic.counts_of(*this);
     sum.offered += counts.offered;
     sum.delivered += counts.delivered;
     sum.dropped += counts.dropped;
     sum.cancelled += counts.cancelled;
     sum.queued += counts.queued;
-  }
+  });
   return sum;
 }
 

@@ -32,6 +32,7 @@ constexpr Duration longest_spin = std::chrono::milliseconds{10};
 Runtime::Config runtime_config(Loop& main) {
   Runtime::Config config = main.runtime().config();
   config.configuration.clear();
+  if (ManualClock* manual = main.core().manual_clock()) config.clock = manual;
   return config;
 }
 
@@ -49,8 +50,6 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
     throw SetupError({code, "cannot make tier", quoted_name(config.name), std::move(why), std::move(what_to_do)});
   };
   const RuntimeCore& hub = main.core().runtime;
-  if (main.core().is_manual())
-    refuse(Errc::bad_argument, "its main loop is in virtual time", "use one loop in such tests");
   if (hub.hub != nullptr) refuse(Errc::bad_argument, "its main loop belongs to a tier itself", "give it the main loop");
   if (!is_name(config.name)) refuse(Errc::bad_name, name_rule, "give it another `name`");
   if (config.name == main.config().name)
@@ -228,18 +227,23 @@ void TierCore::start() {
   main.core().ref();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().lanes.processors.emplace());
   const SignalsBlocked for_the_tier;
+  VirtualThreads* const threads = main.core().virtual_threads();  // null in real time
+  if (threads != nullptr) threads->add(virtual_thread_);
   Latch is_set_up;  // not std::binary_semaphore: see lane.cpp
   try {
-    thread_ = std::thread([this, &is_set_up] {
+    thread_ = std::thread([this, threads, &is_set_up] {
+      if (threads != nullptr) threads->begin(virtual_thread_);
       loop.core().bind_to_this_thread();
-      set_up_thread();
+      if (threads == nullptr) set_up_thread();
       is_set_up.set();
       run();
       loop.core().unbind();
       ended_.set();
+      if (threads != nullptr) threads->end(virtual_thread_);
     });
-    is_set_up.wait(Duration::max());
+    main.core().wait_for(is_set_up, Duration::max());
   } catch (const std::system_error&) {
+    if (threads != nullptr) threads->remove(virtual_thread_);
     loop.core().unref();
     main.core().unref();
     throw SetupError(no_thread("cannot start tier", config.name));
@@ -283,7 +287,7 @@ bool TierCore::stop_within(Duration at_most) noexcept {
   if (!only_asks && !is_running()) return true;
   quit_.store(true, std::memory_order_release);
   loop.stop();
-  if (only_asks || !ended_.wait(at_most)) return false;
+  if (only_asks || !main.core().wait_for(ended_, at_most)) return false;
   join();
   return true;
 }
@@ -399,7 +403,7 @@ void TierCore::ask_account() {
 
 bool TierCore::hear_out(Duration at_most) {
   Bridge& bridge = bridge_to_main();
-  if (!answer_->is_there.wait(at_most)) return false;
+  if (!main.core().wait_for(answer_->is_there, at_most)) return false;
   if (answer_->told.left == 0) {
     bridge.receive_up_to(answer_->told.position);
     return true;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "loop/latch.hpp"
+#include "loop/virtual_threads.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -109,6 +110,7 @@ class TierCore {
 
   std::vector<std::unique_ptr<Bridge>> bridges_;  // to and from it; those between it and a later tier are the later one's
   std::thread thread_;
+  VirtualThreads::Thread virtual_thread_;  // on a manual loop
   bool was_started_ = false;
   Timer sending_;
   std::vector<std::shared_ptr<Drain>> sending_for_;  // the tier's: drains that wait for the last accounts

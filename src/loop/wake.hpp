@@ -38,6 +38,9 @@ class Wake {
     errno = before;
   }
 
+  /// Something was sent that the loop has not taken. Any thread.
+  bool is_sent() const noexcept { return state_.load(std::memory_order_acquire) == has_news; }
+
   // ---- the loop's thread
 
   /// When `fd` is readable.

@@ -23,7 +23,7 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
       origin_(
           loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)), supply)) {
   try {
-    loop.runtime.sensors.push_back(this);
+    loop.runtime.sensors.add(*this);
   } catch (...) {
     loop.runtime.release(origin_);
     throw;
@@ -34,7 +34,8 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
 void SourceNode::leave() noexcept {
   origin_.sensor = nullptr;
   loop()->runtime.release(origin_);
-  std::erase(loop()->runtime.sensors, this);
+  loop()->runtime.sensors.remove(*this);
+  loop()->runtime.sensors.tidy();
 }
 
 void SourceNode::report(const Error& error) noexcept {

@@ -1,4 +1,4 @@
-// tick_*, react_p50, sensors_10k, sensor_memory: what the loop keeps of the kernel's timing, and what a sensor costs.
+// tick_*, react_p50, sensors_10k, close_10k, sensor_memory: what the loop keeps of the kernel's timing, and what a sensor costs.
 #include <fcntl.h>
 #include <malloc.h>
 #include <sys/epoll.h>
@@ -270,6 +270,41 @@ class ManyCalls {
   std::array<std::vector<Call>, phases> groups_;
 };
 
+// ---- closing many sensors
+
+/// Loops, each with as many sensors in one rate group, which have begun. Returns the ns that one sensor takes to be closed
+/// and destroyed, in the order in which they were made.
+double closing(std::size_t loops, std::size_t sensors_each) {
+  struct One {
+    rtdata::Loop loop;
+    std::vector<rtdata::Sensor<Single>> sensors;
+  };
+  std::deque<One> all;
+  for (std::size_t i = 0; i < loops; ++i) {
+    One& one = all.emplace_back();
+    for (std::size_t n = 0; n < sensors_each; ++n) {
+      one.sensors.emplace_back(
+          one.loop,
+          rtdata::SensorConfig{.name = "s" + std::to_string(n), .topic = "many", .rate = rtdata::Rate::hertz(1)},
+          [] { return Single{}; });
+    }
+    one.loop.poll();
+  }
+  const std::int64_t begin = thread_cpu_ns();
+  for (One& one : all) {
+    for (auto& sensor : one.sensors) sensor.close();
+  }
+  return static_cast<double>(thread_cpu_ns() - begin) / static_cast<double>(loops * sensors_each);
+}
+
+void bench_closing(Report& report) {
+  if (!report.wants("close_10k")) return;
+  // Ten times as many objects either way, so that the caches hold as little of them.
+  report.add(measure_pair(
+      {.name = "close_10k", .unit = "ns/sensor", .reach = 1.2}, [] { return closing(1, sensor_count); },
+      [] { return closing(10, sensor_count / 10); }, 9));
+}
+
 void bench_sensor_memory(Report& report) {
   if (!report.wants("sensor_memory")) return;
   const auto used = [] {
@@ -307,6 +342,7 @@ void bench_loop(Report& report) {
   }
   if (report.wants("react_p50"))
     report.add(measure_pair({.name = "react_p50", .unit = "us", .reach = 1.1}, watch_reaction, epoll_reaction, 9));
+  bench_closing(report);
   bench_lateness(report);
   bench_drift(report);
 }

@@ -1,4 +1,5 @@
 // start, rss: the program rtdata on its starter file, beside a bare program with the same libraries (bare_program.cpp).
+// run_wakeups: how often the program is woken up for each tick of its only sensor.
 #include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
@@ -102,19 +103,56 @@ std::vector<double> first_event(const std::vector<std::string>& command, const s
   return {static_cast<double>(first - begin) / 1e6, resident};
 }
 
+/// Of all its threads, so far.
+double wakeups(pid_t child) {
+  double sum = 0;
+  std::error_code gone;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(child) + "/task", gone)) {
+    std::ifstream status(task.path() / "status");
+    for (std::string line; std::getline(status, line);) {
+      if (line.starts_with("voluntary_ctxt_switches:")) sum += std::stod(line.substr(24));
+    }
+  }
+  return sum;
+}
+
+void bench_wakeups(Report& report, const std::string& program) {
+  if (!report.wants("run_wakeups")) return;
+  constexpr int ticks = 8;
+  std::ofstream("one.json") << R"({"sensors": [{"type": "host", "name": "load", "quantity": "load", "rate": "1 Hz"}]})"
+                            << "\n";
+  const pid_t child = start({program, "run", "one.json"});
+  const timespec begin{1, 500'000'000};  // between two ticks, when it has started
+  ::nanosleep(&begin, nullptr);
+  const double before = wakeups(child);
+  const timespec span{ticks, 0};
+  ::nanosleep(&span, nullptr);
+  const double after = wakeups(child);
+  ::kill(child, SIGTERM);
+  if (wait_for(child) != 0) return report.remark("run_wakeups: left out, `rtdata run` fails here");
+  Figure figure{.name = "run_wakeups", .unit = "wake-ups/tick", .reach = 2};
+  figure.value = (after - before) / ticks;
+  figure.limit = 1;
+  figure.ratio = figure.value;
+  report.add(figure);
+}
+
 }  // namespace
 
 void bench_program(Report& report) {
-  if (!report.wants("start") && !report.wants("rss")) return;
+  if (!report.wants("start") && !report.wants("rss") && !report.wants("run_wakeups")) return;
   const std::string& name = report.options().program;
   if (name.empty() || ::access(name.c_str(), X_OK) != 0) {
-    report.remark("start, rss: left out, there is no program " + (name.empty() ? "given (--program FILE)" : name));
+    report.remark("start, rss, run_wakeups: left out, there is no program " +
+                  (name.empty() ? "given (--program FILE)" : name));
     return;
   }
   const std::string program = std::filesystem::absolute(name).string();
   const std::string bare = (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare")
                                .string();
   const Folder folder(report.options().memory);
+  bench_wakeups(report, program);
+  if (!report.wants("start") && !report.wants("rss")) return;
   if (wait_for(start({program, "init", "demo.json"})) != 0 ||
       wait_for(start({program, "run", "demo.json", "--for", "100ms"})) != 0) {
     report.remark("start, rss: left out, `rtdata init` or `rtdata run` fails here");

@@ -34,7 +34,9 @@ using sinks::Number;
 
 namespace {
 
-enum class Loops { manual, owned, attached, tiers };
+enum class Loops { manual, owned, attached, tiers, manual_tiers };
+
+bool has_tiers(Loops kind) { return kind == Loops::tiers || kind == Loops::manual_tiers; }
 
 /// Where user code is called.
 enum class In { outside, callback, destructor, writer };
@@ -117,7 +119,7 @@ class World {
   World* other = nullptr;
   int budget = 0;  // of verbs, so that it ends
   bool is_of_tier = false;
-  bool is_manual() const { return kind_ == Loops::manual; }
+  bool is_manual() const { return kind_ == Loops::manual || kind_ == Loops::manual_tiers; }
 
   int below(int n) { return static_cast<int>(random_() % static_cast<unsigned>(n)); }
 
@@ -635,8 +637,8 @@ void run(Loops kind, unsigned seed) {
   uv_loop_t host;
   std::unique_ptr<Loop> loop;
   std::unique_ptr<Tier> tier;
-  if (kind == Loops::manual) {
-    loop = std::make_unique<Loop>(Loop::Manual{});
+  if (world.is_manual()) {
+    loop = std::make_unique<Loop>(Loop::Manual{.seed = kind == Loops::manual_tiers ? seed : 0});
   } else if (kind == Loops::attached) {
     REQUIRE(uv_loop_init(&host) == 0);
     loop = std::make_unique<Loop>(&host);
@@ -647,7 +649,7 @@ void run(Loops kind, unsigned seed) {
   world.give_lanes(loop.get());
   loop->on_error([](const ErrorReport&) {});
   loop->runtime().on_log([](const LogRecord&) {});
-  if (kind == Loops::tiers) {
+  if (has_tiers(kind)) {
     tier = std::make_unique<Tier>(*loop, Tier::Config{.name = "fast"});
     world.tier = &tier;
     world.other = &tier_world;
@@ -664,7 +666,7 @@ void run(Loops kind, unsigned seed) {
       for (int i = 0; i < 15 && tier != nullptr; ++i) tier->call([&](Loop&) { tier_world.act(In::outside); });
     }
     for (int i = 0; i < 5; ++i) {
-      if (kind == Loops::manual) {
+      if (world.is_manual()) {
         loop->advance(2ms);
       } else if (kind == Loops::attached) {
         Timer end(*loop, 2ms, [] {});
@@ -672,7 +674,7 @@ void run(Loops kind, unsigned seed) {
       } else {
         loop->run_for(2ms);
       }
-      if (kind != Loops::tiers) check(*loop, world);
+      if (!has_tiers(kind)) check(*loop, world);
     }
   }
   // What user code does while all is closed, and destroyed, is of a budget of its own.
@@ -730,4 +732,5 @@ TEST_SUITE("contract") {
   TEST_CASE("callbacks do anything at random: a loop in real time") { run_seeds(Loops::owned, 10); }
   TEST_CASE("callbacks do anything at random: an attached loop") { run_seeds(Loops::attached, 10); }
   TEST_CASE("callbacks do anything at random: tiers") { run_seeds(Loops::tiers, 4); }
+  TEST_CASE("callbacks do anything at random: tiers in virtual time") { run_seeds(Loops::manual_tiers, 100); }
 }

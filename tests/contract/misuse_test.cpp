@@ -1,7 +1,6 @@
 // What cannot be refused by an exception ends the program, which says why; and running a loop in any of its callbacks is
 // refused, called while it runs or not.
 #include <doctest/doctest.h>
-#include <sched.h>
 #include <signal.h>
 #include <sys/eventfd.h>
 #include <sys/wait.h>
@@ -17,6 +16,7 @@
 #include <vector>
 
 #include "contract/at_end.hpp"
+#include "loop/virtual_time.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -382,10 +382,10 @@ TEST_SUITE("contract") {
   }
 
   TEST_CASE("a watch of tiers may be destroyed in its own report") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier tier(loop, {});
     auto watch = std::make_unique<TierWatch>(loop, 1ms);
-    std::atomic<bool> is_told{false};
+    bool is_told = false;
     loop.on_error([&](const ErrorReport& report) {
       if (report.error.code != Errc::not_turning) return;
       watch.reset();
@@ -393,7 +393,7 @@ TEST_SUITE("contract") {
       loop.stop();
     });
     Timer hangs(tier.loop(), 0s, [&] {
-      while (!is_told) ::sched_yield();  // as a callback that does not return would
+      while (!is_told) loop.manual_clock().pass(1ms);  // as a callback that does not return would
     });
     Timer limit(loop, 30s, [&] { loop.stop(); });
     loop.run();

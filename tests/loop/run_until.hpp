@@ -1,4 +1,4 @@
-// Running a loop in real time until something has happened.
+// Running a loop, in real or in virtual time, until something has happened.
 #pragma once
 
 #include <chrono>

@@ -161,6 +161,49 @@ TEST_SUITE("loop") {
     CHECK(order == std::vector{3, 4, 3, 4});
   }
 
+  TEST_CASE("NFR-4 members keep their order when most of them go, between ticks and before the first") {
+    Loop loop(Loop::Manual{});
+    std::vector<int> order;
+    std::vector<Sensor<Number>> sensors;
+    for (int i = 0; i < 100; ++i) {
+      sensors.emplace_back(loop, SensorConfig{.name = "s" + std::to_string(i), .rate = 100_Hz}, [&, i] {
+        order.push_back(i);
+        return Number{};
+      });
+    }
+    const auto stop_all_but = [&](int divisor) {
+      for (std::size_t i = 0; i < sensors.size(); ++i) {
+        if (i % static_cast<std::size_t>(divisor) != 0) sensors[i].stop();
+      }
+    };
+    const auto is_in_order = [&](std::size_t ticks) {
+      bool is = order.size() == ticks;
+      for (std::size_t i = 1; i < order.size(); ++i) is = is && order[i] > order[i - 1];
+      return is;
+    };
+    stop_all_but(2);
+    loop.advance(0s);
+    CHECK(is_in_order(50));
+    order.clear();
+    stop_all_but(20);
+    for (std::size_t i = 0; i < 100; i += 25) sensors[i].close();  // 0 and 50 ticked, 25 and 75 were stopped
+    loop.advance(10ms);
+    CHECK(order == std::vector{20, 40, 60, 80});
+    order.clear();
+    sensors[10].start();  // at the end of the list, in a group of the same phase
+    loop.advance(10ms);
+    CHECK(order == std::vector{10, 20, 40, 60, 80, 10});
+    std::vector<std::string> left;
+    for (const SensorStatus& status : loop.runtime().sensors()) left.push_back(status.name);
+    REQUIRE(left.size() == 96);
+    CHECK(left[0] == "s1");
+    CHECK(left[24] == "s26");
+    CHECK(left[95] == "s99");
+    sensors.clear();
+    CHECK(loop.runtime().sensors().empty());
+    CHECK(loop.runtime().balances());
+  }
+
   TEST_CASE("NFR-4 a group whose last member goes while it fires is gone, and can be made again") {
     Loop loop(Loop::Manual{});
     int fired = 0;

@@ -1,3 +1,7 @@
+// Tiers. In virtual time, where what is tested is not the threads themselves. In real time stay: what the kernel grants a
+// thread, thread identities, processor time and spinning; and of what crosses loops so much that the thread sanitizer sees
+// the rings, the announcements and the names at work: events both ways, of different sizes, calls, names that move, tiers
+// that go.
 #include <doctest/doctest.h>
 #include <sched.h>
 #include <sys/wait.h>
@@ -15,10 +19,10 @@
 
 #include "loop/callback_survey.hpp"
 #include "loop/lane_sensor.hpp"
-#include "loop/latch.hpp"
 #include "loop/loop_core.hpp"
 #include "loop/run_until.hpp"
 #include "loop/runtime_core.hpp"
+#include "loop/virtual_time.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -155,12 +159,12 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("US-25 a full ring drops the new events and counts each with the subscription that misses it") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {.ring_bytes = 4096});
     Burst burst(fast.loop(), 20'000, 1000);
     std::uint64_t delivered = 0;
     auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
-      if (delivered++ == 0) std::this_thread::sleep_for(50ms);
+      if (delivered++ == 0) loop.manual_clock().pass(50ms);
     });
     CHECK(run_until(loop, [&] {
       return burst.is_done && subscription.counts().offered == 20'000 && subscription.counts().queued == 0;
@@ -176,7 +180,7 @@ TEST_SUITE("loop") {
 
   TEST_CASE("what found no room is known although the tier goes before the main loop has turned") {
     constexpr std::uint64_t feeds = 50;
-    Loop loop;
+    Loop loop{virtual_time()};
     auto subscription = loop.subscribe<Count>("shared", [](const Event<Count>&) {});
     {
       Tier fast(loop, {.hold_limit = 60s, .ring_bytes = 8192});
@@ -250,14 +254,11 @@ TEST_SUITE("loop") {
 
   TEST_CASE("what a callback publishes gets to other loops before it ends, when it is much or the ring is full") {
     const auto is_received_meanwhile = [](std::size_t ring_bytes, unsigned new_feeds, std::uint64_t events) {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {.hold_limit = 60s, .ring_bytes = ring_bytes});
       Feed<Count> feed(fast.loop(), {.name = "count"});
-      std::binary_semaphore is_received{0};
       std::uint64_t received = 0;
-      auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
-        if (++received == 1) is_received.release();
-      });
+      auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) { ++received; });
       bool was_in_time = false;
       std::deque<Feed<Count>> others;
       fast.start();
@@ -266,7 +267,8 @@ TEST_SUITE("loop") {
         for (unsigned i = 0; i < new_feeds; ++i)
           others.emplace_back(fast.loop(), FeedConfig{.name = "new." + std::to_string(i), .topic = "count"});
         for (std::uint64_t i = 0; i < events; ++i) feed.publish({i});
-        was_in_time = is_received.try_acquire_for(30s);
+        for (int i = 0; i < 100 && received == 0; ++i) loop.manual_clock().pass(1ms);
+        was_in_time = received > 0;
         loop.stop();
       });
       loop.run();
@@ -278,7 +280,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("US-28 a handler that subscribes while a tier publishes sees nothing from before") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {});
     Burst burst(fast.loop(), 3000, 3);
     Subscription first = loop.subscribe<Count>("count", [](const Event<Count>&) {});
@@ -346,8 +348,6 @@ TEST_SUITE("loop") {
 
   TEST_CASE("a tier that cannot be made says why") {
     Loop loop;
-    Loop manual(Loop::Manual{});
-    CHECK_THROWS_AS(Tier(manual, {}), SetupError);
     CHECK_THROWS_WITH_AS(Tier(loop, {.name = "main"}), doctest::Contains("the main loop has that name"), SetupError);
     for (const std::string& name : {std::string(), std::string("a\nb"), std::string("a\x7f"), std::string(201, 'a')})
       CHECK_THROWS_WITH_AS(Tier(loop, {.name = name}), doctest::Contains("a name has 1 to 200 characters"), SetupError);
@@ -430,16 +430,16 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("NFR-1 a handler that blocks the main loop costs its tier nothing but a queue") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {});
-    std::atomic<std::uint64_t> reads{0};
+    std::uint64_t reads{0};
     Sensor<Count> sensor(fast.loop(), {.name = "reader", .rate = 1_kHz}, [&] { return Count{++reads}; });
     std::uint64_t seen = 0;
     std::uint64_t reads_while_blocked = 0;
     auto subscription = loop.subscribe<Count>("reader", [&](const Event<Count>&) {
       if (seen++ != 10) return;
       const std::uint64_t before = reads;
-      for (int i = 0; i < 1000 && reads < before + 20; ++i) std::this_thread::sleep_for(1ms);
+      for (int i = 0; i < 1000 && reads < before + 20; ++i) loop.manual_clock().pass(1ms);
       reads_while_blocked = reads - before;
     });
     CHECK(run_until(loop, [&] { return seen > 50; }));
@@ -454,9 +454,9 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("the main loop's run does not return while a tier runs, though nothing else keeps it") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {});
-    std::atomic<bool> is_fired{false};
+    bool is_fired{false};
     Timer timer(fast.loop(), 5ms, [&] {
       is_fired = true;
       loop.stop();
@@ -468,7 +468,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a name that a sensor of another loop has is refused") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {.name = "fast"});
     Tier slow(loop, {.name = "slow"});
     const Feed<Count> there(fast.loop(), {.name = "there"});
@@ -527,7 +527,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a tier that is made again with the same sensors reaches the main loop again") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::uint64_t seen = 0;
     std::uint64_t last = 0;
     auto subscription = loop.subscribe<Count>("x", [&](const Event<Count>& event) {
@@ -556,7 +556,7 @@ TEST_SUITE("loop") {
   TEST_CASE(
       "a payload that cannot cross is refused where its topic is subscribed to, and told of once where it is wanted by "
       "name") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> errors;
     loop.on_error(
         [&](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.text()); });
@@ -589,18 +589,19 @@ TEST_SUITE("loop") {
 
   TEST_CASE("what a subscription on a tier drops is a loss to the main loop, also when the tier is gone") {
     for (const unsigned published : {4U, 5U}) {
-      Runtime runtime({.ring_events = 4});
+      ManualClock clock;
+      Runtime runtime({.clock = &clock, .ring_events = 4});
       Loop loop(runtime, {});
       {
         Tier fast(loop, {});
         auto subscription = fast.loop().subscribe<Count>("x", [](const Event<Count>&) {});
         Feed<Count> feed(fast.loop(), {.name = "x"});
-        std::atomic<bool> is_published{false};
+        bool is_published{false};
         Timer timer(fast.loop(), 1ms, [&] {
           for (unsigned i = 0; i < published; ++i) feed.publish({});
           is_published = true;
         });
-        CHECK(run_until(loop, [&] { return is_published.load(); }));
+        CHECK(run_until(loop, [&] { return is_published; }));
         loop.close();
         CHECK(fast.is_running());
         CHECK(runtime.has_loss() == (published > 4));
@@ -613,7 +614,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("events that another loop cannot take, since the topic is another one there, are a loss") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
     Tier fast(loop, {});
@@ -625,7 +626,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("errors and log lines of a tier come out on the main loop") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> told;
     loop.runtime().on_log(
         [&](const LogRecord& record) { told.push_back(std::string(record.object) + ": " + std::string(record.text)); });
@@ -670,11 +671,12 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("US-24 a read of a tier that outlasts the end is counted as failed, and its account arrives") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
     Tier tier(loop, {.name = "fast"});
-    lane_sensor::LaneSensor<Count> sensor(tier.loop(), {.name = "slow", .rate = 1_Hz}, {.take = 700ms});
+    tier.loop().script_lane_duration(700ms);
+    lane_sensor::LaneSensor<Count> sensor(tier.loop(), {.name = "slow", .rate = 1_Hz});
     CHECK(run_until(loop, [&] {
       const auto all = loop.runtime().sensors();
       return !all.empty() && all[0].counts.in_flight == 1;
@@ -689,7 +691,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("US-24 a tier that a drain has given up is unknown, which is told, and known again once it has come out") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
     const auto times_told = [&] { return std::count(errors.begin(), errors.end(), "did not stop in time"); };
@@ -697,26 +699,28 @@ TEST_SUITE("loop") {
     Feed<Count> feed(tier.loop(), {.name = "f"});
     tier.call([&](Loop&) { feed.publish({1}); });
     tier.start();
-    detail::Latch is_let_go;
-    tier.loop().post([&] { is_let_go.wait(24h); });
+    bool is_let_go = false;
+    tier.loop().post([&] {
+      while (!is_let_go) loop.manual_clock().pass(1ms);
+    });
     SUBCASE("by itself") {
       loop.close(20ms);
       CHECK(times_told() == 1);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.set();
+      is_let_go = true;
       CHECK(run_until(loop, [&] { return loop.runtime().balances(); }));
     }
     SUBCASE("stopped") {
       loop.close(20ms);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.set();
+      is_let_go = true;
       tier.stop();
       CHECK(loop.runtime().balances());
     }
     SUBCASE("closed again") {
       loop.close(20ms);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.set();
+      is_let_go = true;
       loop.close(1h);
       CHECK(loop.runtime().balances());
     }
@@ -727,7 +731,7 @@ TEST_SUITE("loop") {
       CHECK(run_until(loop, [&] { return done == 1; }));
       CHECK(times_told() == 1);
       CHECK_FALSE(loop.runtime().balances());
-      is_let_go.set();
+      is_let_go = true;
       CHECK(run_until(loop, [&] { return done == 2; }));
       CHECK(loop.runtime().balances());
     }
@@ -735,7 +739,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("drains of a tier end when there is no room for its accounts until the main loop turns") {
-    Loop loop;
+    Loop loop{virtual_time()};
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.what); });
     Tier tier(loop, {.name = "fast", .ring_bytes = 4096});
@@ -769,7 +773,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("changes of health on a tier that the main loop does not take are dropped beyond a number, and counted") {
-    Loop loop({.hold_limit = 60s});
+    Loop loop{virtual_time(), {.hold_limit = 60s}};
     std::vector<std::string> lines;
     loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
@@ -822,7 +826,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("lines of a tier that the main loop does not take are dropped beyond a number, and counted") {
-    Loop loop({.hold_limit = 60s});
+    Loop loop{virtual_time(), {.hold_limit = 60s}};
     std::vector<std::string> lines;
     loop.runtime().on_log([&](const LogRecord& record) { lines.emplace_back(record.text); });
     Tier tier(loop, {.name = "fast", .hold_limit = 60s});
@@ -836,7 +840,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a feed of a tier that was faulted and publishes again is ok on the main loop too") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {});
     Feed<Count> feed(fast.loop(), {.name = "echo"});
     const auto told = [&] {
@@ -858,7 +862,7 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a tier may be destroyed by the handler of a report about what it announced") {
-    Loop loop({.hold_limit = 60s});  // no reports but those of the tier
+    Loop loop{virtual_time(), {.hold_limit = 60s}};  // no reports but those of the tier
     auto fast = std::make_unique<Tier>(loop, Tier::Config{});
     loop.topic<Count>("one");
     fast->loop().topic<double>("one");
@@ -910,12 +914,12 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("a million events to a subscriber that is too slow: each is delivered or counted") {
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {});
     Burst burst(fast.loop(), 1'000'000, 20'000);
     std::uint64_t seen = 0;
     auto subscription = loop.subscribe<Count>("count", [&](const Event<Count>&) {
-      if (++seen % 1000 == 0) std::this_thread::sleep_for(1ms);
+      if (++seen % 1000 == 0) loop.manual_clock().pass(1ms);
     });
     CHECK(run_until(loop, [&] {
       const auto counts = subscription.counts();
@@ -927,8 +931,8 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("NFR-1 what waits for a tier that hangs says so, and for which callback") {
-    Loop loop({.hold_limit = 60s});
-    std::atomic<bool> hangs{false}, let_go{false};
+    Loop loop{virtual_time(), {.hold_limit = 60s}};
+    bool hangs{false}, let_go{false};
     std::vector<std::string> told;
     loop.runtime().on_log([&](const LogRecord& record) {
       told.push_back(std::string(record.object) + ": " + std::string(record.text));
@@ -937,10 +941,10 @@ TEST_SUITE("loop") {
     Tier fast(loop, {.name = "fast", .hold_limit = 60s});
     Ticker ticker(fast.loop(), Ticker::Config{.period = 1ms, .name = "beat"}, [&](const Tick&) {
       hangs = true;
-      while (!let_go) std::this_thread::sleep_for(1ms);
+      while (!let_go) loop.manual_clock().pass(1ms);
     });
     fast.start();
-    CHECK(run_until(loop, [&] { return hangs.load(); }));
+    CHECK(run_until(loop, [&] { return hangs; }));
     SUBCASE("a call") {
       CHECK(fast.call([](Loop&) { return 7; }) == 7);
     }
@@ -952,19 +956,19 @@ TEST_SUITE("loop") {
   TEST_CASE("NFR-1 a tier that was given up and then ends is stopped: nobody waits for it, and it starts again") {
     for (const bool ends_while_waited_for : {false, true}) {
       CAPTURE(ends_while_waited_for);
-      std::atomic<bool> hangs{false}, let_go{false};
-      std::atomic<unsigned> ticks{0};
-      Loop loop;
+      bool hangs{false}, let_go{false};
+      unsigned ticks{0};
+      Loop loop{virtual_time()};
       loop.runtime().on_log([&](const LogRecord&) { let_go = true; });  // "is waited for: it has not come out of ..."
       Tier fast(loop, {.name = "fast", .hold_limit = 60s});
       Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
         hangs = true;
-        while (!let_go) std::this_thread::sleep_for(1ms);
+        while (!let_go) loop.manual_clock().pass(1ms);
         ++ticks;
       });
       Ticker other(fast.loop(), Ticker::Config{.period = 1h}, [](const Tick&) {});
       fast.start();
-      CHECK(run_until(loop, [&] { return hangs.load(); }));
+      CHECK(run_until(loop, [&] { return hangs; }));
       CHECK_FALSE(fast.stop_within(5ms));
       if (ends_while_waited_for) {
         CHECK(fast.call([](Loop&) { return 7; }) == 7);
@@ -984,18 +988,18 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("NFR-1 a tier that hangs is not waited for longer than asked, and says which callback it is in") {
-    Loop loop;
+    Loop loop{virtual_time()};
     loop.runtime().on_log([](const LogRecord&) {});
     Tier fast(loop, {.name = "fast"});
     CHECK(fast.doing().empty());
     CHECK(fast.stop_within(0ms));  // it does not run
-    std::atomic<bool> hangs{false}, let_go{false};
+    bool hangs{false}, let_go{false};
     const auto hang = [&] {
       hangs = true;
-      while (!let_go) std::this_thread::sleep_for(1ms);
+      while (!let_go) loop.manual_clock().pass(1ms);
     };
     const auto check = [&](const std::string& what) {
-      CHECK(run_until(loop, [&] { return hangs.load(); }));
+      CHECK(run_until(loop, [&] { return hangs; }));
       CHECK_FALSE(fast.stop_within(5ms));
       CHECK(fast.is_running());
       CHECK(fast.doing() == what);

@@ -1,9 +1,9 @@
 #include <doctest/doctest.h>
 
-#include <atomic>
 #include <sstream>
 
 #include "app/commands.hpp"
+#include "loop/virtual_time.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
@@ -64,12 +64,12 @@ TEST_CASE("US-26 a sink that names $rtdata/health records the events too, those 
   const Folder folder;
   const std::string path = folder / "run.db";
   {
-    Loop loop;
+    Loop loop{virtual_time()};
     loop.on_error([](const ErrorReport&) {});
     loop.runtime().on_log([](const LogRecord&) {});
     Tier fast(loop, {.name = "fast"});
     SqliteSink sink(loop, {.path = path, .sink = {.topics = {"#", health_topic}}});
-    std::atomic<int> reads{0};
+    int reads = 0;
     Sensor<Climate> room(fast.loop(), {.name = "room", .rate = 100_Hz, .faulted_after = 1000},
                          [&]() -> Result<Climate> {
                            if (++reads < 5) return Error{Errc::io_failed, "no answer", "", "", ""};

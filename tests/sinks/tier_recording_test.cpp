@@ -1,10 +1,10 @@
-// Sensors on tiers, recorded by a sink of the main loop.
+// Sensors on tiers, recorded by a sink of the main loop; in virtual time, where what is tested is not the threads themselves.
 #include <array>
 #include <atomic>
 #include <deque>
-#include <thread>
 
 #include "loop/run_until.hpp"
+#include "loop/virtual_time.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
 
@@ -17,17 +17,19 @@ namespace {
 struct Hanging {
   Climate read() {
     if (++reads == 20) {
-      while (!is_let_go) std::this_thread::sleep_for(1ms);
+      while (!is_let_go) loop.manual_clock().pass(1ms);
     }
     return Climate{};
   }
-  std::atomic<unsigned> reads{0};
-  std::atomic<bool> is_let_go{false};
+  Loop& loop;
+  unsigned reads = 0;
+  bool is_let_go = false;
 };
 
 }  // namespace
 
 TEST_SUITE("sinks") {
+  // In real time, so that the sanitizer sees the threads.
   TEST_CASE("US-26 sensors of two tiers and the main loop in one recording, which balances") {
     const Folder folder;
     const std::string path = folder / "run.db";
@@ -65,7 +67,7 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("a sink on a tier is refused, and says where to make it") {
     const Folder folder;
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {.name = "fast"});
     CHECK_THROWS_WITH_AS(
         SqliteSink(fast.loop(), {.path = folder / "run.db"}),
@@ -79,11 +81,11 @@ TEST_SUITE("sinks") {
     const std::string path = folder / "run.db";
     std::uint64_t dropped = 0;
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {.ring_bytes = 8192});
       SqliteSink sink(loop, {.path = path});
       Feed<Climate> feed(fast.loop(), {.name = "feed"});
-      std::atomic<unsigned> bursts = 0;
+      unsigned bursts = 0;
       Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
         if (bursts == 20) return;
         for (int i = 0; i < 500; ++i) feed.publish({1.0 * i, 0});
@@ -114,11 +116,11 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {.hold_limit = 60s, .ring_bytes = ring_bytes});
       SqliteSink sink(loop, {.path = path});
       std::deque<Sensor<Climate>> all;
-      std::atomic<int> reads{0};
+      int reads{0};
       for (int i = 0; i < sensors; ++i) {
         all.emplace_back(fast.loop(), SensorConfig{.name = "s" + std::to_string(i), .topic = "t", .rate = 10_Hz}, [&] {
           ++reads;
@@ -137,7 +139,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("US-26 recordings opened and closed while tiers go on balance, each with what was published meanwhile") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    Loop loop;
+    Loop loop{virtual_time()};
     loop.on_error([](const ErrorReport&) {});
     Tier fast(loop, {.name = "fast", .hold_limit = 60s});
     Tier slow(loop, {.name = "slow", .hold_limit = 60s, .ring_bytes = 4096});
@@ -187,10 +189,10 @@ TEST_SUITE("sinks") {
       const std::function<void()> wait;
       OriginAccount& last;
     };
-    Loop loop;
+    Loop loop{virtual_time()};
     Tier fast(loop, {.name = "fast", .hold_limit = 60s});
     Feed<Climate> feed(fast.loop(), {.name = "feed"});
-    std::atomic<unsigned> published{0};
+    unsigned published{0};
     Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
       feed.publish({});
       ++published;
@@ -198,7 +200,9 @@ TEST_SUITE("sinks") {
     CHECK(run_until(loop, [&] { return published >= 10; }));
     OriginAccount last;
     const auto wait = [&] {
-      for (const unsigned before = published; published < before + 10;) std::this_thread::yield();
+      const unsigned enough = published + 10;
+      const auto is_enough = [&] { return published >= enough; };
+      while (!is_enough()) loop.manual_clock().pass(1ms);
     };
     Sink sink(loop, {.name = "counted", .topics = {"feed"}}, std::make_unique<Counted>(wait, last));
     loop.run_for(20ms);
@@ -213,10 +217,10 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {.hold_limit = 60s});
       SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 1ms}});
-      std::atomic<int> reads{0};
+      int reads{0};
       Sensor<Climate> sensor(fast.loop(), {.name = "s", .rate = 200_Hz}, [&] {
         ++reads;
         return Climate{};
@@ -236,7 +240,7 @@ TEST_SUITE("sinks") {
     const std::string path = folder / "run.db";
     std::uint64_t dropped = 0;
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {.ring_bytes = 8192});
       SqliteSink sink(loop, {.path = path});
       fast.start();
@@ -267,7 +271,7 @@ TEST_SUITE("sinks") {
     const std::string path = folder / "run.db";
     std::uint64_t published = 0;
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       SqliteSink sink(loop, {.path = path});
       Tier slow(loop, {.name = "slow"});
       const auto make = [](Loop& on) {
@@ -307,7 +311,7 @@ TEST_SUITE("sinks") {
       const Folder folder;
       const std::string path = folder / "run.db";
       {
-        Loop loop;
+        Loop loop{virtual_time()};
         Tier fast(loop, {.name = "fast", .ring_bytes = 4096});
         Tier slow(loop, {.name = "slow"});
         SqliteSink sink(loop, {.path = path});
@@ -341,7 +345,7 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       Tier fast(loop, {});
       SqliteSink sink(loop, {.path = path});
       Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [] { return Climate{}; });
@@ -361,8 +365,8 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a tier whose callback hangs does not keep the recording from being closed") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    Hanging hanging;
-    Loop loop;
+    Loop loop{virtual_time()};
+    Hanging hanging{loop};
     std::vector<std::string> told;
     loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     Tier fast(loop, {});
@@ -390,9 +394,9 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a recording opened and closed while a tier hangs is closed in time, and says what is not known") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    Hanging hanging;
     std::vector<std::string> told;
-    Loop loop;
+    Loop loop{virtual_time()};
+    Hanging hanging{loop};
     Tier fast(loop, {.hold_limit = 60s});
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
     CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
@@ -414,9 +418,9 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a handler of log records that throws keeps no recording from beginning while a tier hangs") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    Hanging hanging;
     unsigned told = 0;
-    Loop loop;
+    Loop loop{virtual_time()};
+    Hanging hanging{loop};
     Tier fast(loop, {.hold_limit = 60s});
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
     CHECK(run_until(loop, [&] { return hanging.reads == 20; }));
@@ -439,8 +443,8 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     const std::string killed = folder / "killed.db";
-    Hanging hanging;
-    Loop loop;
+    Loop loop{virtual_time()};
+    Hanging hanging{loop};
     loop.on_error([](const ErrorReport&) {});
     Tier fast(loop, {.hold_limit = 60s});
     Sensor<Climate> sensor(fast.loop(), {.name = "a", .rate = 1_kHz}, [&] { return hanging.read(); });
@@ -473,9 +477,9 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a tier that hangs costs recordings that begin and end nothing of the account of other tiers") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    std::atomic<bool> hangs{false};
-    std::atomic<bool> let_go{false};
-    Loop loop;
+    bool hangs{false};
+    bool let_go{false};
+    Loop loop{virtual_time()};
     loop.on_error([](const ErrorReport&) {});
     loop.runtime().on_log([](const LogRecord&) {});
     Tier fast(loop, {.name = "fast", .hold_limit = 60s});
@@ -489,9 +493,9 @@ TEST_SUITE("sinks") {
     Sensor<Climate> there(other.loop(), {.name = "there", .rate = 1_kHz}, [] { return Climate{}; });
     Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
       hangs = true;
-      while (!let_go) std::this_thread::sleep_for(1ms);
+      while (!let_go) loop.manual_clock().pass(1ms);
     });
-    CHECK(run_until(loop, [&] { return hangs.load(); }));
+    CHECK(run_until(loop, [&] { return hangs; }));
     SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
     loop.run_for(50ms);
     sink.close();
@@ -510,7 +514,7 @@ TEST_SUITE("sinks") {
     const Folder folder;
     const std::string path = folder / "run.db";
     {
-      Loop loop({.hold_limit = 60s});
+      Loop loop{virtual_time(), {.hold_limit = 60s}};
       Tier fast(loop, {.name = "fast", .hold_limit = 60s});
       Tier busy(loop, {.name = "busy", .hold_limit = 60s});
       Feed<Climate> feed(busy.loop(), {.name = "feed"});
@@ -522,7 +526,7 @@ TEST_SUITE("sinks") {
       for (int run = 0; run < 10; ++run) {
         Feed<Climate>(loop, {.name = "moves"}).close();
         fast.loop().post([&] {  // while the recording waits for what this tier tells
-          std::this_thread::sleep_for(5ms);
+          loop.manual_clock().pass(5ms);
           moves = Feed<Climate>(fast.loop(), {.name = "moves"});
         });
         SqliteSink sink(loop, {.path = path});
@@ -539,9 +543,9 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a tier that hangs costs the other tiers and the main loop nothing of their account") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    std::atomic<bool> let_go{false};
+    bool let_go{false};
     {
-      Loop loop;
+      Loop loop{virtual_time()};
       loop.runtime().on_log([](const LogRecord&) {});
       Tier fast(loop, {.name = "fast"});
       Tier other(loop, {.name = "other"});
@@ -549,9 +553,9 @@ TEST_SUITE("sinks") {
       Sensor<Climate> here(loop, {.name = "here", .rate = 100_Hz}, [] { return Climate{}; });
       Sensor<Climate> there(other.loop(), {.name = "there", .rate = 100_Hz}, [] { return Climate{}; });
       Sensor<Climate> hangs(fast.loop(), {.name = "hangs", .rate = 100_Hz}, [] { return Climate{}; });
-      std::atomic<unsigned> handled{0};
+      unsigned handled{0};
       auto handler = fast.loop().subscribe("hangs", [&](const EventView&) {
-        while (++handled > 5 && !let_go) std::this_thread::sleep_for(1ms);
+        while (++handled > 5 && !let_go) loop.manual_clock().pass(1ms);
       });
       CHECK(run_until(loop, [&] { return handled > 5; }));
       loop.close(1s);

@@ -10,6 +10,10 @@
 
 namespace rtdata {
 
+namespace detail {
+class VirtualThreads;
+}
+
 class Clock {
  public:
   virtual ~Clock() = default;
@@ -45,22 +49,22 @@ class ManualClock : public Clock {
 
   /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback of
   /// a manual loop: that callback took this long.
-  void pass(Duration duration) noexcept {
-    if (duration.count() <= 0) return;
-    const auto moved = [duration](auto at) { return at > at.max() - duration ? at.max() : at + duration; };
-    monotonic_ = moved(monotonic_);
-    realtime_ = moved(realtime_);
-  }
+  /// With tiers: the other loops run meanwhile, so that it may last longer.
+  void pass(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
   /// What keeps the time of day right, or no longer.
   void set_accuracy(std::optional<Duration> accuracy) noexcept { accuracy_ = accuracy; }
 
  private:
+  friend class detail::VirtualThreads;
+  void move(Duration duration) noexcept;
+
   MonotonicTime monotonic_{};
   Time realtime_;
   std::optional<Duration> accuracy_;
   std::string boot_id_;
+  detail::VirtualThreads* threads_ = nullptr;  // of a main loop and its tiers, which share it
 };
 
 /// The time of day at one instant of the monotonic line, by one source.

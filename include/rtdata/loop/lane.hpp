@@ -4,8 +4,8 @@
 /// behind, runs the waiting jobs on a new thread, and calls the job's `done` with `given_up`. With `most_left_behind` threads
 /// left behind the lane takes no job until one of them has returned. Lanes run transactions and storage, never a user's callbacks.
 ///
-/// On a manual loop, a job runs at once, and its `done` is called after the scripted virtual duration; given up after the
-/// limit, when that is shorter.
+/// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
+/// called after the scripted virtual duration, and what the seed adds; given up after the limit, when that is shorter.
 ///
 /// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of both.
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
@@ -85,6 +85,8 @@ class Lane {
   void check_limit();
   void look_at_health(LaneJob::Outcome outcome);
   void finish(std::size_t index, LaneJob::Outcome outcome);
+  /// On a manual loop.
+  void run_here(LaneJob& job) noexcept;
 
   LoopCore& loop_;
   std::string name_;

@@ -22,6 +22,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -67,7 +68,15 @@ class Loop {
     Duration spin{0};  ///< the last stretch before a deadline is waited for spinning: exact, and costs a processor
     Duration timer_slack{1};  ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
   };
-  struct Manual {};
+  /// How a manual loop and its tiers are interleaved, the same for the same seed.
+  struct Manual {
+    /// 0: in a fixed order, without delays. Any other: what can happen at one instant happens in an order that the seed
+    /// chooses, and what threads would do a little later may happen later, see `jitter`.
+    std::uint64_t seed = 0;
+    /// With a seed: a loop sees what another one has sent at most so much later, in its order; a lane's job takes at most
+    /// so much longer, within its limit.
+    Duration jitter = std::chrono::milliseconds{1};
+  };
   static constexpr std::size_t post_backlog = 10'000;  ///< functions given to `post` that may wait without a report
 
   Loop();
@@ -76,9 +85,9 @@ class Loop {
   /// finish closing our handles. Nothing of the host's is touched.
   explicit Loop(uv_loop_t* host);
   Loop(uv_loop_t* host, Config config);
-  /// Virtual time, starting at 0 and moved by `advance` only.
-  explicit Loop(Manual);
-  Loop(Manual, Config config);
+  /// Virtual time, starting at 0 and moved by `advance` only, for it and all its tiers.
+  explicit Loop(Manual manual);
+  Loop(Manual manual, Config config);
   /// As above, sharing `runtime`, which must outlive the loop.
   Loop(Runtime& runtime, Config config);
   ~Loop();
@@ -98,7 +107,8 @@ class Loop {
   void stop() noexcept;
   /// Manual loops: lets time pass, and runs what comes due in order of time, then of start. An endless chain at one instant
   /// does not stop the time: handlers that publish for each other get 100 rounds at an instant, and after 1000 turns at one
-  /// instant (a timer of zero that starts itself) each further turn takes 1 us.
+  /// instant (a timer of zero that starts itself) each further turn takes 1 us. Tiers that run do what comes
+  /// due on them; without a seed, all that they send by then has been taken when this returns.
   void advance(Duration duration);
   /// Manual loops: the clock, to let a callback "take" time or to set the time of day. SetupError on others.
   ManualClock& manual_clock();

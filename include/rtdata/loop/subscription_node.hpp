@@ -124,6 +124,10 @@ class SubscriptionNode : public Node {
   }
 
  private:
+  /// With each topic that it may be linked to.
+  template <class Function>
+  void for_each_topic(const Function& function) const;
+
   std::string pattern_;
   RuntimeCore* runtime_;
 };
