@@ -29,7 +29,8 @@ PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
   if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
     loop.runtime().note_place(plan.object(), std::move(place));
   std::vector<std::string>& secrets = loop.runtime().core().secrets;
-  secrets.insert(secrets.end(), plan.secrets.begin(), plan.secrets.end());
+  for (const std::string& secret : plan.secrets)
+    if (std::find(secrets.begin(), secrets.end(), secret) == secrets.end()) secrets.push_back(secret);
   return plan.make(loop, parts);
 }
 
