@@ -77,10 +77,9 @@ struct SlowDevice final : detail::LaneDevice {
 
 struct SlowSensor : AnySensor {
   SlowSensor() = default;
-  SlowSensor(Loop& loop, std::shared_ptr<Seen> seen, Duration limit = 10s, SensorConfig config = {})
+  SlowSensor(Loop& loop, std::shared_ptr<Seen> seen, Duration limit = 10s, SensorConfig config = {.name = "slow"})
       : AnySensor(make(loop, std::move(seen), limit, std::move(config))) {}
   static detail::Node* make(Loop& loop, std::shared_ptr<Seen> seen, Duration limit, SensorConfig config) {
-    config.name = "slow";
     if (!config.rate) config.rate = 10_Hz;
     return detail::make_sensor(loop, std::move(config), detail::payload_type<Number>(),
                                std::make_unique<SlowDevice>(std::move(seen), limit));
@@ -98,7 +97,8 @@ struct Bench {
 
   Bench() {
     be_quiet(loop);
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.what); });
+    loop.on_error(
+        [this](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.what); });
   }
   template <class Function>
   void at_100_ms(Function function) {
@@ -183,7 +183,8 @@ TEST_SUITE("sensors") {
     Bench bench;
     bench.seen->failing = 2;
     bench.loop.script_lane_duration(300ms);
-    bench.at_100_ms([&] { bench.slow = SlowSensor(bench.loop, bench.seen, 10s, {.faulted_after = 2}); });
+    bench.at_100_ms(
+        [&] { bench.slow = SlowSensor(bench.loop, bench.seen, 10s, {.name = "slow", .faulted_after = 2}); });
     bench.loop.advance(390ms);
     CHECK(bench.slow.health() == Health::ok);
     bench.loop.advance(20ms);  // it is not there
@@ -222,21 +223,21 @@ TEST_SUITE("sensors") {
     CHECK(bench.errors == std::vector<std::string>{"sensor slow: cannot open"});
     bench.slow.close();
     bench.seen->failing = 1;
-    CHECK_THROWS_WITH_AS(SlowSensor(bench.loop, bench.seen, 1s, {.required = true}),
+    CHECK_THROWS_WITH_AS(SlowSensor(bench.loop, bench.seen, 1s, {.name = "slow", .required = true}),
                          doctest::Contains("it is not there"), SetupError);
     bench.loop.script_lane_duration(1h);
-    CHECK_THROWS_WITH_AS(SlowSensor(bench.loop, bench.seen, 1s, {.required = true}), doctest::Contains("no answer"),
-                         SetupError);
+    CHECK_THROWS_WITH_AS(SlowSensor(bench.loop, bench.seen, 1s, {.name = "slow", .required = true}),
+                         doctest::Contains("no answer"), SetupError);
     bench.loop.script_lane_duration(0ns);
     bool has_thrown = false;
     bench.at_100_ms([&] {
       bench.seen->failing = 1;
       try {
-        bench.slow = SlowSensor(bench.loop, bench.seen, 1s, {.required = true});
+        bench.slow = SlowSensor(bench.loop, bench.seen, 1s, {.name = "slow", .required = true});
       } catch (const SetupError&) {
         has_thrown = true;
       }
-      bench.slow = SlowSensor(bench.loop, bench.seen, 1s, {.required = true});
+      bench.slow = SlowSensor(bench.loop, bench.seen, 1s, {.name = "slow", .required = true});
       CHECK(bench.slow.is_running());
     });
     bench.loop.advance(200ms);
@@ -251,7 +252,7 @@ TEST_SUITE("sensors") {
     be_quiet(loop);
     SlowSensor slow;
     int ticks = 0, ticks_while_opening = 0;
-    loop.post([&] { slow = SlowSensor(loop, seen, 60s, {.rate = 1_kHz}); });
+    loop.post([&] { slow = SlowSensor(loop, seen, 60s, {.name = "slow", .rate = 1_kHz}); });
     Ticker ticker(loop, 1ms, [&](const Tick&) {
       ++ticks;
       if (seen->openings == 1 && seen->opened == 0 && ++ticks_while_opening == 20) seen->may_open.release();
