@@ -69,30 +69,6 @@ struct ShippedFileConfig : FileConfig {
   }
 };
 
-std::shared_ptr<const Description> host_description(HostQuantity what) {
-  switch (what) {
-    case HostQuantity::cpu:
-      return description_of<HostCpu>();
-    case HostQuantity::load:
-      return description_of<HostLoad>();
-    case HostQuantity::memory:
-      return description_of<HostMemory>();
-    case HostQuantity::disk:
-      return description_of<HostDisk>();
-    case HostQuantity::network:
-      return description_of<HostNetwork>();
-    case HostQuantity::scheduler:
-      return description_of<HostScheduler>();
-    case HostQuantity::process:
-      return description_of<HostProcess>();
-    case HostQuantity::temperature:
-      return description_of<HostTemperature>();
-    case HostQuantity::frequency:
-      return description_of<HostFrequency>();
-  }
-  return nullptr;
-}
-
 }  // namespace
 
 Registry standard_registry() {

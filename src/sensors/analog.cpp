@@ -31,14 +31,18 @@ class AnalogDevice final : public detail::LaneDevice {
  public:
   explicit AnalogDevice(AnalogConfig config) : config_(std::move(config)) {}
 
-  Result<void> open() override {
-    lane_key_ = detail::physical_device_of(config_.file);
-    return detail::check_readable(config_.file, cannot_read, find_advice);
+  std::shared_ptr<detail::Transaction> make_opening() override {
+    return std::make_shared<detail::FindFile>([file = config_.file] { return Result<std::string>(file); }, cannot_read,
+                                              find_advice);
+  }
+  Result<void> opened(detail::Transaction& opening) override {
+    const auto& path = static_cast<detail::FindFile&>(opening).path();
+    return path ? Result<void>() : Result<void>(path.error());
   }
   std::shared_ptr<detail::Transaction> make_transaction() override {
     return std::make_shared<detail::ReadFile>(config_.file);
   }
-  std::string lane_key() const override { return lane_key_; }
+  std::string lane_key() const override { return detail::physical_device_of(config_.file); }
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
@@ -64,7 +68,6 @@ class AnalogDevice final : public detail::LaneDevice {
 
  private:
   AnalogConfig config_;
-  std::string lane_key_;
 };
 
 /// What is wrong between parameters that are right by themselves; empty: nothing.

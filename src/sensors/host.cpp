@@ -8,7 +8,9 @@
 #include <algorithm>
 #include <cerrno>
 #include <functional>
+#include <iterator>
 #include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "sensors/host_text.hpp"
@@ -111,22 +113,25 @@ struct CpuDevice {
 template <class T>
 class SysDevice final : public detail::LaneDevice {
  public:
-  using Find = std::function<Result<std::string>()>;
-  SysDevice(Find find, double factor, const HostConfig& config)
-      : find_(std::move(find)), factor_(factor), timeout_(config.timeout), time_(rtdata::read_time(config)) {}
+  using Find = detail::FindFile::Find;
+  SysDevice(Find find, double factor, HostConfig config)
+      : find_(std::move(find)), factor_(factor), config_(std::move(config)) {}
 
-  Result<void> open() override {
-    Result<std::string> found = find_();
-    if (!found) return std::move(found).error();
-    path_ = *std::move(found);
-    return detail::check_readable(path_, cannot_read, not_here);
+  std::shared_ptr<detail::Transaction> make_opening() override {
+    return std::make_shared<detail::FindFile>(find_, cannot_read, not_here);
+  }
+  Result<void> opened(detail::Transaction& opening) override {
+    const auto& path = static_cast<detail::FindFile&>(opening).path();
+    if (!path) return path.error();
+    path_ = *path;
+    return {};
   }
   std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(path_); }
-  std::string lane_key() const override { return detail::physical_device_of(path_); }
-  Duration give_up_after() const override { return timeout_; }
-  ReadTime read_time() const override { return time_; }
+  std::string lane_key() const override { return read_time().lane; }
+  Duration give_up_after() const override { return config_.timeout; }
+  ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(timeout_),
+    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(config_.timeout),
             "look at the chip; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
@@ -146,8 +151,7 @@ class SysDevice final : public detail::LaneDevice {
  private:
   Find find_;
   double factor_;
-  Duration timeout_;
-  ReadTime time_;
+  HostConfig config_;
   std::string path_;
 };
 
@@ -215,17 +219,6 @@ detail::Node* inline_sensor(Loop& loop, SensorConfig sensor, Device device) {
   return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
                              std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)));
 }
-template <class T>
-detail::Node* proc_sensor(Loop& loop, SensorConfig sensor, std::string path, Duration held,
-                          std::function<Reading<T>(std::string_view)> parse) {
-  return inline_sensor<T>(loop, std::move(sensor), ProcDevice<T>{ProcFile(std::move(path)), std::move(parse), held});
-}
-template <class T>
-detail::Node* sys_sensor(Loop& loop, SensorConfig sensor, typename SysDevice<T>::Find find, double factor,
-                         const HostConfig& config) {
-  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
-                             std::make_unique<SysDevice<T>>(std::move(find), factor, config));
-}
 
 Reading<HostProcess> process_times(std::string_view schedstat) {
   Result<HostProcess> process = detail::parse_process(schedstat);
@@ -238,90 +231,112 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
 
 constexpr const char* no_device = "it does not say which device";
 
-bool lacks_device(const HostConfig& config) {
-  return config.device.empty() && (config.what == HostQuantity::disk || config.what == HostQuantity::network);
+/// All there is to know of a quantity.
+struct Quantity {
+  HostQuantity what;
+  const std::shared_ptr<const Description>& (*description)();
+  detail::Node* (*make)(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config);
+  const char* proc_file;  // read inline; null: it is a file of /sys, and read on a lane
+  Duration on_loop;       // for how long a read of the former may hold the loop
+  /// The latter, or the folder in which it is looked for.
+  std::string (*sys_file)(const HostConfig& config) = nullptr;
+  const char* device_advice = nullptr;  // null: it needs no device
+};
+
+/// `parse` is given the text of the file and, if it wants, the device.
+template <class T, auto parse>
+detail::Node* make_proc(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  const auto read = [device = config.device](std::string_view text) -> Reading<T> {
+    if constexpr (std::is_invocable_v<decltype(parse), std::string_view, std::string_view>) {
+      return parse(text, device);
+    } else {
+      return parse(text);
+    }
+  };
+  return inline_sensor<T>(loop, std::move(sensor),
+                          ProcDevice<T>{ProcFile(config.root + "/proc/" + self.proc_file), read, self.on_loop});
 }
 
-const char* device_advice(HostQuantity what) {
-  return what == HostQuantity::disk ? "set `device`, such as sda; /proc/diskstats lists them"
-                                    : "set `device`, such as eth0; /proc/net/dev lists them";
+detail::Node* make_cpu(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return inline_sensor<HostCpu>(
+      loop, std::move(sensor),
+      CpuDevice{ProcFile(config.root + "/proc/" + self.proc_file), config.device, self.on_loop});
 }
 
-detail::Node* make(Loop& loop, SensorConfig sensor, HostConfig config) {
-  const std::string proc = config.root + "/proc/";
-  std::string device = config.device;
-  const Duration held = *read_time(config).on_loop;
-  switch (config.what) {
-    case HostQuantity::cpu:
-      return inline_sensor<HostCpu>(loop, std::move(sensor),
-                                    CpuDevice{ProcFile(proc + "stat"), std::move(device), held});
-    case HostQuantity::load:
-      return proc_sensor<HostLoad>(loop, std::move(sensor), proc + "loadavg", held, detail::parse_load);
-    case HostQuantity::memory:
-      return proc_sensor<HostMemory>(loop, std::move(sensor), proc + "meminfo", held, detail::parse_memory);
-    case HostQuantity::disk:
-      return proc_sensor<HostDisk>(loop, std::move(sensor), proc + "diskstats", held,
-                                   [device](std::string_view text) { return detail::parse_disk(text, device); });
-    case HostQuantity::network:
-      return proc_sensor<HostNetwork>(loop, std::move(sensor), proc + "net/dev", held,
-                                      [device](std::string_view text) { return detail::parse_network(text, device); });
-    case HostQuantity::scheduler:
-      return proc_sensor<HostScheduler>(loop, std::move(sensor), proc + "stat", held, detail::parse_scheduler);
-    case HostQuantity::process:
-      return proc_sensor<HostProcess>(loop, std::move(sensor), proc + "thread-self/schedstat", held, process_times);
-    case HostQuantity::temperature:
-      return sys_sensor<HostTemperature>(
-          loop, std::move(sensor), [root = config.root, device] { return thermometer_file(root, device); }, 1e-3,
-          config);
-    case HostQuantity::frequency:
-      break;
-  }
-  return sys_sensor<HostFrequency>(
-      loop, std::move(sensor), [path = frequency_file(config.root, device)] { return Result<std::string>(path); }, 1e3,
-      config);
+template <class T>
+detail::Node* make_sys(Loop& loop, SensorConfig sensor, const HostConfig& config, detail::FindFile::Find find,
+                       double factor) {
+  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
+                             std::make_unique<SysDevice<T>>(std::move(find), factor, config));
+}
+
+detail::Node* make_temperature(const Quantity&, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return make_sys<HostTemperature>(
+      loop, std::move(sensor), config,
+      [root = config.root, device = config.device] { return thermometer_file(root, device); }, 1e-3);
+}
+
+std::string place_of_thermometer(const HostConfig& config) {
+  return config.device.empty() ? config.root + "/sys/class/thermal/" : *thermometer_file(config.root, config.device);
+}
+
+detail::Node* make_frequency(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return make_sys<HostFrequency>(
+      loop, std::move(sensor), config, [path = self.sys_file(config)] { return Result<std::string>(path); }, 1e3);
+}
+
+std::string frequency_file_of(const HostConfig& config) { return frequency_file(config.root, config.device); }
+
+const Quantity& quantity(HostQuantity what) {
+  using namespace std::chrono_literals;
+  using enum HostQuantity;
+  static constexpr Quantity all[] = {
+      {cpu, description_of<HostCpu>, make_cpu, "stat", 200us},
+      {load, description_of<HostLoad>, make_proc<HostLoad, detail::parse_load>, "loadavg", 50us},
+      {memory, description_of<HostMemory>, make_proc<HostMemory, detail::parse_memory>, "meminfo", 100us},
+      {disk, description_of<HostDisk>, make_proc<HostDisk, detail::parse_disk>, "diskstats", 100us, nullptr,
+       "set `device`, such as sda; /proc/diskstats lists them"},
+      {network, description_of<HostNetwork>, make_proc<HostNetwork, detail::parse_network>, "net/dev", 100us, nullptr,
+       "set `device`, such as eth0; /proc/net/dev lists them"},
+      {scheduler, description_of<HostScheduler>, make_proc<HostScheduler, detail::parse_scheduler>, "stat", 200us},
+      {process, description_of<HostProcess>, make_proc<HostProcess, process_times>, "thread-self/schedstat", 50us},
+      {temperature, description_of<HostTemperature>, make_temperature, nullptr, 0us, place_of_thermometer},
+      {frequency, description_of<HostFrequency>, make_frequency, nullptr, 0us, frequency_file_of},
+  };
+  return *std::find_if(std::begin(all), std::end(all), [what](const Quantity& one) { return one.what == what; });
+}
+
+/// What to do about a device that is missing; null: it is not.
+const char* advice_on_missing_device(const HostConfig& config) {
+  return config.device.empty() ? quantity(config.what).device_advice : nullptr;
 }
 
 }  // namespace
 
 void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems) {
-  if (!lacks_device(config)) return;
+  const char* const advice = advice_on_missing_device(config);
+  if (advice == nullptr) return;
   const ConfigItem* device = item.find("device");
-  problems.add((device != nullptr ? *device : item)
-                   .problem("bad-value", std::string(no_device) + "; " + device_advice(config.what)));
+  problems.add((device != nullptr ? *device : item).problem("bad-value", std::string(no_device) + "; " + advice));
 }
 
 ReadTime read_time(const HostConfig& config) {
-  using namespace std::chrono_literals;
+  const Quantity& one = quantity(config.what);
+  if (one.proc_file != nullptr) return {.on_loop = one.on_loop};
   // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
-  const auto on_lane = [](const std::string& file) {
-    return ReadTime{.on_loop = detail::lane_read_on_loop, .on_lane = 10ms, .lane = detail::physical_device_of(file)};
-  };
-  switch (config.what) {
-    case HostQuantity::process:
-    case HostQuantity::load:
-      return {.on_loop = 50us};
-    case HostQuantity::memory:
-    case HostQuantity::disk:
-    case HostQuantity::network:
-      return {.on_loop = 100us};
-    case HostQuantity::cpu:
-    case HostQuantity::scheduler:
-      return {.on_loop = 200us};
-    case HostQuantity::temperature:
-      return config.device.empty() ? on_lane(config.root + "/sys/class/thermal/")
-                                   : on_lane(*thermometer_file(config.root, config.device));
-    case HostQuantity::frequency:
-      break;
-  }
-  return on_lane(frequency_file(config.root, config.device));
+  return {.on_loop = detail::lane_read_on_loop,
+          .on_lane = std::chrono::milliseconds{10},
+          .lane = detail::physical_device_of(one.sys_file(config))};
 }
 
+std::shared_ptr<const Description> host_description(HostQuantity what) { return quantity(what).description(); }
+
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
-  if (lacks_device(config)) {
-    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device,
-                      device_advice(config.what)});
+  if (const char* const advice = advice_on_missing_device(config); advice != nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device, advice});
   }
-  *this = HostSensor(make(loop, std::move(sensor), std::move(config)));
+  const Quantity& one = quantity(config.what);
+  *this = HostSensor(one.make(one, loop, std::move(sensor), config));
 }
 
 std::vector<HostSensorInfo> available_host_sensors(const std::string& root) {

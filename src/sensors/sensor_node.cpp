@@ -2,15 +2,12 @@
 
 #include <algorithm>
 
-#include "loop/no_thread.hpp"
 #include "loop/retry.hpp"
 
-namespace rtdata {
-namespace detail {
+namespace rtdata::detail {
 namespace {
 
 constexpr std::string_view loop_held = "loop held";
-constexpr std::string_view still_reading = "still reading";
 constexpr std::string_view stopped = "stopped";
 
 void check_rate(Rate rate, const std::string& name) {
@@ -27,8 +24,17 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
       RateMember(config.rate.period(), config.phase),
       device_(std::move(device)) {
-  if (auto* on_lane = dynamic_cast<LaneDevice*>(device_.get()))
-    lane_side_.reset(new LaneSide{*on_lane, nullptr, nullptr});
+  set_settings(config);
+}
+
+SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
+      RateMember(config.rate.period(), config.phase) {
+  lane_side_ = std::make_unique<LaneSide>(std::move(device));
+  set_settings(config);
+}
+
+void SensorNode::set_settings(const SensorConfig& config) {
   const SensorConfig usual;
   if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
@@ -65,6 +71,7 @@ void SensorNode::start() {
     rare_->retry_at = {};
   }
   if (device_is_open_) return begin_schedule();
+  if (lane_side_ != nullptr) return start_on_lane();
   LoopCore& on = *loop();
   const Result<void> opened = open_device();
   if (!opened && settings().is_required) throw SetupError(opened.error());
@@ -73,6 +80,10 @@ void SensorNode::start() {
     return;
   }
   if (is_running()) return;  // started by it
+  started(opened);
+}
+
+void SensorNode::started(const Result<void>& opened) {
   device_is_open_ = static_cast<bool>(opened);
   begin_schedule();  // before anybody is told, who may stop it
   if (opened) {
@@ -126,6 +137,7 @@ void SensorNode::end_schedule(EndOf what) {
 }
 
 void SensorNode::stop_schedule(MonotonicTime end) {
+  if (is_starting()) cancel_opening();
   if (!is_scheduled()) return;
   loop()->schedule().remove(*this);
   loop()->unref();
@@ -135,6 +147,7 @@ void SensorNode::stop_schedule(MonotonicTime end) {
 void SensorNode::stop() {
   if (!is_open()) return;
   Call call(*this);  // the device's close() may do so to this
+  cancel_opening();
   cancel_transaction();
   end_schedule(EndOf::activity);
   if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
@@ -151,15 +164,16 @@ void SensorNode::set_rate(Rate rate) {
 }
 
 void SensorNode::change_period(Duration period) {
-  if (!is_running()) return set_period(period);
+  if (!is_scheduled()) return set_period(period);
   end_schedule(EndOf::rate);
   set_period(period);
   begin_schedule();
 }
 
 std::optional<SensorLoad> SensorNode::load() const {
-  SensorLoad load{origin_.name, period(), phase(), device_->read_time()};
-  if (lane_side_ != nullptr && load.time.lane.empty()) load.time.lane = lane_side_->device.lane_key();
+  SensorLoad load{origin_.name, period(), phase(), {}};
+  load.time = lane_side_ != nullptr ? lane_side_->device->read_time() : device_->read_time();
+  if (lane_side_ != nullptr && load.time.lane.empty()) load.time.lane = lane_side_->device->lane_key();
   if (settings().read_time) (lane_side_ != nullptr ? load.time.on_lane : load.time.on_loop) = settings().read_time;
   return load;
 }
@@ -192,15 +206,6 @@ void SensorNode::held(Duration took) {
           "make its read shorter, or read it on a lane; wanted is one in " + to_string(wanted)});
 }
 
-void SensorNode::cancel_transaction() {
-  if (lane_side_ == nullptr || lane_side_->transaction == nullptr) return;
-  const auto transaction = std::exchange(lane_side_->transaction, nullptr);
-  if (port_ != nullptr || origin_.counts.in_flight == 0) return;  // what is in flight is not this
-  origin_.fail_read(stopped, transaction->due_);
-  transaction->owner_ = nullptr;
-  transaction->is_unwanted_.store(true, std::memory_order_relaxed);
-}
-
 void SensorNode::on_close() noexcept {
   stop();
   leave();
@@ -209,10 +214,10 @@ void SensorNode::on_close() noexcept {
 void SensorNode::drop_callbacks() noexcept {
   SourceNode::drop_callbacks();
   device_ = nullptr;
+  if (lane_side_ != nullptr) lane_side_->device = nullptr;
 }
 
 Result<void> SensorNode::open_device() noexcept {
-  if (lane_side_ != nullptr) lane_side_->lane = nullptr;  // what is opened may be another physical device than before
   const LoopCore::Calling user_code(loop()->runtime);
   try {
     return device_->open();
@@ -222,6 +227,7 @@ Result<void> SensorNode::open_device() noexcept {
 }
 
 void SensorNode::close_device(LoopCore& on) noexcept {
+  if (lane_side_ != nullptr) return close_on_lane();
   const LoopCore::Calling user_code(on.runtime);
   try {
     device_->close();
@@ -281,66 +287,13 @@ void SensorNode::tick(const Tick& tick) {
   if (tick.missed > 0) [[unlikely]] {
     origin_.miss(tick.missed, loop_held, tick.due - static_cast<std::int64_t>(tick.missed) * period());
   }
-  if (lane_side_ != nullptr && origin_.counts.in_flight != 0) {
-    origin_.miss(1, still_reading, tick.due);
-    return;
-  }
   Call call(*this);
   loop()->nodes.begins(this);
+  if (lane_side_ != nullptr) return tick_on_lane(tick);
   const bool was_ready = device_is_open_ && health() != Health::faulted;
   if (!was_ready && !make_ready(tick)) [[unlikely]]
     return;
-  if (lane_side_ != nullptr) {
-    submit(tick);
-  } else {
-    read_inline(tick);
-  }
-}
-
-void SamplePort::publish(void* payload, Time time) {
-  if (sensor_ == nullptr) return;  // stopped by its own sampling function
-  is_usable_ = true;
-  if (std::exchange(has_sample_, true) || time != time_) sensor_->is_not_one_a_read();
-  const bool is_of_read = sensor_->origin().counts.is_one_a_read;
-  const Time row = sensor_->publish(payload, time, due_);
-  if (is_of_read) pushed_ = span_between(time, row);
-}
-
-void SamplePort::repeated() noexcept {
-  if (sensor_ == nullptr) return;
-  is_usable_ = true;
-  if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
-  sensor_->count_repeated();
-}
-
-Sampled SamplePort::unreadable(Error error) {
-  if (sensor_ != nullptr) {
-    if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
-    sensor_->count_unreadable();
-  }
-  return fail(std::move(error));
-}
-
-Time SensorNode::publish(void* payload, Time time, MonotonicTime due) {
-  ++origin_.counts.received;
-  ++origin_.counts.published;
-  try {
-    origin_.topic.publish(origin_, time, payload);
-    origin_.count_lateness(due);
-  } catch (...) {  // published, and dropped for those who subscribe
-    origin_.count_lateness(due);
-    report(thrown("moving its payload threw"));
-  }
-  return origin_.last_time;
-}
-
-inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
-  if ((sampled == Sampled::nothing_new) == port.has_sample_) is_not_one_a_read();
-  if (sampled == Sampled::nothing_new) count_repeated();
-  if (port.error_) [[unlikely]]
-    return complain(*port.error_);
-  if (health() != Health::ok) [[unlikely]]
-    recovered();
+  read_inline(tick);
 }
 
 void SensorNode::read_inline(const Tick& tick) {
@@ -400,84 +353,10 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   if (is_open()) set_health(is_faulted ? Health::faulted : Health::degraded, &error);
 }
 
-void SensorNode::submit(const Tick& tick) {
-  auto& [device, lane, transaction] = *lane_side_;
-  if (transaction == nullptr) {
-    try {
-      transaction = device.make_transaction();
-    } catch (...) {
-      const Error error = thrown("preparing to read threw");
-      origin_.fail_tick(error.id(), tick.due);
-      return failed(error, tick.now);
-    }
-    transaction->owner_ = this;
-    transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
-  }
-  transaction->due_ = tick.due;
-  transaction->late_after_ = origin_.late_after;
-  origin_.begin_read();
-  try {
-    if (lane == nullptr) lane = &loop()->lanes.of(device.lane_key(), device.give_up_after());
-    if (lane->submit(transaction)) return;
-  } catch (...) {
-    const Error error = thrown("handing its read to a lane threw");
-    origin_.fail_read(error.id(), tick.due);
-    return failed(error, tick.now);
-  }
-  const Error error = told([this] {
-    if (lane_side_->lane->lacks_thread()) return no_thread("cannot read", object_name());
-    return lane_side_->lane->is_stuck()
-               ? lane_side_->device.given_up_error()
-               : Error{Errc::busy, "cannot read", object_name(),
-                       "its lane is full of reads of sensors that share the device", "lower their rates"};
-  });
-  origin_.fail_read(error.id(), tick.due);
-  failed(error, tick.now);
-}
+namespace {
 
-void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
-  Call call(*this);
-  loop()->nodes.begins(this);
-  LaneDevice& device = lane_side_->device;
-  if (outcome != LaneJob::Outcome::finished) {
-    const Error error = told([&] {
-      return outcome == LaneJob::Outcome::given_up
-                 ? device.given_up_error()
-                 : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
-    });
-    lane_side_->transaction = nullptr;
-    origin_.fail_read(error.id(), transaction.due_);
-    failed(error, loop()->now());
-    return;
-  }
-  SamplePort port(*this, transaction.due_, loop()->runtime.event_time(transaction.began_), nullptr);
-  Sampled sampled;
-  try {
-    sampled = device.decode(transaction, port);
-  } catch (...) {
-    sampled = port.fail(thrown("decoding threw"));
-  }
-  if (lane_side_->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
-  if (has_failed(sampled, port)) {
-    origin_.fail_read(port.error_->id(), transaction.due_);
-    failed(*port.error_, loop()->now());
-    return;
-  }
-  origin_.end_read(transaction.began_ - transaction.due_ + port.pushed_ > transaction.late_after_);
-  took(sampled, port);
-}
-
-void Transaction::run() noexcept {
-  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
-  began_ = loop_ != nullptr ? loop_->now() : std::chrono::steady_clock::now();
-  transact();
-}
-
-void Transaction::done(Outcome outcome) {
-  if (owner_ != nullptr) owner_->transaction_done(*this, outcome);
-}
-
-Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<SensorDevice> device) {
+template <class Device>
+Node* make(Loop& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<Device> device) {
   check_rate(config.rate, config.name);
   auto* node = new SensorNode(loop.core(), config, std::move(type), std::move(device));
   try {
@@ -490,70 +369,13 @@ Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique
   return node;
 }
 
-}  // namespace detail
-
-namespace {
-
-/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
-template <class Returned, class Function>
-Returned with(detail::Node* node, Returned otherwise, const Function& function) {
-  if (node == nullptr || !node->is_open()) return otherwise;
-  auto& source = static_cast<detail::SourceNode&>(*node);
-  if (!source.loop()->runs_elsewhere()) return function(source);
-  source.loop()->call_there([&] {
-    if (source.is_open()) otherwise = function(source);
-  });
-  return otherwise;
-}
-
-template <class Function>
-void with(detail::Node* node, const Function& function) {
-  with(node, 0, [&](detail::SourceNode& source) {
-    function(source);
-    return 0;
-  });
-}
-
-/// For what is refused where the loop may not be used.
-template <class Function>
-void change(detail::Node* node, const char* what, const Function& function) {
-  with(node, [&](detail::SourceNode& source) {
-    source.loop()->check_thread(what, source.origin().name);
-    function(source);
-  });
-}
-
 }  // namespace
 
-void AnySensor::start() {
-  change(node(), "cannot start sensor", [](auto& source) { source.start(); });
+Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<SensorDevice> device) {
+  return make(loop, config, std::move(type), std::move(device));
 }
-void AnySensor::stop() {
-  change(node(), "cannot stop sensor", [](auto& source) { source.stop(); });
-}
-bool AnySensor::is_running() const noexcept {
-  return with(node(), false, [](const auto& source) { return source.is_running(); });
-}
-void AnySensor::set_rate(Rate rate) {
-  change(node(), "cannot change sensor", [&](auto& source) { source.set_rate(rate); });
-}
-Rate AnySensor::rate() const noexcept {
-  return with(node(), Rate{}, [](const auto& source) { return source.rate(); });
-}
-SensorCounts AnySensor::counts() const noexcept {
-  return with(node(), SensorCounts{}, [](const auto& source) { return source.counts(); });
-}
-Health AnySensor::health() const noexcept {
-  return with(node(), Health::ok, [](const auto& source) { return source.health(); });
-}
-SensorStatus AnySensor::status() const {
-  return with(node(), SensorStatus{}, [](const auto& source) { return detail::status_of(source); });
-}
-CallbackTimes AnySensor::times() const noexcept {
-  return with(node(), CallbackTimes{}, [](const auto& source) { return source.callback_times(); });
-}
-void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  change(node(), "cannot set on_error of sensor", [&](auto& source) { source.set_on_error(std::move(handler)); });
+Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<LaneDevice> device) {
+  return make(loop, config, std::move(type), std::move(device));
 }
 
-}  // namespace rtdata
+}  // namespace rtdata::detail

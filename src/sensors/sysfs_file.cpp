@@ -8,6 +8,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <memory>
+#include <utility>
 
 namespace rtdata::detail {
 namespace {
@@ -48,6 +49,14 @@ void SysfsFile::read() noexcept {
     size_ = static_cast<std::size_t>(got);
   }
   if (got < 0 || !keeps_open_) close();
+}
+
+void FindFile::transact() noexcept try {
+  path_ = find_();
+  if (!path_) return;
+  if (auto readable = check_readable(*path_, what_, advice_); !readable) path_ = std::move(readable).error();
+} catch (...) {
+  path_ = Error{Errc::io_failed, what_, "", "no memory", ""};
 }
 
 Result<void> check_readable(const std::string& path, const char* what, const std::string& advice) {

@@ -5,8 +5,10 @@
 
 #include <array>
 #include <cstddef>
+#include <functional>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/sensors/transaction.hpp"
@@ -28,10 +30,10 @@ class SysfsFile {
   int error_number() const noexcept { return error_number_; }
   std::string_view text() const noexcept { return {buffer_.data(), size_}; }
   const std::string& path() const noexcept { return path_; }
-
- private:
+  /// What was read stays. The next read opens it again.
   void close() noexcept;
 
+ private:
   std::string path_;
   int fd_ = -1;
   bool keeps_open_ = false;
@@ -49,11 +51,27 @@ class ReadFile final : public Transaction {
  public:
   explicit ReadFile(const std::string& path) : file(path) {}
   void transact() noexcept override { file.read(); }
+  void close() noexcept override { file.close(); }
   SysfsFile file;
 };
 
-/// Whether the file is there and may be read, found out without opening it (which may block). `what`, `advice`: of the
-/// error.
+/// Finds the file, which may take reading others, and whether it may be read; without opening it, as only a read needs it.
+class FindFile final : public Transaction {
+ public:
+  using Find = std::function<Result<std::string>()>;
+  /// `what`, `advice`: of the error.
+  FindFile(Find find, const char* what, const char* advice) : find_(std::move(find)), what_(what), advice_(advice) {}
+  void transact() noexcept override;
+  const Result<std::string>& path() const noexcept { return path_; }
+
+ private:
+  Find find_;
+  const char* what_;
+  const char* advice_;
+  Result<std::string> path_ = std::string();
+};
+
+/// Whether the file is there and may be read. `what`, `advice`: of the error.
 Result<void> check_readable(const std::string& path, const char* what, const std::string& advice);
 /// One lane per physical device: its directory for a file below /sys, else the file itself.
 std::string physical_device_of(const std::string& path);

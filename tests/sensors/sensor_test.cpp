@@ -193,7 +193,8 @@ TEST_CASE("US-9 the opening of a lane's device that changes the rate and stops t
     struct Read final : detail::Transaction {
       void transact() noexcept override {}
     };
-    Result<void> open() override { return opens(); }
+    std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Read>(); }
+    Result<void> opened(detail::Transaction&) override { return opens(); }
     std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
     detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
       return port.fail({Errc::io_failed, "no answer", "", "", ""});

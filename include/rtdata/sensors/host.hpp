@@ -15,6 +15,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -149,6 +150,9 @@ struct HostConfig {
 void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems);
 /// Some ten times what was measured (docs/tiers.md), since there are slower boards and machines with more processors.
 ReadTime read_time(const HostConfig& config);
+
+/// Of the quantity's payload.
+std::shared_ptr<const Description> host_description(HostQuantity what);
 
 class HostSensor : public AnySensor {
  public:

@@ -5,6 +5,10 @@
 /// payload of them. A transaction that outlives the lane's limit is given up and a fresh one made; it must own all that
 /// `transact` touches.
 ///
+/// Opening is a transaction too, and closing is done on the lane as well: a device that takes a second for either holds no
+/// loop. Only while the loop does not run yet (and is not attached), or when the sensor is `required`, does starting wait
+/// for the opening, so that a program knows at its start which devices are missing.
+///
 /// Owner: the sensor and the lane. Thread: `transact` the lane's, all else the loop's.
 #pragma once
 
@@ -24,32 +28,43 @@ class Transaction : public LaneJob {
 
   /// The device's turn. On the lane's thread.
   virtual void transact() noexcept = 0;
+  /// Gives back what it holds of the device; what it has read stays for `decode`. On the lane's thread, after `transact`.
+  /// Not called when the lane takes no more, or has given it up: then the destructor does it.
+  virtual void close() noexcept {}
+  /// Closes it, unless it hangs in `transact`.
+  void give_back() noexcept;
 
  private:
   friend class SensorNode;
   SensorNode* owner_ = nullptr;           // null once the sensor does not want it any more
   std::atomic<bool> is_unwanted_{false};  // the same for the lane's thread, when it was not begun yet
-  MonotonicTime due_{};
-  Duration late_after_{0};  // of the schedule at which it was due
+  std::atomic<bool> is_under_way_{false};
   MonotonicTime began_{};
   LoopCore* loop_ = nullptr;  // on manual loops, whose clock it takes; null otherwise
 };
 
-class LaneDevice : public SensorDevice {
+/// A device that is opened, read and closed on a lane. All calls are on the loop.
+class LaneDevice {
  public:
-  /// A fresh one: at start, and after one was given up.
+  virtual ~LaneDevice() = default;
+  /// What opens the device, before the first read and after each fault. Null: there is nothing to open.
+  virtual std::shared_ptr<Transaction> make_opening() { return nullptr; }
+  /// Takes what an opening has found. Errors: the device cannot be opened.
+  virtual Result<void> opened(Transaction&) { return {}; }
+  /// A fresh one: after each opening, and after one was given up.
   virtual std::shared_ptr<Transaction> make_transaction() = 0;
   /// Makes the payload of a finished transaction.
   virtual Sampled decode(Transaction& transaction, SamplePort& port) = 0;
-  /// Sensors of one physical device have one key, and so one lane.
+  /// Sensors of one physical device have one key, and so one lane. Asked for before each opening; must not block.
   virtual std::string lane_key() const = 0;
   /// A transaction that takes longer is given up.
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
+  /// Of one reading; may be asked for before it is opened.
+  virtual ReadTime read_time() const { return {}; }
   /// The error of a transaction that was given up.
   virtual Error given_up_error() const = 0;
-
- private:
-  Sampled sample(SamplePort&) final { return Sampled::nothing_new; }
 };
+
+Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<LaneDevice> device);
 
 }  // namespace rtdata::detail
