@@ -161,9 +161,12 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
     live_.remove();
     return done;
   }
-  if (live_) live_.sums().set(sums_.sums_of(run_));
+  {
+    const std::lock_guard lock(opening_mutex_);
+    if (live_) live_.sums().set(sums_.sums_of(run_));
+    lock_.note(live_.path());
+  }
   sums_.committed();
-  lock_.note(live_.path());
   remarks_ = std::move(*remarks);
   // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
   if (config_.profile == SqliteProfile::normal) {
