@@ -42,7 +42,7 @@ class SerialLineNode final : public SourceNode {
     Result<int> fd = open_tty(config_.device, config_.serial);
     if (!fd && config_.required) throw SetupError(std::move(fd).error());
     is_running_ = true;
-    retry_delay_ = Duration{0};
+    backoff_.reset();
     decoder_->forget_sequence();
     unusable_lines_ = 0;
     take(std::move(fd));
@@ -115,10 +115,8 @@ class SerialLineNode final : public SourceNode {
     drop_device();
     if (std::exchange(is_silent_, false)) origin_.end_absence(loop()->now());
     origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
-    retry_delay_ = retry_delay_ == Duration{0}
-                       ? config_.retry_first
-                       : doubled(retry_delay_, std::max(config_.retry_longest, config_.retry_first));
-    retry_.start(retry_delay_);
+    retry_.start(
+        backoff_.next(config_.retry_first, std::max(config_.retry_longest, config_.retry_first), origin_.name));
     Call call(*this);
     report(error);
     if (is_open() && is_running_) set_health(Health::faulted, &error);
@@ -220,7 +218,7 @@ class SerialLineNode final : public SourceNode {
     if (decoder_->is_skipped(line)) return;
     const Result<void> decoded = decoder_->decode(line);
     if (!decoded) return fail(decoded.error());
-    retry_delay_ = Duration{0};
+    backoff_.reset();
     ++origin_.counts.received;
     const LineDecoder::Step step = decoder_->step();
     // Of the numbers that are left out, those of lines which came and could not be used are not lost.
@@ -267,7 +265,7 @@ class SerialLineNode final : public SourceNode {
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
-  Duration retry_delay_{0};
+  Backoff backoff_;
   unsigned openings_ = 0;
   std::size_t unended_ = 0;       // bytes since the last end of a line
   bool is_unended_told_ = false;  // that there are too many

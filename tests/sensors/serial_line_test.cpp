@@ -5,7 +5,9 @@
 #include <concepts>
 #include <cstdlib>
 #include <fstream>
+#include <map>
 #include <sstream>
+#include <utility>
 
 #include "io/tty.hpp"
 #include "paths.hpp"
@@ -481,6 +483,35 @@ TEST_CASE("NFR-1 an unplugged line is faulted, and goes on when it is plugged in
   CHECK(bench.events.size() == 7);
   CHECK(bench.sensor.counts().unreadable == 0);
   CHECK(bench.sensor.counts().balances());
+}
+
+TEST_CASE("lines that are not there are not tried in step, after delays that double") {
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  const std::string names[] = {"one", "two", "three"};
+  std::map<std::string, std::vector<Duration>> delays;
+  std::vector<SerialLineSensor> sensors;
+  for (const std::string& name : names) {
+    SerialConfig config{.device = "/nowhere/tty", .fields = {{.name = "value"}}};
+    config.retry_first = 1s;
+    config.retry_longest = 4s;
+    auto& sensor = sensors.emplace_back(SerialLineSensor(loop, {.name = name}, std::move(config)));
+    sensor.on_error([&, name, last = loop.now()](const ErrorReport&) mutable {
+      delays[name].push_back(loop.now() - std::exchange(last, loop.now()));
+    });
+  }
+  loop.advance(1min);
+  for (const std::string& name : names) {
+    CAPTURE(name);
+    REQUIRE(delays[name].size() > 4);
+    for (std::size_t i = 0; i < delays[name].size(); ++i) {
+      const Duration longest = i == 0 ? 1s : i == 1 ? 2s : 4s;
+      CHECK(delays[name][i] <= longest);
+      CHECK(delays[name][i] >= longest * 3 / 4);
+    }
+  }
+  CHECK(delays["one"] != delays["two"]);
+  CHECK(delays["two"] != delays["three"]);
 }
 
 TEST_CASE("US-7 a line that is not there at the start is opened when it is") {

@@ -364,21 +364,29 @@ TEST_SUITE("sinks") {
     CHECK(verified(path).verdict() == Verdict::sealed);
   }
 
-  TEST_CASE("killed while the loop has not heard that the recording is open: what was published is not known") {
-    Directory directory;
-    const std::string path = directory / "run.db";
-    killed_in([&] {
-      Adding adding;
-      const auto topic = adding.loop.topic<Number>("a");
-      adding.add(1s, [&] { return SqliteSink(adding.loop, {.path = path}); });
-      for (int i = 0; i < 5; ++i) topic.publish({1});
-      adding.loop.advance(500ms);
-      ::raise(SIGKILL);
-    });
-    seal(path);
-    CHECK(number(path, "SELECT lost IS NULL FROM rtdata_run WHERE run = 1") == 1);
-    CHECK(remark(path).find("is unknown") != std::string::npos);
-    CHECK(verified(path).verdict() == Verdict::sealed);
+  TEST_CASE(
+      "killed while the loop has not heard that the recording is open: what was published, if anything, is not known") {
+    enum class Topic { none, before, meanwhile };
+    for (const Topic topic : {Topic::none, Topic::before, Topic::meanwhile}) {
+      CAPTURE(static_cast<int>(topic));
+      Directory directory;
+      const std::string path = directory / "run.db";
+      killed_in([&] {
+        Adding adding;
+        const auto publish = [&] {
+          for (int i = 0; i < 5; ++i) adding.loop.topic<Number>("a").publish({1});
+        };
+        if (topic == Topic::before) publish();
+        adding.add(1s, [&] { return SqliteSink(adding.loop, {.path = path}); });
+        if (topic != Topic::none) publish();
+        adding.loop.advance(500ms);
+        ::raise(SIGKILL);
+      });
+      seal(path);
+      CHECK(number(path, "SELECT coalesce(lost, -1) FROM rtdata_run WHERE run = 1") == (topic == Topic::none ? 0 : -1));
+      CHECK((remark(path).find("is unknown") == std::string::npos) == (topic == Topic::none));
+      CHECK(verified(path).verdict() == Verdict::sealed);
+    }
   }
 
   TEST_CASE("a sink that is destroyed by the handler of the error at its opening is gone") {

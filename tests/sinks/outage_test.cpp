@@ -14,12 +14,14 @@
 
 #include "app/commands.hpp"
 #include "rtdata/loop/tier.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sensors/pty.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
+#include "sinks/sqlite/sqlite_writer.hpp"
 
 using namespace rtdata;
 using namespace sinks;
@@ -408,5 +410,54 @@ TEST_SUITE("sinks") {
       CHECK(number(path, "SELECT total(scheduled) FROM rtdata_schedule WHERE run = 1") == of("scheduled"));
       check_sealed(path);
     }
+  }
+
+  TEST_CASE("sealing a run that was killed early looks at its own rows, however many earlier runs have left") {
+    // Virtual-machine steps of SQLite, summed over all statements of the seal.
+    const auto steps_of_seal = [](int rows_before) {
+      const LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "run.db";
+      {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path});
+        const auto topic = loop.topic<Number>("a");
+        for (int i = 0; i < rows_before; ++i) topic.publish({1});
+        loop.advance(2s);
+      }
+      kill_in_child([&] {
+        Loop loop{Loop::Manual{}};
+        SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 1ms}});
+        const auto topic = loop.topic<Number>("a");
+        Feed<Number> without_rows(loop, {.name = "feed", .topic = "a"});
+        without_rows.start();
+        for (int i = 0; i < 20; ++i) topic.publish({1});
+        loop.advance(1ms);
+        for (int i = 0; i < 5; ++i) topic.publish({1});
+        ::raise(SIGKILL);
+      });
+      std::int64_t steps = 0;
+      auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+      ::sqlite3_trace_v2(
+          database.raw(), SQLITE_TRACE_PROFILE,
+          [](unsigned, void* sum, void* statement, void*) {
+            *static_cast<std::int64_t*>(sum) += ::sqlite3_stmt_status(static_cast<sqlite3_stmt*>(statement),
+                                                                      SQLITE_STMTSTATUS_VM_STEP, 1);
+            return 0;
+          },
+          &steps);
+      sqlite::AccountSums sums;
+      std::vector<sqlite::LiveFile> used;
+      database.execute("BEGIN").or_throw();
+      const auto remarks = sqlite::seal_runs(database, path, "", sums, used).or_throw();
+      database.execute("COMMIT").or_throw();
+      CHECK(remarks.size() == 1);
+      CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 2") == 5);
+      CHECK(number(path, "SELECT stored FROM rtdata_ledger WHERE run = 2 AND origin <> 'feed'") == 20);
+      return steps;
+    };
+    const std::int64_t few = steps_of_seal(10);
+    const std::int64_t many = steps_of_seal(20000);
+    CHECK(many < few + 1000);  // the halving
   }
 }

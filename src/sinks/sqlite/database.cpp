@@ -143,6 +143,16 @@ Result<bool> Statement::step() {
   }
 }
 
+Result<std::vector<std::string>> Statement::texts() {
+  std::vector<std::string> all;
+  for (;;) {
+    auto row = step();
+    if (!row) return std::move(row).error();
+    if (!*row) return all;
+    all.emplace_back(text(0));
+  }
+}
+
 Result<void> Statement::run() {
   for (;;) {
     auto more = step();

@@ -7,6 +7,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "rtdata/data/error.hpp"
 
@@ -29,6 +30,8 @@ class Statement {
   Result<bool> step();
   /// Runs to the end and resets.
   Result<void> run();
+  /// Runs to the end: the first column of each row.
+  Result<std::vector<std::string>> texts();
   void reset() noexcept;
 
   std::int64_t integer(int column) const noexcept;

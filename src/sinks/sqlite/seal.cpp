@@ -21,18 +21,11 @@ struct OpenRun {
   std::int64_t format;
 };
 
-/// The tables of a topic that hold rows of the run, newest version first.
+/// The tables of a topic that may hold rows of the run, newest version first.
 Result<std::vector<std::string>> tables_of(Database& database, const std::string& topic) {
   auto query = database.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   if (!query) return std::move(query).error();
-  query->bind(1, topic);
-  std::vector<std::string> names;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return names;
-    names.emplace_back(query->text(0));
-  }
+  return query->bind(1, topic).texts();
 }
 
 struct LedgerRow {
@@ -67,6 +60,9 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
     by_origin[row.origin] = &row;
     above = std::min(above, row.rows_up_to);
   }
+  auto before = rows_before(database, table, run);  // of an origin without an account, `above` is of no run
+  if (!before) return std::move(before).error();
+  above = std::max(above, *before);
   auto query = database.prepare("SELECT rowid, origin, sequence, time FROM " + quoted(table) +
                                 " WHERE rowid > ? AND run = ?");
   if (!query) return std::move(query).error();
@@ -149,21 +145,13 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     if (auto taken = take_over_sums(database, run.run, live, sums, lost_by_disk); !taken)
       return std::move(taken).error();
   }
-  std::vector<std::string> topics;
-  {
-    auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
-    if (!query) return std::move(query).error();
-    query->bind(1, run.run);
-    for (;;) {
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
-      topics.emplace_back(query->text(0));
-    }
-  }
+  auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
+  if (!query) return std::move(query).error();
+  auto topics = query->bind(1, run.run).texts();
+  if (!topics) return std::move(topics).error();
   std::int64_t lost = 0;
   std::int64_t last_time = run.ended;
-  for (const std::string& topic : topics) {
+  for (const std::string& topic : *topics) {
     if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
       return std::move(sealed).error();
   }

@@ -16,6 +16,7 @@ struct Origin {
   std::int64_t rows = 0;  // that are there
   std::uint64_t last_sequence = 0;
   std::string table = {};
+  std::int64_t rows_before = 0;  // the last row of its table that is of an earlier run
   std::int64_t covered_rows = 0;
   std::uint64_t covered_up_to = 0;
 };
@@ -35,32 +36,35 @@ Result<std::vector<Origin>> origins_of(Database& database, std::int64_t run) {
   }
 }
 
+struct RunTable {
+  std::string name;
+  std::int64_t rows_before = 0;
+};
+
 /// Which table has the rows of a run's topic: of several, the one that has any.
-Result<std::map<std::string, std::string>> tables_of(Database& database, std::int64_t run) {
-  std::map<std::string, std::vector<std::string>> versions;
-  auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic ORDER BY version DESC");
+Result<std::map<std::string, RunTable>> tables_of(Database& database, std::int64_t run) {
+  std::map<std::string, RunTable> tables;
+  auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic ORDER BY topic, version DESC");
   if (!query) return std::move(query).error();
+  std::map<std::string, bool> has_rows;
   for (;;) {
     auto row = query->step();
     if (!row) return std::move(row).error();
-    if (!*row) break;
-    versions[std::string(query->text(0))].emplace_back(query->text(1));
+    if (!*row) return tables;
+    const std::string topic(query->text(0));
+    if (has_rows[topic]) continue;
+    RunTable table{std::string(query->text(1))};
+    auto before = rows_before(database, table.name, run);
+    if (!before) return std::move(before).error();
+    table.rows_before = *before;
+    auto rows = database.prepare("SELECT 1 FROM " + quoted(table.name) + " WHERE rowid > ? AND run = ? LIMIT 1");
+    if (!rows) return std::move(rows).error();
+    rows->bind(1, table.rows_before).bind(2, run);
+    auto is_any = rows->step();
+    if (!is_any) return std::move(is_any).error();
+    has_rows[topic] = *is_any;
+    if (*is_any || !tables.contains(topic)) tables[topic] = std::move(table);
   }
-  std::map<std::string, std::string> tables;
-  for (const auto& [topic, names] : versions) {
-    std::string& table = tables[topic] = names.front();
-    for (const std::string& name : names) {
-      if (names.size() == 1) break;
-      auto rows = database.prepare("SELECT 1 FROM " + quoted(name) + " WHERE run = ? ORDER BY rowid DESC LIMIT 1");
-      if (!rows) return std::move(rows).error();
-      rows->bind(1, run);
-      auto row = rows->step();
-      if (!row) return std::move(row).error();
-      if (*row) table = name;
-      if (*row) break;
-    }
-  }
-  return tables;
 }
 
 /// Whether the last transaction, of which the live file has both what was before it and what comes after it, is there.
@@ -75,10 +79,12 @@ Result<bool> was_committed(Database& database, std::int64_t run, const Origin& o
     return line->step();
   };
   const auto has_row = [&](std::uint64_t sequence) -> Result<bool> {
-    auto row = database.prepare("SELECT 1 FROM " + quoted(origin.table) +
-                                " WHERE run = ? AND origin = ? AND sequence = ? ORDER BY rowid DESC LIMIT 1");
+    auto row = database.prepare(
+        "SELECT 1 FROM " + quoted(origin.table) +
+        " WHERE rowid > ? AND run = ? AND origin = ? AND sequence = ? ORDER BY rowid DESC LIMIT 1");
     if (!row) return std::move(row).error();
-    row->bind(1, run).bind(2, origin.name).bind(3, static_cast<std::int64_t>(sequence));
+    row->bind(1, origin.rows_before).bind(2, run).bind(3, origin.name);
+    row->bind(4, static_cast<std::int64_t>(sequence));
     return row->step();
   };
   if (before.rows > 0) {
@@ -105,9 +111,9 @@ Result<LiveRange> range_of(Database& database, std::int64_t run, const Origin& o
 /// The sequence of the last row of an origin that is there; 0: none.
 Result<std::uint64_t> last_row(Database& database, std::int64_t run, const Origin& origin) {
   auto row = database.prepare("SELECT sequence FROM " + quoted(origin.table) +
-                              " WHERE run = ? AND origin = ? ORDER BY rowid DESC LIMIT 1");
+                              " WHERE rowid > ? AND run = ? AND origin = ? ORDER BY rowid DESC LIMIT 1");
   if (!row) return std::move(row).error();
-  row->bind(1, run).bind(2, origin.name);
+  row->bind(1, origin.rows_before).bind(2, run).bind(3, origin.name);
   auto is_row = row->step();
   if (!is_row) return std::move(is_row).error();
   return *is_row ? static_cast<std::uint64_t>(row->integer(0)) : 0;
@@ -133,6 +139,28 @@ Result<void> add_lines(Database& database, std::int64_t run, std::vector<Origin>
 
 }  // namespace
 
+Result<std::int64_t> rows_before(const Database& database, const std::string& table, std::int64_t run) {
+  auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
+  if (!last) return last;
+  auto next = database.prepare("SELECT rowid, run FROM " + quoted(table) + " WHERE rowid >= ? ORDER BY rowid LIMIT 1");
+  if (!next) return std::move(next).error();
+  // Runs follow each other: halves what may be the end of the one before.
+  std::int64_t before = 0;
+  for (std::int64_t end = *last + 1; end - before > 1;) {
+    const std::int64_t middle = before + (end - before) / 2;
+    next->reset();
+    next->bind(1, middle);
+    auto row = next->step();
+    if (!row) return std::move(row).error();
+    if (*row && next->integer(1) < run) {
+      before = next->integer(0);
+    } else {
+      end = middle;
+    }
+  }
+  return before;
+}
+
 Result<std::uint64_t> rows_lost_by_disk(Database& database, std::int64_t run, LiveFile* live) {
   std::uint64_t lost = 0;
   if (live == nullptr) return lost;
@@ -148,7 +176,8 @@ Result<std::uint64_t> rows_lost_by_disk(Database& database, std::int64_t run, Li
       lost += kept.settled().value_or(LiveRange{}).rows;
       continue;
     }
-    origin.table = table->second;
+    origin.table = table->second.name;
+    origin.rows_before = table->second.rows_before;
     auto range = range_of(database, run, origin, *live);
     if (!range) return std::move(range).error();
     if (range->rows == 0) continue;
@@ -186,7 +215,10 @@ Result<void> seal_ranges(Database& database, std::int64_t run, LiveFile* live) {
   auto tables = tables_of(database, run);
   if (!tables) return std::move(tables).error();
   std::erase_if(*origins, [&](const Origin& origin) { return !tables->contains(origin.topic); });
-  for (Origin& origin : *origins) origin.table = (*tables)[origin.topic];
+  for (Origin& origin : *origins) {
+    origin.table = (*tables)[origin.topic].name;
+    origin.rows_before = (*tables)[origin.topic].rows_before;
+  }
   if (auto added = add_lines(database, run, *origins); !added) return added;
   for (const Origin& origin : *origins) {
     if (origin.rows <= 0) continue;

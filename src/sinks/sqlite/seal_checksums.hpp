@@ -1,11 +1,18 @@
 // The checksums of a run that ended without closing, from what it has left in its live file.
 #pragma once
 
+#include <cstdint>
+#include <string>
+
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
 
 namespace rtdata::sqlite {
+
+/// The last row of a data table that is of an earlier run than this; 0: there is none. Found by halving, since runs follow
+/// each other: sealing need not look at rows of others.
+Result<std::int64_t> rows_before(const Database& database, const std::string& table, std::int64_t run);
 
 /// In the transaction that seals, before it changes the run's account: how many rows at the end of their origins had been
 /// committed, as the live file says, and are not there. A disk that is taken away, or fails, may lose the last

@@ -108,7 +108,11 @@ Result<void> SqliteWriter::open() {
 
 void SqliteWriter::forget() noexcept {
   run_ = 0;
-  live_ = LiveFile();
+  {
+    const std::lock_guard lock(opening_mutex_);
+    counts_without_topics_ = false;
+    live_ = LiveFile();
+  }
   database_ = Database();
   sums_.forget();
   remarks_.clear();
@@ -145,17 +149,24 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   if (auto done = begin_run(uuid); !done) return done;
   if (auto done = sums_.write_changes(database_); !done) return done;
   if (auto made = LiveFile::make(recording, uuid)) {
+    const std::lock_guard lock(opening_mutex_);
     live_ = std::move(*made);
+    counts_without_topics_ = !has_topics_;
+    if (counts_without_topics_) live_.begin_counting();
   } else {
     tell_of_live_file(made.error());
   }
   if (auto done = database_.execute("COMMIT"); !done) {
+    const std::lock_guard lock(opening_mutex_);
     live_.remove();
     return done;
   }
-  if (live_) live_.sums().set(sums_.sums_of(run_));
+  {
+    const std::lock_guard lock(opening_mutex_);
+    if (live_) live_.sums().set(sums_.sums_of(run_));
+    lock_.note(live_.path());
+  }
   sums_.committed();
-  lock_.note(live_.path());
   remarks_ = std::move(*remarks);
   // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
   if (config_.profile == SqliteProfile::normal) {
@@ -284,7 +295,18 @@ void SqliteWriter::tell_of_live_file(const Error& why) {
 }
 
 Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
-  return check_columns(topic, description);
+  auto fits = check_columns(topic, description);
+  if (!fits || is_counting_) return fits;
+  const std::lock_guard lock(opening_mutex_);
+  has_topics_ = true;
+  // A kill before the loop has heard that the run has begun: without the file, what was published is not known.
+  if (std::exchange(counts_without_topics_, false)) live_.remove();
+  return fits;
+}
+
+void SqliteWriter::begin_counting() {
+  live_.begin_counting();
+  is_counting_ = true;
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <utility>
@@ -48,7 +49,7 @@ class SqliteWriter final : public RecordingWriter {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
-  void begin_counting() override { live_.begin_counting(); }
+  void begin_counting() override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
@@ -95,6 +96,11 @@ class SqliteWriter final : public RecordingWriter {
   ValueRanges ranges_;
   RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
+  // While it is opened the loop counts in memory of its own: the live file tells all only if there is no topic yet.
+  std::mutex opening_mutex_;
+  bool has_topics_ = false;  // guarded by the mutex, as is the next
+  bool counts_without_topics_ = false;
+  bool is_counting_ = false;  // the loop's: it counts in the live file
   Database database_;
   std::int64_t run_ = 0;  // 0: none has begun
   std::vector<std::string> remarks_;

@@ -3,7 +3,6 @@
 #include <array>
 #include <bit>
 #include <map>
-#include <unordered_map>
 
 #include "loop/deadline.hpp"
 #include "sinks/sqlite/recorded_outages.hpp"
@@ -143,14 +142,8 @@ void add_rates(TopicTimes& topic, Duration length) {
 Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run) {
   auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
-  auto ledger = recording.ledger(run);
-  if (!ledger) return std::move(ledger).error();
-  auto schedule = recording.schedule(run);
-  if (!schedule) return std::move(schedule).error();
-  auto gaps = recording.gaps(run);
-  if (!gaps) return std::move(gaps).error();
-  std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
-  for (const RecordedGap& gap : *gaps) gaps_of[detail::origin_key(gap.topic, gap.origin)].push_back(&gap);
+  auto of_run = detail::OfRun::load(recording, run);
+  if (!of_run) return std::move(of_run).error();
   auto recorded = recording.topics();
   if (!recorded) return std::move(recorded).error();
   auto runs = recording.runs();
@@ -165,7 +158,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     if (is_complete && info.ended) length = *info.ended - info.started;
   }
   std::map<std::string, TopicTimes> topics;
-  for (const LedgerEntry& entry : *ledger) {
+  for (const LedgerEntry& entry : of_run->ledger) {
     TopicTimes& topic = topics[entry.topic];
     OriginTimes& origin = topic.origins[entry.origin];
     origin.rows_up_to = is_ended ? INT64_MAX : entry.rows_up_to;
@@ -177,13 +170,11 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     sum.late += entry.sensor.late;
     sum.dropped += entry.dropped();
     sum.pruned += entry.pruned;
-    if (!entry.sensor.has_schedule) {
-      const auto found = gaps_of.find(detail::origin_key(entry.topic, entry.origin));
-      if (found != gaps_of.end()) sum.outages.add(detail::outages_of(found->second));
-    }
+    if (!entry.sensor.has_schedule)
+      sum.outages.add(detail::outages_of(of_run->gaps_in(detail::origin_key(entry.topic, entry.origin))));
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
   }
-  for (const RecordedSegment& segment : *schedule)
+  for (const RecordedSegment& segment : of_run->schedule)
     topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
   for (auto& [name, topic] : topics) {
     for (auto& [origin_name, origin] : topic.origins) {

@@ -185,16 +185,11 @@ Result<void> write_utc_line(Database& database, std::string_view boot_id) {
 }
 
 Result<void> write_utc_lines(Database& database) {
-  std::vector<std::string> boots;
   auto query = database.prepare("SELECT DISTINCT boot_id FROM rtdata_run");
   if (!query) return std::move(query).error();
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    boots.emplace_back(query->text(0));
-  }
-  for (const std::string& boot : boots) {
+  auto boots = query->texts();
+  if (!boots) return std::move(boots).error();
+  for (const std::string& boot : *boots) {
     if (auto written = write_utc_line(database, boot); !written) return written;
   }
   return {};

@@ -108,14 +108,7 @@ Result<void> insert_line(Database& database, const ChecksumLine& line) {
 Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table) {
   auto query = database.prepare("SELECT name FROM pragma_table_info(?) ORDER BY cid");
   if (!query) return std::move(query).error();
-  query->bind(1, table);
-  std::vector<std::string> names;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return names;
-    names.emplace_back(query->text(0));
-  }
+  return query->bind(1, table).texts();
 }
 
 namespace {
