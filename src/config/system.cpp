@@ -62,7 +62,7 @@ void note_place(Loop& loop, std::string object, const ConfigItem& item) {
 void hide_secrets_of(Loop& loop, const TypeRegistryBase& types, const ConfigItem& item) {
   const std::string* name = item.is_object() && item.find("type") != nullptr ? item.find("type")->as_string() : nullptr;
   const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
-  if (type) config_detail::collect_secrets(type->parameters, item, loop.runtime().core().secrets);
+  if (type) config_detail::collect_secrets(type->parameters, item, loop.runtime().core().reports.secrets);
 }
 
 }  // namespace

@@ -55,7 +55,7 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
 Bridge::~Bridge() {
   from_.deadlines.remove(reminder_);
   from_.deadlines.release_one();
-  to_.runtime.forget_announcements(*this);
+  to_.runtime.exchange.forget(*this);
   for (Passage* passage : heard_) {
     if (passage != nullptr && passage->mirror != nullptr && !passage->is_past) passage->mirror->passage = nullptr;
   }
@@ -78,7 +78,7 @@ void Bridge::wake() noexcept {
 }
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
-  to_.runtime.announce({this, channel, passage, name, std::move(type)});
+  to_.runtime.exchange.announce({this, channel, passage, name, std::move(type)});
   has_announced_ = true;
 }
 
@@ -188,14 +188,14 @@ bool Bridge::send(const Note& note) noexcept {
 
 void Bridge::on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, first, last, object = std::string(object), error, count] {
+  from_.runtime.reports.post_to_main([&to = to_, first, last, object = std::string(object), error, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_error(first, last, object, error, count);
   });
 }
 
 void Bridge::on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, first, last, change, count] {
+  from_.runtime.reports.post_to_main([&to = to_, first, last, change, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_health(first, last, change, count);
   });
 }
@@ -336,7 +336,7 @@ void Bridge::hear(Announcement& announcement) {
         topic.add_channel_in(*channel);
       } else {
         topic.cut_off_from = from_.config.name;
-        here.tell_of_cut_off(topic);
+        here.exchange.report_cut_off(topic);
       }
     } catch (const SetupError& e) {
       here.keep_report(&to_, "loop " + from_.config.name, e.error());
@@ -345,7 +345,7 @@ void Bridge::hear(Announcement& announcement) {
   }
   if (channel->mirror_ != nullptr) {
     if (OriginCore* known = here.find_origin(announcement.name)) {
-      ++here.names_taken_over;
+      ++here.exchange.takeovers;
       // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
       for (Bridge* bridge : here.inbound) bridge->take_heard();
       for (Bridge* bridge : here.outbound) bridge->give_up(*known);
@@ -360,14 +360,14 @@ void Bridge::hear(Announcement& announcement) {
 
 void Bridge::receive() {
   do {
-    to_.runtime.hear_announcements();  // it was announced before it was sent
+    to_.runtime.exchange.take_announcements();  // it was announced before it was sent
   } while (!take_heard());
 }
 
 void Bridge::receive_up_to(std::size_t position) {
-  to_.runtime.hear_announcements();
+  to_.runtime.exchange.take_announcements();
   ring_.look_up_to(position);
-  while (!take_seen()) to_.runtime.hear_announcements();
+  while (!take_seen()) to_.runtime.exchange.take_announcements();
 }
 
 bool Bridge::take_heard() {
@@ -402,7 +402,7 @@ void Bridge::take_events(const EventRecord& first, Passage& passage) {
     ++count;
   }
   if (passage.mirror == nullptr) [[unlikely]] {
-    to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
+    to_.runtime.exchange.lost += count;  // its topic cannot be what it is elsewhere, which was reported
   } else {
     passage.mirror->topic.receive(*passage.mirror, &first.event, count, stride);
   }

@@ -59,14 +59,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
     }
     job_->owner = this;
     // What tiers published before is not this recording's. One that does not answer is not waited for.
-    const RuntimeCore::Wanted until_all_is_attached(runtime, config_.topics);
-    const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
+    const Exchange::Interest until_all_is_attached(runtime, config_.topics);
+    const std::string unknown = runtime.exchange.catch_up(std::chrono::seconds{1});
     if (!unknown.empty()) unknown_ = "it began although " + unknown;
     for (const auto& topic : runtime.topics()) {
       if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
     }
     runtime.attach(*this);
-    for (const ClockPair& pair : runtime.clock_pairs()) account_.notes.add(pair);
+    for (const ClockPair& pair : runtime.clock_log.pairs()) account_.notes.add(pair);
     loop()->schedule().add(*this);
     is_attached_ = true;
     if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
@@ -150,8 +150,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   void tick(const Tick&) override {
     Call call(*this);
     RuntimeCore& runtime = loop()->runtime;
-    runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
-    runtime.flush_repeats(RuntimeCore::Repeated::due);
+    runtime.clock_log.look();  // may log, as the next may, and a user's handler may close this sink
+    runtime.reports.flush(Reports::Repeated::due);
     if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
     if (is_open() && is_sync_due()) start_storing();  // also when nothing more came
   }
@@ -426,20 +426,20 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
   void begin_closing(MonotonicTime deadline) {
     RuntimeCore& runtime = loop()->runtime;
     if (!is_attached_ || closing_) return;
-    runtime.flush_repeats(RuntimeCore::Repeated::all);
+    runtime.reports.flush(Reports::Repeated::all);
     if (!is_attached_ || closing_) return;  // a user's handler has closed this sink
     // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
     // runs between here and the last account. Storing needs time, too.
-    std::string unknown = runtime.unknown_of_tiers();
+    std::string unknown = runtime.exchange.unknown();
     note([&] {
       if (unknown.empty())
-        unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
+        unknown = runtime.exchange.catch_up(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
       if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
     });
     closing_ = true;
     account_.end();
     note([&] {
-      if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
+      if (!account_.notes.has_end()) account_.notes.add(runtime.clock_log.read("end"));
     });
     account_.close_gaps();
     next_part_.stop();
@@ -503,7 +503,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public S
                         "the next start seals the recording"});
       }
     });
-    runtime.flush_repeats(RuntimeCore::Repeated::all);  // of closing; nobody may come later to tell of them
+    runtime.reports.flush(Reports::Repeated::all);  // of closing; nobody may come later to tell of them
     return lost;
   }
 

@@ -54,12 +54,13 @@ Result<void> check_path(const std::string& path) {
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   check_path(config.path).or_throw();
   detail::RuntimeCore& runtime = loop.runtime().core();
-  const sqlite::RunInfo run{runtime.config.name,
-                            runtime.config.notes,
-                            runtime.config.configuration,
-                            runtime.clock().boot_id(),
-                            loop.time(),
-                            runtime.start().realtime.time_since_epoch() - runtime.start().monotonic.time_since_epoch()};
+  const sqlite::RunInfo run{
+      runtime.config.name,
+      runtime.config.notes,
+      runtime.config.configuration,
+      runtime.clock().boot_id(),
+      loop.time(),
+      runtime.clock_log.start().realtime.time_since_epoch() - runtime.clock_log.start().monotonic.time_since_epoch()};
   std::vector<std::string> remarks;
   auto writer = std::make_unique<sqlite::SqliteWriter>(config, run, remarks);
   for (const std::string& remark : remarks) runtime.log(LogLevel::warning, "sink " + named(config).name, remark);
