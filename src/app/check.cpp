@@ -18,9 +18,7 @@ int check(const Registry& registry, const std::string& file) {
   }
   warn_of_growth(plan, growth_span);
   plan.hide_secrets();
-  for (const Problem& warning : plan.warnings) {
-    std::cout << "warning: " << warning.text() << "\n" << plan.document.excerpt(warning);
-  }
+  std::cout << plan.document.report(plan.warnings, "warning: ");
   const std::vector<LoopLoad> loads = plan.loads();
   if (!loads.empty()) std::cout << "how long readings may hold each loop, at worst, of its shortest period:\n";
   for (const LoopLoad& load : loads) {
@@ -28,13 +26,14 @@ int check(const Registry& registry, const std::string& file) {
     for (const LaneLoad& lane : load.lanes) std::cout << "    " << lane.text() << "\n";
   }
   for (const Growth& growth : growth_of(plan)) {
-    if (!growth.is_limited) std::cout << hide_secrets(growth.text(plan), plan.secrets) << "\n";
+    if (!growth.is_limited) std::cout << hide_secrets(growth.text(), plan.secrets) << "\n";
   }
   const auto counted = [](std::size_t count, const char* what) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };
   std::cout << (plan.warnings.empty() ? "ok: " : "ok, with " + counted(plan.warnings.size(), "warning") + ": ")
-            << counted(plan.sensors.size(), "sensor") << ", " << counted(plan.sinks.size(), "sink") << std::endl;
+            << counted(plan.of_kind("sensor").size(), "sensor") << ", " << counted(plan.of_kind("sink").size(), "sink")
+            << std::endl;
   return exit_good;
 }
 

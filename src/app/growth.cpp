@@ -8,8 +8,6 @@
 #include <filesystem>
 #include <map>
 
-#include "rtdata/loop/topic.hpp"
-
 namespace rtdata::app {
 namespace {
 
@@ -63,14 +61,14 @@ double column_size(const Leaf& leaf) {
 }
 
 /// Bytes of one event. The constants are what time, sequence, keys and separators take.
-double event_size(const SinkPlan& sink, const SensorPlan& sensor) {
+double event_size(const PartPlan& sink, const PartPlan& sensor) {
   const ConfigItem* item = sink.item.find("format");
   const std::string* given = item != nullptr ? item->as_string() : nullptr;
   const std::string format = sink.type == "sqlite" ? "sqlite" : given != nullptr ? *given : "jsonl";
   double size = static_cast<double>(sensor.name.size());
   size += format == "sqlite" ? 24 : format == "csv" ? 28 : format == "raw" ? 36 : 64;
-  if (format == "json" || format == "jsonl") size += static_cast<double>(sensor.topic.size());
-  for (const Leaf& leaf : sensor.description->leaves()) {
+  if (format == "json" || format == "jsonl") size += static_cast<double>(sensor.publishes->topic.size());
+  for (const Leaf& leaf : sensor.publishes->description->leaves()) {
     if (format == "sqlite") {
       size += column_size(leaf);
     } else if (format == "csv") {
@@ -96,7 +94,7 @@ bool is_set(const ConfigItem& item, const char* key) {
   return true;
 }
 
-bool is_limited(const SinkPlan& sink) {
+bool is_limited(const PartPlan& sink) {
   if (sink.type == "sqlite") return is_set(sink.item, "max_bytes") || is_set(sink.item, "max_age");
   return is_set(sink.item, "rotate") && is_set(sink.item, "keep");
 }
@@ -112,23 +110,22 @@ std::string bytes_text(double bytes) {
   return text.data();
 }
 
-std::string Growth::text(const SystemPlan& plan) const {
-  return plan.sinks[sink].name + ": about " + bytes_text(bytes_per_day) + " a day, " +
+std::string Growth::text() const {
+  return sink->name + ": about " + bytes_text(bytes_per_day) + " a day, " +
          (is_limited ? "up to its limit" : "without limit");
 }
 
 std::vector<Growth> growth_of(const SystemPlan& plan) {
   std::vector<Growth> all;
-  for (std::size_t i = 0; i < plan.sinks.size(); ++i) {
-    const SinkPlan& sink = plan.sinks[i];
-    if (sink.type != "sqlite" && sink.type != "file") continue;
-    Growth growth{i, 0, is_limited(sink)};
-    for (const SensorPlan& sensor : plan.sensors) {
-      if (sensor.description == nullptr || !sensor.load || sensor.load->period <= Duration{0}) continue;
-      const auto takes = [&](const std::string& pattern) { return topic_matches(pattern, sensor.topic); };
-      if (std::none_of(sink.topics.begin(), sink.topics.end(), takes)) continue;
-      const double period = std::chrono::duration<double>(sensor.load->period).count();
-      growth.bytes_per_day += event_size(sink, sensor) / period * seconds_per_day;
+  for (const PartPlan* sink : plan.of_kind("sink")) {
+    if (sink->type != "sqlite" && sink->type != "file") continue;
+    Growth growth{sink, 0, is_limited(*sink)};
+    for (const PartPlan* sensor : plan.of_kind("sensor")) {
+      const PublishedTopic& published = *sensor->publishes;
+      if (published.description == nullptr || !published.load || published.load->period <= Duration{0}) continue;
+      if (!sink->stores->wants(published.topic)) continue;
+      const double period = std::chrono::duration<double>(published.load->period).count();
+      growth.bytes_per_day += event_size(*sink, *sensor) / period * seconds_per_day;
     }
     if (growth.bytes_per_day > 0) all.push_back(growth);
   }
@@ -155,7 +152,7 @@ void warn_of_growth(SystemPlan& plan, Duration span,
   std::vector<std::pair<Growth, std::uint64_t>> unlimited;
   for (const Growth& growth : growth_of(plan)) {
     if (growth.is_limited) continue;
-    const std::optional<Disk> on = disk(plan.sinks[growth.sink].path);
+    const std::optional<Disk> on = disk(growth.sink->stores->path);
     if (!on) continue;
     unlimited.emplace_back(growth, on->device);
     fills[on->device].bytes_per_day += growth.bytes_per_day;
@@ -165,7 +162,7 @@ void warn_of_growth(SystemPlan& plan, Duration span,
     const Fill& fill = fills[device];
     const double hours = fill.free_bytes / fill.bytes_per_day * 24;
     if (hours >= std::chrono::duration<double, std::ratio<3600>>(span).count()) continue;
-    const SinkPlan& sink = plan.sinks[growth.sink];
+    const PartPlan& sink = *growth.sink;
     const ConfigItem* path = sink.item.find("path");
     std::array<char, 32> time{};
     if (hours >= 48) {

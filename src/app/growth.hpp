@@ -13,12 +13,12 @@ namespace rtdata::app {
 
 /// What the sensors with a rate make of the file of one sink. Those without one are not in it: nobody knows theirs.
 struct Growth {
-  std::size_t sink = 0;  ///< its place in the plan
+  const PartPlan* sink = nullptr;  ///< valid as long as the plan
   double bytes_per_day = 0;
   bool is_limited = false;  ///< the oldest data goes when it is large or old enough
 
   /// "bench.jsonl: about 24 GB a day, without limit"
-  std::string text(const SystemPlan& plan) const;
+  std::string text() const;
 };
 
 /// Of the sinks of the shipped types that write files, in the order of the plan; none that takes nothing. Within a factor

@@ -4,7 +4,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <filesystem>
 #include <system_error>
@@ -14,18 +13,16 @@
 namespace rtdata::app {
 namespace {
 
-/// Why the log cannot be this file while the sink writes those of its topics; empty: it can.
-std::string conflict_with(const SinkPlan& sink, const SystemPlan& plan, const config_detail::WrittenFile& log) {
-  const auto conflict_with_file = [&](const std::string& path) {
-    return conflict(log, {path, "the sink at " + sink.item.place().text(), sink.is_beside});
-  };
-  if (sink.path.empty() || sink.path == "-") return "";
-  std::string why = conflict_with_file(sink.path);
-  for (auto sensor = plan.sensors.begin(); why.empty() && sink.file_of_topic && sensor != plan.sensors.end();
-       ++sensor) {
-    const auto is_wanted = [&](const std::string& pattern) { return topic_matches(pattern, sensor->topic); };
-    if (std::any_of(sink.topics.begin(), sink.topics.end(), is_wanted))
-      why = conflict_with_file(sink.file_of_topic(sensor->topic));
+/// Why the log cannot be this file while the part writes those of its topics; empty: it can.
+std::string conflict_with(const PartPlan& part, const SystemPlan& plan, const config_detail::WrittenFile& log) {
+  const StoredTopics& stores = *part.stores;
+  if (stores.path.empty() || stores.path == "-") return "";
+  std::string why = conflict(log, config_detail::written_file(part, stores.path));
+  if (!stores.file_of_topic) return why;
+  for (const PartPlan& other : plan.parts) {
+    if (!why.empty()) break;
+    if (other.publishes && stores.wants(other.publishes->topic))
+      why = conflict(log, config_detail::written_file(part, stores.file_of_topic(other.publishes->topic)));
   }
   return why;
 }
@@ -70,8 +67,8 @@ bool check_log_file(const std::string& file, SystemPlan& plan) {
                                        }};
   if (!plan.document.file.empty() && !conflict(log, {plan.document.file, "the configuration", {}}).empty())
     refuse("the configuration is in the way of the log \"" + file + "\"; choose another file for it");
-  for (const SinkPlan& sink : plan.sinks) {
-    const std::string why = conflict_with(sink, plan, log);
+  for (const PartPlan& part : plan.parts) {
+    const std::string why = part.stores ? conflict_with(part, plan, log) : "";
     if (!why.empty())
       refuse("the log would be \"" + file + "\": " + why + " for the log (`log.file`, or --log), or for the sink");
   }

@@ -96,10 +96,11 @@ class Run {
     std::map<std::string, std::string> paths;
     bool uses_stdout = false;
     Duration deadline{0};
-    for (const SinkPlan& sink : plan.sinks) {
-      paths[sink.name] = hide_secrets(sink.path, secrets_);
-      uses_stdout = uses_stdout || sink.path == "-";
-      deadline = std::max(deadline, sink.close_deadline);
+    for (const PartPlan& part : plan.parts) {
+      if (!part.stores) continue;
+      paths[part.name] = hide_secrets(part.stores->path, secrets_);
+      uses_stdout = uses_stdout || part.stores->path == "-";
+      deadline = std::max(deadline, part.stores->close_deadline);
     }
     if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
     System system(loop, registry_, plan);
@@ -186,8 +187,8 @@ class Run {
     const auto counted = [](std::size_t count, const char* what) {
       return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
     };
-    std::string text = "running " + plan.settings.name + ": " + counted(plan.sensors.size(), "sensor") + ", " +
-                       counted(plan.sinks.size(), "sink");
+    std::string text = "running " + plan.settings.name + ": " + counted(plan.of_kind("sensor").size(), "sensor") +
+                       ", " + counted(plan.of_kind("sink").size(), "sink");
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";

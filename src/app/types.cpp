@@ -66,7 +66,7 @@ std::string on_this_machine() {
   return text;
 }
 
-void print_all(const char* title, const std::vector<TypeInfo>& types) {
+void print_all(const std::string& title, const std::vector<TypeInfo>& types) {
   std::cout << title << "\n\n";
   for (const TypeInfo& type : types) std::cout << described(type) << "\n";
 }
@@ -79,8 +79,8 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
     return exit_good;
   }
   if (name.empty()) {
-    print_all("sensor types", registry.sensors().types());
-    print_all("sink types", registry.sinks().types());
+    for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind)
+      if (const auto types = kind->types.types(); !types.empty()) print_all(kind->name + " types", types);
     std::cout << "formats of events\n\n ";
     for (const std::string& codec : CodecRegistry::standard().names()) std::cout << " " << codec;
     std::cout << "\n\nformats of configuration files\n\n ";
@@ -91,14 +91,13 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
   }
   std::vector<std::string> names;
   int found = 0;
-  for (const TypeRegistryBase* types : {static_cast<const TypeRegistryBase*>(&registry.sensors()),
-                                        static_cast<const TypeRegistryBase*>(&registry.sinks())}) {
-    for (const TypeInfo& type : types->types()) {
+  for (const PartKind& kind : registry.kinds()) {
+    for (const TypeInfo& type : kind.types.types()) {
       names.push_back(type.name);
       if (type.name != name) continue;
       ++found;
       std::cout << (format == TypesAs::schema ? type.schema() + "\n" : described(type));
-      if (format == TypesAs::text && types == &registry.sensors() && name == "host") std::cout << on_this_machine();
+      if (format == TypesAs::text && kind.name == "sensor" && name == "host") std::cout << on_this_machine();
     }
   }
   if (found > 0) return exit_good;

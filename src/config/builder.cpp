@@ -2,7 +2,7 @@
 #include <unordered_map>
 #include <utility>
 
-#include "config/origin.hpp"
+#include "data/config_item_origin.hpp"
 #include "rtdata/config/format.hpp"
 
 namespace rtdata {

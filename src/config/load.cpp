@@ -104,6 +104,66 @@ std::string extension_of(std::string_view file) {
   return extension;
 }
 
+/// Shows places of a text, each with its line. Goes forwards in the text from one place to the next.
+class Excerpts {
+ public:
+  explicit Excerpts(std::string_view text) : text_(text) {
+    if (text_.starts_with(byte_order_mark)) text_.remove_prefix(byte_order_mark.size());
+  }
+
+  /// The line, cut when it is long, and below it a '^' under the column. Empty when the text has no such line.
+  std::string at(const ConfigPlace& place) {
+    constexpr std::size_t widest = 72;  // with "..." on both sides and the margin, 80 columns
+    constexpr std::size_t ahead = 40;   // characters shown before the column when the line is cut
+    const std::size_t first = place.column > ahead + widest / 4 ? place.column - ahead : 1;
+    if (!go_to(place.line, first)) return "";
+    std::string line = first > 1 ? "..." : "";
+    std::string caret = first > 1 ? "   " : "";
+    std::size_t column = column_;
+    for (std::size_t i = offset_; !is_end_of_line(i); ++column) {
+      if (column >= first + widest) {
+        line += "...";
+        break;
+      }
+      const std::size_t size = size_at(i);
+      const char c = text_[i];
+      const bool shows = static_cast<unsigned char>(c) >= 0x20 && c != 0x7f && (size > 1 || (c & 0x80) == 0);
+      if (shows)
+        line += text_.substr(i, size);
+      else
+        line += c == '\t' ? ' ' : '?';
+      if (column < place.column) caret += ' ';
+      i += size;
+    }
+    return "  " + line + "\n  " + caret + "^\n";
+  }
+
+ private:
+  std::size_t size_at(std::size_t offset) const {
+    return std::max<std::size_t>(1, character_size(text_.substr(offset, 4)));
+  }
+  bool is_end_of_line(std::size_t offset) const {
+    if (offset < text_.size() && text_[offset] == '\r') ++offset;
+    return offset >= text_.size() || text_[offset] == '\n';
+  }
+  /// To this column, or to the end of the line before it. False when there is no such line.
+  bool go_to(std::size_t line, std::size_t column) {
+    if (line < line_ || (line == line_ && column < column_)) offset_ = 0, line_ = column_ = 1;
+    for (; line_ < line; ++line_, column_ = 1) {
+      const std::size_t end = text_.find('\n', offset_);
+      if (end == std::string_view::npos) return false;
+      offset_ = end + 1;
+    }
+    for (; column_ < column && !is_end_of_line(offset_); ++column_) offset_ += size_at(offset_);
+    return true;
+  }
+
+  std::string_view text_;
+  std::size_t offset_ = 0;  // of the character at line_ and column_
+  std::size_t line_ = 1;
+  std::size_t column_ = 1;
+};
+
 void parse(ConfigDocument& document, const ConfigFormats& formats) {
   const ConfigFormat* format = formats.find(document.file);
   if (format == nullptr) {
@@ -176,48 +236,18 @@ ConfigItem ConfigDocument::or_throw() const {
 
 std::string ConfigDocument::excerpt(const Problem& problem) const {
   if (problem.place.file != file || problem.place.line == 0) return "";
-  constexpr std::size_t widest = 72;  // with "..." on both sides and the margin, 80 columns
-  constexpr std::size_t ahead = 40;   // characters shown before the column when the line is cut
-  std::string_view rest = text;
-  if (rest.starts_with(byte_order_mark)) rest.remove_prefix(byte_order_mark.size());
-  for (std::size_t line = 1; line < problem.place.line; ++line) {
-    const std::size_t end = rest.find('\n');
-    if (end == std::string_view::npos) return "";
-    rest.remove_prefix(end + 1);
-  }
-  rest = rest.substr(0, rest.find('\n'));
-  if (rest.ends_with('\r')) rest.remove_suffix(1);
-
-  const std::size_t column = problem.place.column;
-  const std::size_t first = column > ahead + widest / 4 ? column - ahead : 1;
-  std::string line = first > 1 ? "..." : "";
-  std::string caret = first > 1 ? "   " : "";
-  std::size_t at = 1;
-  for (std::size_t i = 0; i < rest.size(); ++at) {
-    const std::size_t size = std::max<std::size_t>(1, character_size(rest.substr(i)));
-    if (at >= first + widest) {
-      line += "...";
-      break;
-    }
-    if (at >= first) {
-      const char c = rest[i];
-      const bool shows = static_cast<unsigned char>(c) >= 0x20 && c != 0x7f && (size > 1 || (c & 0x80) == 0);
-      if (shows)
-        line += rest.substr(i, size);
-      else
-        line += c == '\t' ? ' ' : '?';
-      if (at < column) caret += ' ';
-    }
-    i += size;
-  }
-  return "  " + line + "\n  " + caret + "^\n";
+  return Excerpts(text).at(problem.place);
 }
 
-std::string ConfigDocument::report() const {
-  Problems sorted = problems;
+std::string ConfigDocument::report(const Problems& others, std::string_view prefix) const {
+  Problems sorted = others;
   sorted.sort();
+  Excerpts excerpts(text);
   std::string report;
-  for (const Problem& problem : sorted) report += problem.text() + "\n" + excerpt(problem);
+  for (const Problem& problem : sorted) {
+    report.append(prefix).append(problem.text()).append("\n");
+    if (problem.place.file == file && problem.place.line != 0) report += excerpts.at(problem.place);
+  }
   return report;
 }
 

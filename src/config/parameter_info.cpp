@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "config/limits_text.hpp"
-#include "rtdata/config/convert.hpp"
+#include "rtdata/data/config_value.hpp"
 
 namespace rtdata {
 namespace {

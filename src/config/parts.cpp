@@ -1,50 +1,62 @@
 #include "rtdata/config/parts.hpp"
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "rtdata/config/system.hpp"
+#include "rtdata/config/settings.hpp"
 
 namespace rtdata {
 namespace {
 
-nlohmann::ordered_json without_head(const std::string& schema) {
-  auto json = nlohmann::ordered_json::parse(schema);
-  json.erase("$schema");
+using Json = nlohmann::ordered_json;
+
+/// The schema of what a file says of the parts of a kind.
+Json schema_of_kind(const PartKind& kind) {
+  auto item = Json::parse(kind.types.schema());
+  item.erase("$schema");
+  Json json = Json::object();
+  if (kind.written == PartKind::Written::list) {
+    json["type"] = "array";
+    json["items"] = std::move(item);
+  } else {
+    Json by_name = Json::object();
+    by_name["type"] = "object";
+    by_name["additionalProperties"] = std::move(item);
+    json["anyOf"] = Json::array({std::move(by_name), Json{{"type", "array"}, {"maxItems", 0}}});
+  }
+  json["description"] = kind.doc;
   return json;
 }
 
 }  // namespace
 
-SensorPlan config_detail::sensor_plan(const std::string& name, const std::string& topic,
-                                      Result<std::shared_ptr<const Description>> description) {
-  SensorPlan plan;
-  plan.name = name;
-  plan.topic = topic.empty() ? name : topic;
-  plan.description = std::move(description).or_throw();
-  return plan;
+PublishedTopic config_detail::published_topic(const std::string& name, const std::string& topic,
+                                              Result<std::shared_ptr<const Description>> description) {
+  return {topic.empty() ? name : topic, std::move(description).or_throw(), std::nullopt};
 }
 
-SinkPlan config_detail::sink_plan(const std::string& type, std::string path, const SinkConfig& config) {
-  SinkPlan plan;
-  plan.type = type;
-  plan.path = std::move(path);
-  plan.name = !config.name.empty() ? config.name : plan.path.empty() || plan.path == "-" ? type : plan.path;
-  plan.topics = config.topics;
-  plan.close_deadline = config.close_deadline;
-  return plan;
+std::string config_detail::sink_name(const std::string& type, const std::string& path, const SinkConfig& config) {
+  if (!config.name.empty()) return config.name;
+  return path.empty() || path == "-" ? type : path;
+}
+
+Registry::Registry() {
+  using Types = TypeRegistry<PartPlan, const std::string&>;
+  kinds_.push_back({"bus", "buses", "what sensors are connected to, by name; each has a `type`",
+                    PartKind::Written::by_name, Types("bus")});
+  kinds_.push_back({"sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, Types("sink")});
+  kinds_.push_back({"sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, Types("sensor")});
+}
+
+const TypeRegistryBase& Registry::types(std::string_view kind) const {
+  return std::find_if(kinds_.begin(), kinds_.end(), [&](const PartKind& known) { return known.name == kind; })->types;
 }
 
 std::string Registry::schema() const {
-  auto json = nlohmann::ordered_json::parse(
+  auto json = Json::parse(
       schema_of<SystemSettings>("rtdata configuration", "sensors, where their readings go, and the log"));
-  const auto list = [&](const char* key, const TypeRegistryBase& types) {
-    auto& property = json["properties"][key];
-    property["type"] = "array";
-    property["items"] = without_head(types.schema());
-    property.erase("default");
-  };
-  list("sensors", sensors_);
-  list("sinks", sinks_);
+  for (auto kind = kinds_.rbegin(); kind != kinds_.rend(); ++kind)
+    json["properties"][kind->key] = schema_of_kind(*kind);
   return json.dump(2);
 }
 

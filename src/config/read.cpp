@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "config/limits_text.hpp"
+#include "config/mistakes.hpp"
 #include "data/permissions.hpp"
 #include "loop/name.hpp"
 #include "rtdata/config/secret.hpp"
@@ -35,11 +36,6 @@ std::string listed(const std::vector<std::string>& names) {
 }  // namespace
 
 namespace {
-
-std::string topic_advice(std::string_view topic) {
-  return "\"" + std::string(topic) +
-         "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
-}
 
 /// Why the text is not what it stands for; empty: it is.
 std::string mistake_in(std::string_view text, TextIs is) {

@@ -45,7 +45,9 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   for (const ConfigChild& child : item.children())
     if (child.key == "type") type = &child.item;
   if (type == nullptr) {
-    problems.add(item.problem("missing-key", "\"type\" is missing: the type of the " + what_ + ", one of " + listed));
+    problems.add(
+        item.problem("missing-key", "\"type\" is missing: the type of the " + what_ +
+                                        (listed.empty() ? ", of which there are none" : ", one of " + listed)));
     return none;
   }
   std::string_view name;

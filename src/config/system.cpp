@@ -2,76 +2,43 @@
 
 #include <algorithm>
 
-#include "config/plan.hpp"
-#include "config/warnings.hpp"
+#include "config/mistakes.hpp"
+#include "config/neighbours.hpp"
+#include "config/part_reader.hpp"
 #include "loop/runtime_core.hpp"
 
 namespace rtdata {
 namespace {
 
-template <class Parts>
-auto& part_named(Parts& parts, const char* what, std::string_view name) {
-  const auto found = std::find_if(parts.begin(), parts.end(), [&](const auto& part) { return part.name == name; });
-  if (found != parts.end()) return *found;
-  std::vector<std::string> names;
-  for (const auto& part : parts) names.push_back(part.name);
-  const std::string nearest = nearest_name(name, names);
-  std::string advice = nearest.empty() ? "there is none" : "did you mean \"" + nearest + "\"?";
-  if (nearest.empty() && !names.empty()) {
-    advice = "there are";
-    for (std::size_t i = 0; i < names.size() && i < 12; ++i) advice.append(i == 0 ? " " : ", ").append(names[i]);
-  }
-  throw SetupError({Errc::not_found, std::string("no such ") + what, "\"" + std::string(name) + "\"", "", advice});
-}
-
-/// Removes the part from the list before it goes, since what it does at its end may look at the list.
-template <class Parts>
-void remove_named(Parts& parts, const char* what, std::string_view name) {
-  auto& part = part_named(parts, what, name);
-  [[maybe_unused]] const auto last = std::move(part);
-  parts.erase(parts.begin() + (&part - parts.data()));
-}
-
-template <class Parts>
-std::vector<std::string> names_of(const Parts& parts) {
-  std::vector<std::string> names;
-  for (const auto& part : parts) names.push_back(part.name);
-  return names;
-}
-
-/// An error of making an item says where the item is.
+/// An error of making a part says where its item is.
 template <class Make>
-auto made_at(const ConfigItem& item, const std::string& what, const Make& make) {
+PartObject made_at(const PartPlan& plan, const Make& make) {
   try {
     return make();
   } catch (const SetupError& error) {
     Error placed = error.error();
-    std::string where = item.place().text();
-    where += (where.empty() ? "" : ": ") + what;
+    std::string where = plan.item.place().text();
+    where += (where.empty() ? "" : ": ") + plan.object();
     placed.where = placed.where.empty() ? where : where + ": " + placed.where;
     throw SetupError(std::move(placed));
   }
 }
 
-void note_place(Loop& loop, std::string object, const ConfigItem& item) {
-  if (std::string place = item.place().text(); !place.empty())
-    loop.runtime().note_place(std::move(object), std::move(place));
-}
-
-/// What is made of the item on this loop may meet errors that show them.
-void hide_secrets_of(Loop& loop, const TypeRegistryBase& types, const ConfigItem& item) {
-  const std::string* name = item.is_object() && item.find("type") != nullptr ? item.find("type")->as_string() : nullptr;
-  const std::optional<TypeInfo> type = name != nullptr ? types.find(*name) : std::nullopt;
-  if (type) config_detail::collect_secrets(type->parameters, item, loop.runtime().core().reports.secrets);
+/// Makes the part on this loop. What is made of its item may meet errors, which say where it is and show no secret of it.
+PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
+  if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
+    loop.runtime().note_place(plan.object(), std::move(place));
+  std::vector<std::string>& secrets = loop.runtime().core().reports.secrets;
+  secrets.insert(secrets.end(), plan.secrets.begin(), plan.secrets.end());
+  return plan.make(loop, parts);
 }
 
 }  // namespace
 
-System::System(Loop& loop, const Registry& registry, const SystemPlan& plan) : loop_(loop), registry_(registry) {
+System::System(Loop& loop, const Registry& registry, const SystemPlan& plan)
+    : loop_(loop), registry_(registry), configuration_(plan.document.file), log_(plan.settings.log) {
   if (!plan.good()) throw ConfigError(plan.problems);
-  make_tiers(plan);
-  for (const SinkPlan& sink : plan.sinks) make(sink);
-  for (const SensorPlan& sensor : plan.sensors) make(sensor);
+  for (const PartPlan& part : plan.parts) make(std::make_unique<Parts::Part>(Parts::Part{part, {}}));
 }
 
 System::System(Loop& loop, const Registry& registry, const ConfigDocument& document)
@@ -79,61 +46,66 @@ System::System(Loop& loop, const Registry& registry, const ConfigDocument& docum
 
 System::~System() = default;
 
-void System::make_tiers(const SystemPlan& plan) {
-  for (const auto& entry : plan.settings.tiers) {
-    const std::string& name = entry.first;
-    tiers_.push_back({name, made_at(*plan.document.root.find("tiers")->find(name), "tier " + name,
-                                    [&] { return std::make_unique<Tier>(loop_, entry.second.tier_config(name)); })});
+void System::make(std::unique_ptr<Parts::Part> part) {
+  const PartPlan& plan = part->plan;
+  part->object = made_at(plan, [&] {
+    const auto make_there = [&](Loop& on) { return made_on(on, plan, parts_); };
+    return plan.tier().empty() ? make_there(loop_) : tier(plan.tier()).call(make_there);
+  });
+  parts_.add(std::move(part));
+}
+
+config_detail::Neighbours& System::neighbours() {
+  if (neighbours_ == nullptr) {
+    neighbours_ = std::make_unique<config_detail::Neighbours>(registry_, configuration_);
+    Problems ignored;  // they were looked at when they were made
+    for (const auto& part : parts_.made_) neighbours_->add(part->plan, ignored);
+    neighbours_->check_topics(ignored);
+    neighbours_->add_log(log_, ConfigItem(), ignored);
   }
+  return *neighbours_;
 }
 
-Tier& System::tier(std::string_view name) { return *part_named(tiers_, "tier", name).object; }
-
-AnySensor& System::make(const SensorPlan& plan) {
-  const auto make_there = [&] {
-    const auto make_on = [&](Loop& on) {
-      note_place(on, "sensor " + plan.name, plan.item);
-      hide_secrets_of(on, registry_.sensors(), plan.item);
-      return plan.make(on);
-    };
-    return plan.tier.empty() ? make_on(loop_) : tier(plan.tier).call(make_on);
-  };
-  sensors_.push_back({plan.name, made_at(plan.item, "sensor " + plan.name, make_there)});
-  return *sensors_.back().object;
-}
-
-Sink& System::make(const SinkPlan& plan) {
-  note_place(loop_, "sink " + plan.name, plan.item);
-  hide_secrets_of(loop_, registry_.sinks(), plan.item);
-  sinks_.push_back({plan.name, made_at(plan.item, "sink " + plan.name, [&] { return plan.make(loop_); })});
-  return *sinks_.back().object;
-}
-
-AnySensor& System::sensor(std::string_view name) { return *part_named(sensors_, "sensor", name).object; }
-Sink& System::sink(std::string_view name) { return *part_named(sinks_, "sink", name).object; }
-std::vector<std::string> System::sensor_names() const { return names_of(sensors_); }
-std::vector<std::string> System::sink_names() const { return names_of(sinks_); }
-
-AnySensor& System::add_sensor(const ConfigItem& item) {
-  SensorPlan plan;
+std::string System::add(std::string_view kind, const std::string& name, const ConfigItem& item) {
+  const PartKind& known = *config_detail::find_kind(registry_, kind);
   Problems problems;
-  if (!config_detail::plan_sensor(registry_, item, plan, problems)) throw ConfigError(std::move(problems));
-  return make(plan);
-}
-
-Sink& System::add_sink(const ConfigItem& item) {
-  SinkPlan plan;
-  Problems problems;
-  config_detail::plan_sink(registry_, item, plan, problems);
-  const auto is_taken = [&](const auto& sink) { return sink.name == plan.name; };
-  if (problems.empty() && std::any_of(sinks_.begin(), sinks_.end(), is_taken)) {
-    problems.add(item.problem("duplicate-name", "there is a sink \"" + plan.name + "\" already"));
+  auto part = std::make_unique<Parts::Part>();
+  part->plan = config_detail::PartReader().read(known, name, item, problems);
+  const std::string made = part->plan.name;
+  try {
+    neighbours().check_uses(part->plan, problems);
+    neighbours().add(part->plan, problems);
+    neighbours().check_topics(problems);
+    if (!problems.empty()) {
+      std::vector<std::string> secrets = loop_.runtime().core().reports.secrets;
+      secrets.insert(secrets.end(), part->plan.secrets.begin(), part->plan.secrets.end());
+      config_detail::hide_secrets_in(problems, secrets);
+      problems.sort();
+      throw ConfigError(std::move(problems));
+    }
+    make(std::move(part));
+  } catch (...) {
+    neighbours_.reset();  // it knows a part that does not come
+    throw;
   }
-  if (!problems.empty()) throw ConfigError(std::move(problems));
-  return make(plan);
+  return made;
 }
 
-void System::remove_sensor(std::string_view name) { remove_named(sensors_, "sensor", name); }
-void System::remove_sink(std::string_view name) { remove_named(sinks_, "sink", name); }
+AnySensor& System::add_sensor(const ConfigItem& item) { return sensor(add("sensor", "", item)); }
+Sink& System::add_sink(const ConfigItem& item) { return sink(add("sink", "", item)); }
+void System::add_bus(const std::string& name, const ConfigItem& item) { add("bus", name, item); }
+
+void System::remove(std::string_view kind, std::string_view name) {
+  const Parts::Part& part = parts_.part_named(kind, name);
+  for (const auto& other : parts_.made_) {
+    for (const PartUse& use : other->plan.uses) {
+      if (use.kind != kind || use.name != name || other.get() == &part) continue;
+      throw SetupError({Errc::busy, "cannot remove the " + part.plan.object(), config_detail::place_of(use.item),
+                        other->plan.object() + " uses it", "remove that first"});
+    }
+  }
+  neighbours_.reset();
+  parts_.remove(kind, name);
+}
 
 }  // namespace rtdata

@@ -13,18 +13,12 @@
 #include <filesystem>
 #include <system_error>
 
+#include "config/mistakes.hpp"
 #include "data/ucum.hpp"
 #include "rtdata/config/secret.hpp"
 
 namespace rtdata::config_detail {
 namespace {
-
-const ConfigItem* child_of(const ConfigItem& item, std::string_view key) {
-  if (!item.is_object()) return nullptr;
-  for (const ConfigChild& child : item.children())
-    if (child.key == key) return &child.item;
-  return nullptr;
-}
 
 /// Calls `use(parameter, value, siblings)` for each parameter that the item has, and those below it.
 template <class Use>
@@ -62,6 +56,15 @@ void for_each_given(const std::vector<ParameterInfo>& parameters, const ConfigIt
     use.no_effect(parameter, *value, is);
   }
 }
+
+struct Texts {
+  const std::function<void(const ParameterInfo&, const std::string&, const ConfigItem&)>& use;
+
+  void operator()(const ParameterInfo& parameter, const ConfigItem&, const ConfigItem* leaf) const {
+    if (const std::string* text = leaf != nullptr ? leaf->as_string() : nullptr) use(parameter, *text, *leaf);
+  }
+  void no_effect(const ParameterInfo&, const ConfigItem&, const std::string&) const {}
+};
 
 struct Warn {
   Problems& warnings;
@@ -216,6 +219,11 @@ void look_for_secrets(std::string_view key, const ConfigItem& item, Problems& wa
 }
 
 }  // namespace
+
+void for_each_text(const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
+                   const std::function<void(const ParameterInfo&, const std::string&, const ConfigItem&)>& use) {
+  for_each_given(parameters, item, Texts{use});
+}
 
 void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& warnings) {
   for_each_given(parameters, item, Warn{warnings});

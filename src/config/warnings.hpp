@@ -1,6 +1,7 @@
 // What is worth saying of a configuration that has no mistake, by what the parameters declare. Private to src/config.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -8,6 +9,10 @@
 
 namespace rtdata::config_detail {
 
+/// Calls `use` for each text that the item has for a parameter, also those in lists and in objects below.
+void for_each_text(
+    const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
+    const std::function<void(const ParameterInfo& parameter, const std::string& text, const ConfigItem& at)>& use);
 /// Units that are no UCUM, unknown placeholders, parameters that mean nothing beside the others.
 void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& warnings);
 /// Texts under keys that secrets are kept under, anywhere below the item.

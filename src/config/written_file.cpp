@@ -7,6 +7,8 @@
 #include <string_view>
 #include <system_error>
 
+#include "config/mistakes.hpp"
+
 namespace rtdata::config_detail {
 namespace {
 
@@ -74,6 +76,10 @@ bool FileIdentity::is_beside(
     if (main.name_ == main.target_) break;
   }
   return false;
+}
+
+WrittenFile written_file(const PartPlan& part, const std::string& path) {
+  return {path, "the " + part.kind + " at " + place_of(part.item), part.stores->is_beside};
 }
 
 std::string conflict(const WrittenFile& file, const WrittenFile& known) {

@@ -8,7 +8,8 @@
 #include <string>
 #include <utility>
 
-#include "rtdata/config/system.hpp"
+#include "rtdata/config/part.hpp"
+#include "rtdata/config/settings.hpp"
 
 namespace rtdata::config_detail {
 
@@ -19,7 +20,7 @@ class FileIdentity {
 
   /// Also through symbolic links, of which what they lead to need not be there, and hard links.
   bool is_same(const FileIdentity& other) const noexcept;
-  /// Whether this is one of the files that go with `main`, by a function as SinkPlan::is_beside.
+  /// Whether this is one of the files that go with `main`, by a function as StoredTopics::is_beside.
   bool is_beside(const FileIdentity& main,
                  const std::function<bool(const std::string& file, const std::string& other)>& is_beside) const;
 
@@ -36,9 +37,12 @@ class FileIdentity {
 struct WrittenFile {
   std::string path;    ///< as it is shown
   std::string writer;  ///< such as "the sink at bench.json:3:5"
-  std::function<bool(const std::string& file, const std::string& other)> is_beside;  ///< see SinkPlan; empty: none is
+  std::function<bool(const std::string& file, const std::string& other)> is_beside;  ///< see StoredTopics; empty: none is
   FileIdentity identity{path};
 };
+
+/// A file that this part writes.
+WrittenFile written_file(const PartPlan& part, const std::string& path);
 
 /// Why `file` cannot be written while `known` is; empty: it can.
 std::string conflict(const WrittenFile& file, const WrittenFile& known);

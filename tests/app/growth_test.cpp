@@ -56,7 +56,7 @@ TEST_SUITE("app") {
       CHECK(of_one < measured[i] / 18681 * 2);
       CHECK_FALSE(growths[i].is_limited);
     }
-    CHECK(growths[1].text(plan) == "a.jsonl: about 19 GB a day, without limit");
+    CHECK(growths[1].text() == "a.jsonl: about 19 GB a day, without limit");
   }
 
   TEST_CASE("a sink without limit that fills the disk is a warning, one with a limit is none") {
@@ -107,7 +107,7 @@ TEST_SUITE("app") {
     }
     CHECK(per_day > 0);
     CHECK(per_day < 1e9);
-    for (const SensorPlan& sensor : plan.sensors) CHECK(sensor.load->period >= 100ms);
+    for (const PartPlan* sensor : plan.of_kind("sensor")) CHECK(sensor->publishes->load->period >= 100ms);
   }
 
   TEST_CASE("NFR-5 the starter file spares SD cards") {

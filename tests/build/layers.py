@@ -9,30 +9,35 @@ from concurrent.futures import ThreadPoolExecutor
 from os import cpu_count
 
 root = pathlib.Path(__file__).resolve().parents[2]
-# What a component declares of its parameters lies below the components; the rest of config lies above them.
-declarations = {"problem", "item", "convert", "parameter"}
+# Of each layer, which is a folder of src and of include/rtdata, the layers and single headers that it may include. The
+# deepest folder that is named here counts: "sensors/core" is a layer of its own once it has a row. Configurations know
+# the bases of sensors and sinks, and no kind of them.
 below = {
     "data": set(),
-    "parameters": {"data"},
     "loop": {"data"},
-    "io": {"data", "loop", "parameters"},
-    "sensors": {"data", "loop", "parameters", "io"},
-    "sinks": {"data", "loop", "parameters", "io"},
-    "config": {"data", "loop", "parameters", "bases"},
+    "io": {"data", "loop"},
+    "sensors": {"data", "loop", "io"},
+    "sinks": {"data", "loop", "io"},
+    "config": {"data", "loop", "io", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp"},
+    "app": {"data", "loop", "io", "sensors", "sinks", "config"},
 }
-bases = {"sensors/sensor", "sensors/sensor_parameters", "sensors/feed", "sinks/sink"}
 problems = []
 
 
 def layer_of(name):
-    """Of "sensors/sensor.hpp"."""
-    folder, _, file = name.partition("/")
-    return "parameters" if folder == "config" and file.removesuffix(".hpp") in declarations else folder
+    """Of "sensors/sensor.hpp"; "" when it lies in none."""
+    folder = name.rpartition("/")[0]
+    while folder and folder not in below:
+        folder = folder.rpartition("/")[0]
+    return folder
 
 
 def look_at(path, folder):
     name = path.relative_to(folder).as_posix()
     layer = layer_of(name)
+    if not layer:
+        problems.append(f"{path.relative_to(root)} lies in no layer")
+        return
     public = folder.name == "rtdata"
     for number, line in enumerate(path.read_text().split("\n"), 1):
         found = re.match(r'\s*#\s*include\s*([<"])([^>"]+)[>"]', line)
@@ -48,12 +53,9 @@ def look_at(path, folder):
             problems.append(f"{where}: a public header includes \"{included}\", which is not installed")
             continue
         included = included.removeprefix("rtdata/")
-        if layer == "app" or layer not in below:
-            continue
         other = layer_of(included)
-        is_base = "bases" in below[layer] and included.removesuffix(".hpp") in bases
-        if other != layer and other not in below[layer] and not is_base:
-            problems.append(f"{where}: {layer} includes {other} ({included})")
+        if other not in below[layer] | {layer} and included not in below[layer]:
+            problems.append(f"{where}: {layer} includes {other or 'a header of no layer'} ({included})")
 
 
 for folder in (root / "include" / "rtdata", root / "src"):

@@ -1,4 +1,4 @@
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 
 #include <doctest/doctest.h>
 

@@ -1,4 +1,4 @@
-#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/parameter.hpp"
 
 #include <doctest/doctest.h>
 

@@ -1,4 +1,4 @@
-#include "rtdata/config/problem.hpp"
+#include "rtdata/data/problem.hpp"
 
 #include <doctest/doctest.h>
 

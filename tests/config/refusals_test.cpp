@@ -205,7 +205,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
         {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},
         {sinks(R"({"type": "sqlite", "path": "/proc/x.db"})"), "the kernel lets no file be made"},
-        {sinks(R"({"type": "file", "path": "/sys/x.csv"})"), "the kernel lets no file be made"},
+        {sinks(R"({"type": "file", "path": "/proc/x.csv"})"), "the kernel lets no file be made"},
         {sinks(R"({"type": "sqlite", "path": ")" + std::string(300, 'n') + "\"}"), "its name is longer than 247 bytes"},
         {sinks(R"({"type": "file", "path": ")" + std::string(300, 'n') + "\"}"), "File name too long"},
         {sinks(R"({"type": "sqlite", "path": ")" + std::string(248, 'n') + "\"}"), "its name is longer than 247 bytes"},

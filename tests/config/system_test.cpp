@@ -132,7 +132,7 @@ TEST_SUITE("config") {
     };
     CHECK(message(R"({"name": "d", "type": "countr", "rate": "10 Hz"})").find("\"counter\"") != std::string::npos);
     CHECK(message(R"({"name": "a", "type": "counter", "rate": "10 Hz", "topic": "count/a"})")
-              .find("there is one of that name already") != std::string::npos);
+              .find("there is a sensor \"a\" already, at f.json:5:14") != std::string::npos);
     CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "topic": "count/a"})").find("\"level\"") !=
           std::string::npos);
     CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "required": true})").find("plug it in") !=
@@ -311,14 +311,6 @@ f.json:16:38: sinks[2].when_full
         text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61\n") !=
         std::string::npos);
     CHECK(text.find("sensors[3]") == std::string::npos);  // the same payload may share a topic
-  }
-
-  TEST_CASE("US-17 keys of later versions are refused as such") {
-    const std::string text = problems_of(R"({"tiers": {}, "buses": {},
- "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "bus": "i2c1"}]})");
-    CHECK(text ==
-          "f.json:1:15: buses: \"buses\" is not available in this version\n"
-          "f.json:2:63: sensors[0].bus: \"bus\" is not available in this version\n");
   }
 
   TEST_CASE("US-33 tiers are made from a file, with sensors on them") {

@@ -99,4 +99,4 @@ echo "== the README's commands"
 inside sh -euxc '. build/readme.sh'
 echo "== the tests, which users do not build"
 inside sh -euxc 'cmake -S . -B build/release -DRTDATA_TESTS=ON >/dev/null && cmake --build build/release --parallel'
-inside sh -euc 'cd build/release && exec ctest --output-on-failure --timeout 600 -LE slow'
+inside sh -euc 'cd build/release && exec ../../tests/build/ctest.sh --timeout 600 -LE slow'

@@ -95,9 +95,12 @@ def check_links(source):
 
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
-    header = (source / "include/rtdata/config/problem.hpp").read_text()
+    header = (source / "include/rtdata/data/problem.hpp").read_text()
     listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
+    header = (source / "include/rtdata/config/system.hpp").read_text()
+    listed = re.search(r"beside those of problem.hpp: (.*?); of warnings: (.*?)\.\n", header, re.S)
+    ids += re.findall(r"[a-z-]+", (listed[1] + "," + listed[2]).replace("///", " "))
     headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))
     for name in sorted(set(ids) - {"ok"} - headings):
         problem("docs/errors.md", f"no heading for {name}")
@@ -121,8 +124,8 @@ def check_types(source, program):
         return
     sections, group, name, parent, columns = documented(source), "", "", "", {}
     for line in run([program, "types"]).stdout.splitlines():
-        if line in ("sensor types", "sink types"):
-            group = "Every sensor" if line.startswith("sensor") else "Every sink"
+        if match := re.match(r"(\w+) types$", line):
+            group = f"Every {match[1]}"
         elif line.startswith("formats"):
             break
         elif match := re.match(r"([a-z][\w-]*)  \S", line):

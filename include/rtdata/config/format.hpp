@@ -20,8 +20,8 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/convert.hpp"
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/config_value.hpp"
 
 namespace rtdata {
 
@@ -39,7 +39,10 @@ struct ConfigDocument {
   /// none.
   std::string excerpt(const Problem& problem) const;
   /// Every problem in the order of the file, each with its excerpt.
-  std::string report() const;
+  std::string report() const { return report(problems); }
+  /// The same of others, such as those of a plan, each with `prefix` before it. Takes a time that grows with the size of
+  /// the file and with the number of problems, not with their product.
+  std::string report(const Problems& others, std::string_view prefix = {}) const;
 };
 
 /// A file format. Stateless; used by any thread.

@@ -9,8 +9,8 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/item.hpp"
-#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/parameter.hpp"
 
 namespace rtdata {
 
@@ -57,6 +57,7 @@ struct ParameterInfo {
   ConfigItem default_value;  ///< null for none
   bool required = false;
   OnlyWith only_with;
+  NamesPart names_part;
   std::vector<std::string> placeholders;  ///< that may stand in the text
   std::string doc;
 

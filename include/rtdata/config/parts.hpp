@@ -1,4 +1,4 @@
-/// Registry: the sensor and sink types that configurations can name, and what each makes of its item.
+/// Registry: the types of sensors, sinks and buses that configurations can name, and what each makes of its item.
 ///
 ///     Registry registry;
 ///     registry.add_sensor<AnalogConfig>(
@@ -12,10 +12,20 @@
 ///         [](Loop& loop, const LinesConfig& config) {
 ///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
 ///         });
+///     registry.add_bus<WireConfig>(
+///         "wire", "one wire", [](Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
 ///
-/// A factory may return any class derived from AnySensor or Sink. One that takes a FeedConfig instead of a SensorConfig
-/// makes sensors without a schedule: they have no `rate` and what belongs to it. A function `ReadTime read_time(const
-/// AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that is not known.
+/// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
+/// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
+/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that
+/// is not known.
+///
+/// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
+/// type. The part is then there when the factory is called, which takes `const Parts&` as its last argument:
+///
+///     [](Loop& loop, const SensorConfig& common, const ProbeConfig& config, const Parts& parts) {
+///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
+///     }
 ///
 /// Owner: the program; nothing is global. Filled by one thread, then read by any.
 /// Errors: adding a type twice throws SetupError (bad_argument).
@@ -23,7 +33,6 @@
 
 #include <concepts>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -31,73 +40,25 @@
 #include <utility>
 #include <vector>
 
+#include "rtdata/config/part.hpp"
 #include "rtdata/config/registry.hpp"
 #include "rtdata/sensors/sensor_parameters.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {
 
-/// Owns an object of a class derived from Base. Move-only; empty when default-made or moved from.
-template <class Base>
-class Owned {
- public:
-  Owned() noexcept = default;
-  template <std::derived_from<Base> T>
-  Owned(T object) : holder_(std::make_unique<HolderOf<T>>(std::move(object))), object_(holder_->object()) {}
-  Owned(Owned&& other) noexcept : holder_(std::move(other.holder_)), object_(std::exchange(other.object_, nullptr)) {}
-  Owned& operator=(Owned&& other) noexcept {
-    object_ = std::exchange(other.object_, nullptr);
-    holder_ = std::move(other.holder_);
-    return *this;
-  }
-
-  explicit operator bool() const noexcept { return object_ != nullptr; }
-  Base& operator*() const noexcept { return *object_; }
-  Base* operator->() const noexcept { return object_; }
-
- private:
-  struct Holder {
-    virtual ~Holder() = default;
-    virtual Base* object() noexcept = 0;
+/// A kind of part that a configuration lists: its key in the file and its types.
+struct PartKind {
+  enum class Written {
+    list,     ///< of objects, each with a `name` of its own or one by default
+    by_name,  ///< an object; its keys are the names
   };
-  template <class T>
-  struct HolderOf final : Holder {
-    explicit HolderOf(T held) : object_(std::move(held)) {}
-    Base* object() noexcept override { return &object_; }
-    T object_;
-  };
-  std::unique_ptr<Holder> holder_;
-  Base* object_ = nullptr;
-};
-
-/// A sensor as its item says, checked and not made yet.
-struct SensorPlan {
-  std::string type;
-  std::string name;
-  std::string topic;                               ///< never empty
-  std::string tier;                                ///< empty: the main loop
-  std::shared_ptr<const Description> description;  ///< of its events; null: known only once it is made
-  std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
-  ConfigItem item;                                 ///< it was made from
-  std::function<Owned<AnySensor>(Loop&)> make;
-};
-
-/// A sink as its item says, checked and not made yet.
-struct SinkPlan {
-  std::string type;
-  std::string name;
-  std::string path;  ///< the file it writes; "-" for standard output, empty for none
-  std::vector<std::string> topics;
-  Duration close_deadline{0};  ///< how long closing may wait for it
-  ConfigItem item;
-  /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
-  std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics;
-  /// The file that a topic's events go to; empty: all go to `path`.
-  std::function<std::string(std::string_view topic)> file_of_topic;
-  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has the
-  /// files that it writes and no others.
-  std::function<bool(const std::string& file, const std::string& other)> is_beside;
-  std::function<Owned<Sink>(Loop&)> make;
+  std::string name;  ///< "sensor"
+  std::string key;   ///< "sensors"
+  std::string doc;
+  Written written = Written::list;
+  /// A plan is made from the item and, where parts are written by name, their name.
+  TypeRegistry<PartPlan, const std::string&> types;
 };
 
 namespace config_detail {
@@ -106,8 +67,8 @@ namespace config_detail {
 struct Placement {
   std::string tier;
   friend constexpr auto parameters(type_tag<Placement>) {
-    return parameter_list(
-        parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop", TextIs::recorded));
+    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop",
+                                    TextIs::recorded, names_part("tier")));
   }
 };
 
@@ -126,8 +87,6 @@ struct Joined {
   }
 };
 
-SensorPlan sensor_plan(const std::string& name, const std::string& topic,
-                       Result<std::shared_ptr<const Description>> description);
 template <class C>
 std::optional<SensorLoad> load_of(const SensorConfig& common, const C& config) {
   SensorLoad load{common.name, common.rate.period(), {}, {}};
@@ -145,7 +104,25 @@ std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
   }
 }
 
-SinkPlan sink_plan(const std::string& type, std::string path, const SinkConfig& config);
+/// What the sensor publishes; an empty topic is as its name.
+PublishedTopic published_topic(const std::string& name, const std::string& topic,
+                               Result<std::shared_ptr<const Description>> description);
+/// The name of a sink: as it is given, or its path, or its type.
+std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
+
+/// Whether a factory of sensors takes these settings, with or without the parts that are made.
+template <class Make, class Common, class C>
+inline constexpr bool makes_sensor_of = std::is_invocable_v<const Make&, Loop&, const Common&, const C&> ||
+                                        std::is_invocable_v<const Make&, Loop&, const Common&, const C&, const Parts&>;
+
+/// Calls a factory, with the parts when it takes them.
+template <class Make, class... Arguments>
+decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... arguments) {
+  if constexpr (std::is_invocable_v<const Make&, Arguments&..., const Parts&>)
+    return make(arguments..., parts);
+  else
+    return make(arguments...);
+}
 
 }  // namespace config_detail
 
@@ -156,25 +133,26 @@ struct NoParameters {
 
 class Registry {
  public:
-  Registry() : sensors_("sensor"), sinks_("sink") {}
+  Registry();
 
   /// `doc`: a phrase in lower case. `describe(const C&)`: the description of its events, or a Result of one; null when
   /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
   template <Configurable C, class Describe, class Make>
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
-    constexpr bool is_scheduled = std::is_invocable_v<const Make&, Loop&, const SensorConfig&, const C&>;
-    static_assert(is_scheduled || std::is_invocable_v<const Make&, Loop&, const FeedConfig&, const C&>,
+    constexpr bool is_scheduled = config_detail::makes_sensor_of<Make, SensorConfig, C>;
+    static_assert(is_scheduled || config_detail::makes_sensor_of<Make, FeedConfig, C>,
                   "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
-                  "schedule, by (Loop&, const FeedConfig&, const Config&)");
+                  "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
     using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
     using All = config_detail::Joined<Common, C>;
-    sensors_.add<All>(type, std::move(doc), [type, describe, make](const All& all) {
-      SensorPlan plan = config_detail::sensor_plan(all.common.name, all.common.topic, describe(all.own));
-      plan.type = type;
-      plan.tier = all.placement.tier;
-      plan.load = config_detail::load_of(all.common, all.own);
-      plan.make = [make, all](Loop& loop) { return Owned<AnySensor>(make(loop, all.common, all.own)); };
-      return plan;
+    add_type<All>("sensor", type, std::move(doc), [describe, make](PartPlan& plan, const All& all) {
+      plan.name = all.common.name;
+      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
+      plan.publishes->load = config_detail::load_of(all.common, all.own);
+      plan.make = [make, all](Loop& loop, const Parts& parts) {
+        return PartObject::made_by<AnySensor>(
+            [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
+      };
     });
   }
 
@@ -190,34 +168,70 @@ class Registry {
     static_assert(
         requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
         "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
-    sinks_.add<C>(type, std::move(doc), [type, path, make](const C& config) {
-      SinkPlan plan = config_detail::sink_plan(type, path(config), config.sink);
+    add_type<C>("sink", type, std::move(doc), [path, make](PartPlan& plan, const C& config) {
       C named = config;
-      named.sink.name = plan.name;
+      named.sink.name = plan.name = config_detail::sink_name(plan.type, path(config), config.sink);
+      StoredTopics& stores = plan.stores.emplace();
+      stores.path = path(config);
+      stores.topics = config.sink.topics;
+      stores.close_deadline = config.sink.close_deadline;
       if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
-        plan.refused_topics = [config](std::span<const TopicToRecord> topics) {
+        stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
           return refused_topics(config, topics);
         };
       }
       if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
-        plan.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
+        stores.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
       if constexpr (requires(const std::string& file) { is_beside(config, file, file); })
-        plan.is_beside = [config](const std::string& file, const std::string& other) {
+        stores.is_beside = [config](const std::string& file, const std::string& other) {
           return is_beside(config, file, other);
         };
-      plan.make = [make, named](Loop& loop) { return Owned<Sink>(make(loop, named)); };
-      return plan;
+      plan.make = [make, named](Loop& loop, const Parts& parts) {
+        return PartObject::made_by<Sink>([&] { return config_detail::call_factory(make, parts, loop, named); });
+      };
     });
   }
 
-  const TypeRegistry<SensorPlan>& sensors() const noexcept { return sensors_; }
-  const TypeRegistry<SinkPlan>& sinks() const noexcept { return sinks_; }
+  /// A bus belongs to the runtime: sensors of all loops may name it, on all their threads at a time, and it is made before
+  /// them and closed after them. `make(Runtime&, const std::string& name, const C&)` returns it, of any class; sensors get
+  /// it with `parts.get<ThatClass>("bus", name)`.
+  template <Configurable C, class Make>
+  void add_bus(const std::string& type, std::string doc, Make make) {
+    add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
+      plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
+        using Bus = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
+        return PartObject::made_by<Bus>(
+            [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
+      };
+    });
+  }
+
+  const TypeRegistryBase& sensors() const { return types("sensor"); }
+  const TypeRegistryBase& sinks() const { return types("sink"); }
+  const TypeRegistryBase& buses() const { return types("bus"); }
+  /// In the order in which their parts are made.
+  const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
   /// The JSON Schema (draft-07) of a whole configuration file.
   std::string schema() const;
 
  private:
-  TypeRegistry<SensorPlan> sensors_;
-  TypeRegistry<SinkPlan> sinks_;
+  const TypeRegistryBase& types(std::string_view kind) const;
+  template <Configurable C>
+  void add_type(std::string_view kind, const std::string& type, std::string doc,
+                std::function<void(PartPlan&, const C&)> plan) {
+    const auto make_plan = [kind = std::string(kind), type, plan](const std::string& name, const C& config) {
+      PartPlan made;
+      made.kind = kind;
+      made.type = type;
+      made.name = name;
+      plan(made, config);
+      return made;
+    };
+    for (PartKind& known : kinds_)
+      if (known.name == kind) known.types.template add<C>(type, std::move(doc), make_plan);
+  }
+
+  std::vector<PartKind> kinds_;
 };
 
 }  // namespace rtdata

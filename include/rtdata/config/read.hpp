@@ -23,8 +23,8 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/parameter.hpp"
 #include "rtdata/config/parameter_info.hpp"
+#include "rtdata/data/parameter.hpp"
 
 namespace rtdata {
 
@@ -271,6 +271,7 @@ std::vector<ParameterInfo> list_parameters() {
     info.unit = parameter.rules.unit;
     info.required = parameter.rules.required;
     info.only_with = parameter.rules.only_with;
+    info.names_part = parameter.rules.names_part;
     for (const std::string_view name : parameter.rules.placeholders)
       if (!name.empty()) info.placeholders.emplace_back(name);
     info.doc = parameter.doc;

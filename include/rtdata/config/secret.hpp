@@ -16,7 +16,7 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
 

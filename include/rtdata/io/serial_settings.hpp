@@ -5,8 +5,8 @@
 
 #include <cstdint>
 
-#include "rtdata/config/parameter.hpp"
 #include "rtdata/data/describe.hpp"
+#include "rtdata/data/parameter.hpp"
 
 namespace rtdata {
 

@@ -33,8 +33,8 @@
 #include <optional>
 #include <string>
 
-#include "rtdata/config/parameter.hpp"
 #include "rtdata/data/event.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {

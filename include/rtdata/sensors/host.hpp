@@ -19,7 +19,7 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {

@@ -6,7 +6,7 @@
 /// Values; any thread.
 #pragma once
 
-#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 

@@ -15,7 +15,7 @@
 /// bad_argument (a descriptor that is not open for writing); those of `Sink`.
 #pragma once
 
-#include "rtdata/config/parameter.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {

@@ -32,8 +32,8 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/config/parameter.hpp"
 #include "rtdata/data/codec.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {

@@ -33,8 +33,8 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/config/parameter.hpp"
 #include "rtdata/data/event.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/loop/handle.hpp"
 #include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"

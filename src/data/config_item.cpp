@@ -1,10 +1,10 @@
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <map>
 
-#include "config/origin.hpp"
+#include "data/config_item_origin.hpp"
 
 namespace rtdata {
 namespace {

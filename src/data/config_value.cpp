@@ -1,4 +1,4 @@
-#include "rtdata/config/convert.hpp"
+#include "rtdata/data/config_value.hpp"
 
 #include <array>
 #include <charconv>

@@ -15,7 +15,7 @@
 /// Errors: what is not there, or is of another type, throws `ConfigError` with place and path. Nothing is narrowed in
 /// silence: 3.7 is no int, 300 no uint8, true no number, and "10" no duration.
 ///
-/// `get` and `set` of a type need its `ConfigValue`: those of the standard types are in convert.hpp, which format.hpp
+/// `get` and `set` of a type need its `ConfigValue`: those of the standard types are in config_value.hpp, which format.hpp
 /// includes.
 ///
 /// Values; different items may be used by different threads, one item by one at a time.
@@ -32,13 +32,13 @@
 #include <variant>
 #include <vector>
 
-#include "rtdata/config/problem.hpp"
+#include "rtdata/data/problem.hpp"
 
 namespace rtdata {
 
 struct ConfigChild;
 class ConfigBuilder;
-/// How a type is read from an item and written to one; see convert.hpp. Specialise it for types of your own.
+/// How a type is read from an item and written to one; see config_value.hpp. Specialise it for types of your own.
 template <class T>
 struct ConfigValue;
 

@@ -35,7 +35,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 #include "rtdata/data/describe.hpp"
 #include "rtdata/data/time.hpp"
 

@@ -2,7 +2,7 @@
 #include <charconv>
 #include <nlohmann/json.hpp>
 
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
 namespace {

@@ -1,4 +1,4 @@
-#include "rtdata/config/problem.hpp"
+#include "rtdata/data/problem.hpp"
 
 #include <algorithm>
 #include <array>

@@ -1,10 +1,10 @@
-/// Where an item came from: private to src/config.
+/// Where an item came from: private to src/data and src/config.
 #pragma once
 
 #include <memory>
 #include <string>
 
-#include "rtdata/config/item.hpp"
+#include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
 

@@ -41,7 +41,7 @@
 #include <tuple>
 #include <type_traits>
 
-#include "rtdata/config/convert.hpp"
+#include "rtdata/data/config_value.hpp"
 #include "rtdata/data/describe.hpp"
 
 namespace rtdata {
@@ -67,12 +67,19 @@ struct OnlyWith {
   std::array<std::string_view, 6> values{};
 };
 
+/// The text is the name of another part of the configuration, which must be there.
+struct NamesPart {
+  std::string_view kind;                    ///< "bus", "tier", "sink" ...; empty: it names no part
+  std::array<std::string_view, 4> types{};  ///< that the part may be of; none: of any
+};
+
 /// What a value must keep to, without its type.
 struct ParameterRules {
   bool required = false;  ///< a required text is not empty either
   bool not_zero = false;
   TextIs text = TextIs::anything;
   OnlyWith only_with;
+  NamesPart names_part;
   std::array<std::string_view, 4> placeholders{};  ///< that may stand in the text, in braces
   bool negative = false;                           ///< a duration may be
   bool has_least = false;
@@ -176,6 +183,10 @@ constexpr void apply(ParameterRules& rules, const Option& option) {
     rules.placeholders = option.names;
   } else if constexpr (std::is_same_v<Option, OnlyWith>) {
     rules.only_with = option;
+  } else if constexpr (std::is_same_v<Option, NamesPart>) {
+    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: names_part is for texts");
+    rules.names_part = option;
+    if (rules.text == TextIs::anything) rules.text = TextIs::recorded;  // a name is shown, and so no secret
   } else if constexpr (std::is_same_v<Option, Unit>) {
     static_assert(quantity_of<Leaf>() == Quantity::number,
                   "rtdata: a unit is for a number; durations and rates are written with theirs");
@@ -191,7 +202,7 @@ constexpr void apply(ParameterRules& rules, const Option& option) {
     static_assert(is_choices<Option>,
                   "rtdata: parameter(key, member, doc, ...) takes required, unit(...), range(...), "
                   "at_least(...), at_most(...), choices(...), may_be_negative, not_zero, TextIs::..., "
-                  "placeholders(...) and only_with(...)");
+                  "placeholders(...), only_with(...) and names_part(...)");
   }
 }
 
@@ -237,6 +248,13 @@ constexpr config_detail::Placeholders placeholders(Names... names) {
 template <class... Values>
 constexpr OnlyWith only_with(std::string_view key, Values... values) {
   return {key, {std::string_view(values)...}};
+}
+/// The text is the name of another part of the configuration: one of `kind` ("bus", "tier", "sensor", "sink" or "topic",
+/// which is what any part publishes), and, if they are given, of one of these types. A part that is not there, or is of
+/// another type, is a mistake; one that is there is made first and closed last.
+template <class... Types>
+constexpr NamesPart names_part(std::string_view kind, Types... types) {
+  return {kind, {std::string_view(types)...}};
 }
 /// The UCUM unit of a number, for people and schema; it is not written in the file.
 constexpr config_detail::Unit unit(std::string_view text) { return {text}; }

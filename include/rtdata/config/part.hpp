@@ -1,0 +1,151 @@
+/// Parts: what a configuration names and a system is made of, whatever its kind: tiers, buses, sinks, sensors.
+///
+/// A `PartPlan` is one part as its item says, checked and not made yet. It knows its name, the parts that it uses and
+/// how it is made. Each part is made after those that it uses and closed before them; otherwise tiers are made first,
+/// then buses, sinks and sensors, and closed in the opposite order. `Parts` are those that are made.
+///
+/// Plans are values, for any thread. Parts: owner the System, thread that of the main loop; while a part is made on a
+/// tier, that thread may look at them.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <typeinfo>
+#include <utility>
+#include <vector>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/load.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata {
+
+class Parts;
+
+/// Owns what a part was made into, of any type. Destroying it closes the part. Move-only; empty when default-made or
+/// moved from.
+class PartObject {
+ public:
+  PartObject() noexcept = default;
+  /// What `make()` returns, which need not be movable. It can be used as what it is and as a Base.
+  template <class Base, class Make>
+  static PartObject made_by(Make&& make) {
+    PartObject object;
+    object.holder_ = std::make_unique<HolderOf<Base, std::invoke_result_t<Make&>>>(make);
+    return object;
+  }
+
+  /// Null when it can be used as no T.
+  template <class T>
+  T* as() const noexcept {
+    return holder_ == nullptr ? nullptr : static_cast<T*>(holder_->as(typeid(T)));
+  }
+
+ private:
+  struct Holder {
+    virtual ~Holder() = default;
+    virtual void* as(const std::type_info& type) noexcept = 0;
+  };
+  template <class Base, class T>
+  struct HolderOf final : Holder {
+    template <class Make>
+    explicit HolderOf(Make& make) : object(make()) {}
+    void* as(const std::type_info& type) noexcept override {
+      if (type == typeid(Base)) return static_cast<Base*>(&object);
+      return type == typeid(T) ? &object : nullptr;
+    }
+    T object;
+  };
+  std::unique_ptr<Holder> holder_;
+};
+
+/// That a part uses another, because one of its parameters names it (`names_part`, parameter.hpp).
+struct PartUse {
+  std::string kind;  ///< "bus"; "topic": whatever publishes it
+  std::string name;
+  std::vector<std::string> types;  ///< that the other may be of; empty: of any
+  ConfigItem item;                 ///< that names it
+};
+
+/// Of a part that publishes: what is known before it is made.
+struct PublishedTopic {
+  std::string topic;                               ///< never empty
+  std::shared_ptr<const Description> description;  ///< null: known only once it is made
+  std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
+};
+
+/// Of a part that stores events.
+struct StoredTopics {
+  std::vector<std::string> topics;
+  std::string path;            ///< the file it writes; "-" for standard output, empty for none
+  Duration close_deadline{0};  ///< how long closing may wait for it
+  /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
+  std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
+  /// The file that a topic's events go to; empty: all go to `path`.
+  std::function<std::string(std::string_view topic)> file_of_topic = {};
+  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has the
+  /// files that it writes and no others.
+  std::function<bool(const std::string& file, const std::string& other)> is_beside = {};
+
+  bool wants(std::string_view topic) const noexcept;
+};
+
+struct PartPlan {
+  std::string kind;  ///< "tier", "bus", "sink", "sensor"
+  std::string type;  ///< empty for a tier
+  std::string name;
+  ConfigItem item;  ///< it was made from
+  std::vector<PartUse> uses = {};
+  std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
+  std::optional<PublishedTopic> publishes = {};
+  std::optional<StoredTopics> stores = {};
+  /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
+  std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
+
+  /// The tier that it runs on; empty: the main loop.
+  std::string_view tier() const noexcept;
+  /// "sensor chamber"
+  std::string object() const { return kind + " " + name; }
+};
+
+/// The parts of a system that are made.
+class Parts {
+ public:
+  Parts() = default;
+  Parts(const Parts&) = delete;
+  Parts& operator=(const Parts&) = delete;
+  ~Parts();
+
+  /// The part as what its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it is removed.
+  /// SetupError: there is none of that name (not-found, with the nearest); it is no T (bad-argument).
+  template <class T>
+  T& get(std::string_view kind, std::string_view name) const {
+    if (T* object = part_named(kind, name).object.as<T>()) return *object;
+    refuse_type(kind, name);
+  }
+  /// In the order in which they were made.
+  std::vector<std::string> names(std::string_view kind) const;
+
+ private:
+  friend class System;
+  struct Part {
+    PartPlan plan;
+    PartObject object;
+  };
+  Part& part_named(std::string_view kind, std::string_view name) const;
+  [[noreturn]] void refuse_type(std::string_view kind, std::string_view name) const;
+  void add(std::unique_ptr<Part> part);
+  void remove(std::string_view kind, std::string_view name);
+
+  std::vector<std::unique_ptr<Part>> made_;
+  std::map<std::pair<std::string, std::string>, Part*> by_name_;
+};
+
+}  // namespace rtdata
