@@ -135,21 +135,34 @@ void Neighbours::check_file_of(const PartPlan& part, const std::string& topic, P
   }
 }
 
-void Neighbours::check_topics(Problems& problems) {
+void Neighbours::check_files_of_topics(Problems& problems) {
   for (Storing& storing : storing_) {
     const PartPlan& part = *storing.part;
     const bool has_files = part.stores->file_of_topic && !refused_paths_.contains(&part);
-    std::vector<TopicToRecord> wanted;
-    for (; storing.looked_at < topic_names_.size(); ++storing.looked_at) {
-      const std::string& topic = topic_names_[storing.looked_at];
-      if (!part.stores->wants(topic)) continue;
-      if (has_files) check_file_of(part, topic, problems);
-      wanted.push_back({topic, topics_.find(topic)->second->publishes->description.get()});
+    for (; storing.files < topic_names_.size(); ++storing.files) {
+      const std::string& topic = topic_names_[storing.files];
+      if (has_files && part.stores->wants(topic)) check_file_of(part, topic, problems);
     }
-    if (!part.stores->refused_topics || wanted.empty()) continue;
-    for (const Error& error : part.stores->refused_topics(wanted))
-      problems.add(child_or_self(part.item, "path").problem("cannot-record", error.text()));
   }
+}
+
+void Neighbours::check_stored_topics(Problems& problems) {
+  for (Storing& storing : storing_) {
+    const StoredTopics& stores = *storing.part->stores;
+    std::vector<TopicToRecord> wanted;
+    for (; storing.stored < topic_names_.size(); ++storing.stored) {
+      const std::string& topic = topic_names_[storing.stored];
+      if (stores.refused_topics && stores.wants(topic))
+        wanted.push_back({topic, topics_.find(topic)->second->publishes->description.get()});
+    }
+    if (wanted.empty()) continue;
+    for (const Error& error : stores.refused_topics(wanted))
+      problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
+  }
+}
+
+void Neighbours::assume_stored() {
+  for (Storing& storing : storing_) storing.stored = topic_names_.size();
 }
 
 void Neighbours::add_log(const LogSettings& log, const ConfigItem& at, Problems& problems) {

@@ -30,9 +30,12 @@ class Neighbours {
   /// Names that are taken, payloads that differ on one topic, files that another writes. The part must stay where it is as
   /// long as this object is used.
   void add(const PartPlan& part, Problems& problems);
-  /// After the last one: files that are made for single topics, and topics that cannot be stored, as far as they have not
-  /// been looked at.
-  void check_topics(Problems& problems);
+  /// After the last one: files that are made for single topics, as far as they have not been looked at.
+  void check_files_of_topics(Problems& problems);
+  /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read files.
+  void check_stored_topics(Problems& problems);
+  /// The topics that are there are stored already, by all that are there.
+  void assume_stored();
   /// Parts that it uses and that are not there, or are of a wrong type.
   void check_uses(const PartPlan& part, Problems& problems);
   /// The log is a file of its own. `at`: the item that names it.
@@ -52,7 +55,8 @@ class Neighbours {
   };
   struct Storing {
     const PartPlan* part;
-    std::size_t looked_at = 0;  ///< so many of topic_names_
+    std::size_t files = 0;   ///< so many of topic_names_ have been looked at for their files
+    std::size_t stored = 0;  ///< and so many for whether they can be stored
   };
 
   void check_name(const PartPlan& part, Problems& problems);

@@ -92,7 +92,8 @@ class Planner {
   void compare() {
     Neighbours neighbours(registry_, plan_.document.file);
     for (const PartPlan& part : plan_.parts) neighbours.add(part, plan_.problems);
-    neighbours.check_topics(plan_.problems);
+    neighbours.check_files_of_topics(plan_.problems);
+    neighbours.check_stored_topics(plan_.problems);
     neighbours.add_log(plan_.settings.log, child_or_self(child_or_self(root(), "log"), "file"), plan_.problems);
     for (const PartPlan& part : plan_.parts) neighbours.check_uses(part, plan_.problems);
     if (sensors_ != 0 && sensors_ == good_sensors_) {

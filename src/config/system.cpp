@@ -29,7 +29,8 @@ PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
   if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
     loop.runtime().note_place(plan.object(), std::move(place));
   std::vector<std::string>& secrets = loop.runtime().core().reports.secrets;
-  secrets.insert(secrets.end(), plan.secrets.begin(), plan.secrets.end());
+  for (const std::string& secret : plan.secrets)
+    if (std::find(secrets.begin(), secrets.end(), secret) == secrets.end()) secrets.push_back(secret);
   return plan.make(loop, parts);
 }
 
@@ -60,7 +61,8 @@ config_detail::Neighbours& System::neighbours() {
     neighbours_ = std::make_unique<config_detail::Neighbours>(registry_, configuration_);
     Problems ignored;  // they were looked at when they were made
     for (const auto& part : parts_.made_) neighbours_->add(part->plan, ignored);
-    neighbours_->check_topics(ignored);
+    neighbours_->check_files_of_topics(ignored);
+    neighbours_->assume_stored();
     neighbours_->add_log(log_, ConfigItem(), ignored);
   }
   return *neighbours_;
@@ -75,7 +77,8 @@ std::string System::add(std::string_view kind, const std::string& name, const Co
   try {
     neighbours().check_uses(part->plan, problems);
     neighbours().add(part->plan, problems);
-    neighbours().check_topics(problems);
+    neighbours().check_files_of_topics(problems);
+    neighbours().check_stored_topics(problems);
     if (!problems.empty()) {
       std::vector<std::string> secrets = loop_.runtime().core().reports.secrets;
       secrets.insert(secrets.end(), part->plan.secrets.begin(), part->plan.secrets.end());

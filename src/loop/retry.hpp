@@ -25,4 +25,22 @@ inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t 
   return delay - (quarter > Duration::max() / 1024 ? quarter / 1024 * part : quarter * part / 1024);
 }
 
+/// The delays of one object that fails: the first, then twice as long each time, to the longest, with jitter.
+class Backoff {
+ public:
+  /// `name`: of the object.
+  Duration next(Duration first, Duration longest, std::string_view name) noexcept {
+    delay_ = delay_.count() == 0 ? first : doubled(delay_, longest);
+    return with_jitter(delay_, name, ++failures_);
+  }
+  /// The last one, without its jitter; 0: none since the object was well.
+  Duration last() const noexcept { return delay_; }
+  /// It is well: the next delay is the first again.
+  void reset() noexcept { delay_ = Duration{0}; }
+
+ private:
+  Duration delay_{0};
+  std::uint64_t failures_ = 0;
+};
+
 }  // namespace rtdata::detail

@@ -95,8 +95,13 @@ void SensorNode::schedule_began() { origin_.begin_segment(first_due(), period())
 
 void SensorNode::count_read_begun() noexcept {
   if (port_ == nullptr || std::exchange(port_->is_begun_, true)) return;
-  port_->is_late_ = port_->tick_->lateness() > origin_.late_after;
+  port_->late_after_ = origin_.late_after;
   origin_.begin_read();
+}
+
+/// A read on the loop that is counted as begun. As late as its row says, since the account and the rows are compared.
+bool SensorNode::is_late(const SamplePort& port) noexcept {
+  return port.tick_->lateness() + port.pushed_ > port.late_after_;
 }
 
 void SensorNode::end_schedule(EndOf what) {
@@ -104,7 +109,7 @@ void SensorNode::end_schedule(EndOf what) {
   count_read_begun();
   if (port_ != nullptr && what == EndOf::activity) {
     if (port_->is_usable_) {
-      origin_.end_read(port_->is_late_);
+      origin_.end_read(is_late(*port_));
     } else {
       origin_.fail_read(stopped, port_->tick_->due);
     }
@@ -258,7 +263,7 @@ bool SensorNode::make_ready(const Tick& tick) {
   device_is_open_ = static_cast<bool>(opened);
   if (opened && !port.is_begun_) return true;
   if (opened) {  // the schedule of this tick may be over
-    origin_.end_read(port.is_late_);
+    origin_.end_read(is_late(port));
     is_not_one_a_read();
     return false;
   }
@@ -296,7 +301,9 @@ void SamplePort::publish(void* payload, Time time) {
   if (sensor_ == nullptr) return;  // stopped by its own sampling function
   is_usable_ = true;
   if (std::exchange(has_sample_, true) || time != time_) sensor_->is_not_one_a_read();
-  sensor_->publish(payload, time, due_);
+  const bool is_of_read = sensor_->origin().counts.is_one_a_read;
+  const Time row = sensor_->publish(payload, time, due_);
+  if (is_of_read) pushed_ = span_between(time, row);
 }
 
 void SamplePort::repeated() noexcept {
@@ -314,7 +321,7 @@ Sampled SamplePort::unreadable(Error error) {
   return fail(std::move(error));
 }
 
-void SensorNode::publish(void* payload, Time time, MonotonicTime due) {
+Time SensorNode::publish(void* payload, Time time, MonotonicTime due) {
   ++origin_.counts.received;
   ++origin_.counts.published;
   try {
@@ -324,6 +331,7 @@ void SensorNode::publish(void* payload, Time time, MonotonicTime due) {
     origin_.count_lateness(due);
     report(thrown("moving its payload threw"));
   }
+  return origin_.last_time;
 }
 
 inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
@@ -349,9 +357,9 @@ void SensorNode::read_inline(const Tick& tick) {
   if (has_failed(sampled, port)) [[unlikely]]
     return fail(port, *port.error_, tick);
   if (port.is_begun_) [[unlikely]] {
-    origin_.end_read(port.is_late_);
+    origin_.end_read(is_late(port));
   } else {
-    origin_.read_at_once(tick.lateness());
+    origin_.read_at_once(tick.lateness() + port.pushed_);
   }
   took(sampled, port);
 }
@@ -455,7 +463,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
     failed(*port.error_, loop()->now());
     return;
   }
-  origin_.end_read(transaction.began_ - transaction.due_ > transaction.late_after_);
+  origin_.end_read(transaction.began_ - transaction.due_ + port.pushed_ > transaction.late_after_);
   took(sampled, port);
 }
 

@@ -23,6 +23,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void stop_schedule(MonotonicTime end) override;
   bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
   void count_read_begun() noexcept override;
+  static bool is_late(const SamplePort& port) noexcept;
   std::optional<SensorLoad> load() const override;
 
   void tick(const Tick& tick) override;
@@ -34,7 +35,8 @@ class SensorNode final : public SourceNode, public RateMember {
   bool tell_times(CallbackStatus& status) const override;
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
-  void publish(void* payload, Time time, MonotonicTime due);
+  /// Returns the time of its row.
+  Time publish(void* payload, Time time, MonotonicTime due);
   void is_not_one_a_read() noexcept { origin_.counts.is_one_a_read = false; }
   void count_repeated() noexcept {
     ++origin_.counts.received;

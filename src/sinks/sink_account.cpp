@@ -13,19 +13,19 @@ constexpr std::size_t origins_at_once = 500;
 
 }  // namespace
 
-Result<void> SinkAccount::add_topic(TopicCore& topic, SinkTap::Owner& owner) {
+Result<void> SinkAccount::add_topic(TopicCore& topic, SinkNode& sink) {
   const auto number = static_cast<std::uint32_t>(taps_.size());
   {
     const LoopCore::OffLimits off_limits(*topic.runtime().own_loop);
-    if (auto taken = queue_->writer().add_topic(number, topic.name, *topic.type.description); !taken) return taken;
+    if (auto taken = queue_->add_topic(number, topic.name, *topic.type.description); !taken) return taken;
   }
-  add_tap(topic, owner, SinkTap::Takes::all);
+  add_tap(topic, sink, SinkTap::Takes::all);
   return {};
 }
 
-void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Takes takes) {
+void SinkAccount::add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes) {
   const auto number = static_cast<std::uint32_t>(taps_.size());
-  taps_.push_back(std::make_unique<SinkTap>(owner, queue_, topic, number, takes));
+  taps_.push_back(std::make_unique<SinkTap>(sink, queue_, topic, number, takes));
   try {
     tap_of_[&topic] = taps_.back().get();
     topic.add_tap(*taps_.back());
@@ -34,6 +34,13 @@ void SinkAccount::add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Take
     taps_.pop_back();
     throw;
   }
+}
+
+void SinkAccount::move_counts(LoopCore& loop) noexcept {
+  const LoopCore::OffLimits off_limits(loop);  // to what the writer does
+  queue_->move_counts();
+  for (const auto& tap : taps_) tap->move_counts();
+  queue_->begin_counting();
 }
 
 void SinkAccount::end() noexcept {

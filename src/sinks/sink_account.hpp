@@ -18,9 +18,11 @@ class SinkAccount {
   explicit SinkAccount(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
 
   /// Takes the events of a topic from now on. Errors: the writer's.
-  Result<void> add_topic(TopicCore& topic, SinkTap::Owner& owner);
+  Result<void> add_topic(TopicCore& topic, SinkNode& sink);
   /// Counts its events as refused from now on.
-  void refuse_topic(TopicCore& topic, SinkTap::Owner& owner) { add_tap(topic, owner, SinkTap::Takes::none); }
+  void refuse_topic(TopicCore& topic, SinkNode& sink) { add_tap(topic, sink, SinkTap::Takes::none); }
+  /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
+  void move_counts(LoopCore& loop) noexcept;
   /// Takes none any more.
   void end() noexcept;
 
@@ -44,7 +46,7 @@ class SinkAccount {
   Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
 
  private:
-  void add_tap(TopicCore& topic, SinkTap::Owner& owner, SinkTap::Takes takes);
+  void add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes);
   SinkTap* find_tap(const OriginCore& origin) const;
 
   const std::shared_ptr<SinkQueue> queue_;

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/sinks/sink.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 
 namespace rtdata::detail {
 

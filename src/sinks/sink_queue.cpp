@@ -11,9 +11,9 @@
 
 namespace rtdata {
 
-LiveCounts* Writer::live_counts(std::uint32_t) { return nullptr; }
-void Writer::keep(const OriginAccount&, const Gap*) {}
-Result<void> Writer::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
+LiveCounts* RecordingWriter::live_counts(std::uint32_t) { return nullptr; }
+void RecordingWriter::keep(const OriginAccount&, const Gap*) {}
+Result<void> RecordingWriter::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {
 namespace {
@@ -44,9 +44,12 @@ constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { r
 SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
     : config_(config),
       writer_(std::move(writer)),
-      pace_(writer_->pace()),
+      recording_(writer_->as_recording()),
+      opens_at_set_up_(recording_ != nullptr && recording_->opening() == RecordingWriter::Opening::at_set_up),
+      pace_(recording_ != nullptr ? recording_->pace() : StorePace{}),
       due_rows_(pace_.bytes == 0 ? config.batch_rows : std::numeric_limits<std::size_t>::max()),
-      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
+      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)),
+      counts_live_(recording_ != nullptr && !opens_at_set_up_) {
   const std::size_t part = std::max<std::size_t>(1, chunks_.size() / 8);
   due_chunks_ = pace_.bytes == 0 ? (chunks_.size() + 1) / 2
                                  : std::clamp<std::size_t>(pace_.bytes / chunk_bytes, 1, part);
@@ -109,21 +112,37 @@ void SinkQueue::note_set_up_error(const char* call) noexcept {
   }
 }
 
-LiveCounts* SinkQueue::live_counts_of(std::uint32_t index) noexcept {
+template <class Call>
+void SinkQueue::call_on_loop(const char* name, Call&& call) noexcept {
   try {
-    return writer_->live_counts(index);
+    call();
   } catch (...) {
-    note_set_up_error("live_counts");
-    return nullptr;
+    note_set_up_error(name);
   }
 }
 
-void SinkQueue::keep(const OriginAccount& now, const Gap* closed) noexcept {
-  try {
-    writer_->keep(now, closed);
-  } catch (...) {
-    note_set_up_error("keep");
+LiveCounts* SinkQueue::live_counts_of(std::uint32_t index) noexcept {
+  LiveCounts* counts = nullptr;
+  if (counts_live_) call_on_loop("live_counts", [&] { counts = recording_->live_counts(index); });
+  return counts;
+}
+
+void SinkQueue::move_counts() noexcept {
+  counts_live_ = true;
+  for (std::uint32_t i = 0; i < slot_count(); ++i) {
+    LiveCounts* live = live_counts_of(i);
+    if (live == nullptr) continue;
+    *live = *slot(i).live;
+    slot(i).live = live;
   }
+}
+
+void SinkQueue::begin_counting() noexcept {
+  call_on_loop("begin_counting", [&] { recording_->begin_counting(); });
+}
+
+void SinkQueue::keep(const OriginAccount& now, const Gap* closed) noexcept {
+  if (counts_live_) call_on_loop("keep", [&] { recording_->keep(now, closed); });
 }
 
 ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
@@ -389,17 +408,25 @@ Result<void> SinkQueue::call_writer(Call&& call) {
   return result;
 }
 
-Result<void> SinkQueue::process() {
+bool SinkQueue::is_abandoned() {
+  const std::lock_guard lock(abandon_mutex_);
+  return abandoned_;
+}
+
+Result<void> SinkQueue::open() {
+  if (has_ended_ || is_open_) return {};
+  auto result = call_writer([this] { return writer_->open(); });
+  is_open_ = result || has_ended_;
+  return result;
+}
+
+Result<void> SinkQueue::store() {
   Result<void> result;
   for (;;) {
-    {
-      const std::lock_guard lock(abandon_mutex_);
-      if (abandoned_) return result;
-    }
+    if (is_abandoned()) return result;
     if (!has_ended_ && !is_open_) {
-      result = call_writer([this] { return writer_->open(); });
-      if (!result && !has_ended_) return result;
-      is_open_ = true;
+      result = open();
+      if (!is_open_) return result;
     }
     if (!has_batch_ && !gather()) break;
     has_batch_ = true;
@@ -414,20 +441,39 @@ Result<void> SinkQueue::process() {
   return call_writer([this] { return writer_->flush(); });
 }
 
-Result<void> SinkQueue::sync_writer() {
-  {
-    const std::lock_guard lock(abandon_mutex_);
-    if (abandoned_) return {};
+Result<void> SinkQueue::do_task(SinkTurn::Task task) {
+  if (task == SinkTurn::Task::open) return is_abandoned() ? Result<void>{} : open();
+  if (auto stored = store(); !stored || is_abandoned()) return stored;
+  switch (task) {
+    case SinkTurn::Task::store_and_sync:
+      return recording_ != nullptr ? call_writer([this] { return recording_->sync(); }) : Result<void>{};
+    case SinkTurn::Task::store_and_close:
+      return call_writer([this] { return writer_->close(); });
+    default:
+      return {};
   }
-  return call_writer([this] { return writer_->sync(); });
 }
 
-Result<void> SinkQueue::close_writer() {
-  {
-    const std::lock_guard lock(abandon_mutex_);
-    if (abandoned_) return {};
+SinkTurnResult SinkQueue::work(const SinkTurn& turn) noexcept {
+  if (turn.pause.count() > 0) pause(turn.pause);
+  SinkTurnResult now;
+  now.task = turn.task;
+  try {
+    now.result = do_task(turn.task);
+  } catch (...) {  // no memory, not even for an error: the batch is tried again
+    now.result = no_memory();
   }
-  return call_writer([this] { return writer_->close(); });
+  now.has_ended = has_ended_;
+  try {
+    now.refused = take_refusals(now.refusal);
+    now.topic_fault = topic_fault_;
+    if (recording_ != nullptr) {
+      now.warning = recording_->take_warning();
+      now.remarks = recording_->take_remarks();
+    }
+  } catch (...) {  // a warning less
+  }
+  return now;
 }
 
 void SinkQueue::note_topic_fault(const Error& why) {

@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/sinks/sink.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 
 namespace rtdata::detail {
 
@@ -59,6 +59,34 @@ struct SlotStored {
   std::uint32_t index = 0;  // the slot's number
   std::uint32_t payload_bytes = 0;
   const SlotInfo* info = nullptr;
+};
+
+/// A turn of work of the lane.
+struct SinkTurn {
+  enum class Task {
+    open,
+    store,
+    store_and_sync,   ///< what was stored is to survive a power cut
+    store_and_close,  ///< nothing follows
+  };
+  Task task = Task::store;
+  Duration pause{0};  ///< before the work
+};
+
+/// What came of it.
+struct SinkTurnResult {
+  SinkTurn::Task task = SinkTurn::Task::store;
+  Result<void> result;
+  bool has_ended = false;  ///< the writer said that it has: nothing is tried again
+  std::uint64_t refused = 0;
+  Error refusal;            ///< the first of them
+  std::string topic_fault;  ///< why a topic can never be stored; empty: all can
+  std::optional<Error> warning;
+  std::vector<std::string> remarks;  ///< for the log
+
+  bool has_opened() const noexcept { return task == SinkTurn::Task::open && (result || has_ended); }
+  bool has_synced() const noexcept { return task == SinkTurn::Task::store_and_sync && result; }
+  bool has_closed() const noexcept { return task == SinkTurn::Task::store_and_close && (result || has_ended); }
 };
 
 class SinkQueue {
@@ -111,8 +139,16 @@ class SinkQueue {
   enum class Queued { waits, lost };
   std::vector<TopicDrops> dropped_by_topic(Queued queued) const;
   bool is_idle() const noexcept;
-  /// For the calls that are made on the loop.
-  Writer& writer() noexcept { return *writer_; }
+  /// Whether the writer is opened in a turn of its own, from set-up on.
+  bool opens_at_set_up() const noexcept { return opens_at_set_up_; }
+  /// What the writer says of a topic.
+  Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) {
+    return recording_ != nullptr ? recording_->add_topic(number, topic, description) : Result<void>{};
+  }
+  /// The writer has been opened at set-up: moves the counts of all slots to where it keeps them.
+  void move_counts() noexcept;
+  /// All that was counted before is there.
+  void begin_counting() noexcept;
   void keep(const OriginAccount& now, const Gap* closed) noexcept;
   /// What went wrong in one of these and was not told yet.
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
@@ -122,21 +158,11 @@ class SinkQueue {
   void abandon();
 
   // ---- lane
-  /// Waits, until the queue is abandoned at the latest.
-  void pause(Duration duration);
-  /// Stores what is queued. An error leaves it queued, unless it is `closed`: then all that comes is refused.
-  Result<void> process();
-  Result<void> sync_writer();
-  Result<void> close_writer();
-  /// The writer said that it has ended.
-  bool has_ended() const noexcept { return has_ended_; }
+  /// An error leaves what is queued there, unless it is `closed`: then all that comes is refused.
+  SinkTurnResult work(const SinkTurn& turn) noexcept;
   void note_refusal(std::uint32_t slot, const Error& why);
   /// A topic of the batch can never be stored.
   void note_topic_fault(const Error& why);
-  /// Why, of the first of them; empty while there is none.
-  const std::string& topic_fault() const noexcept { return topic_fault_; }
-  /// What was refused since the last call: how many, and the first reason.
-  std::uint64_t take_refusals(Error& why);
 
  private:
   friend class rtdata::Batch;
@@ -158,6 +184,9 @@ class SinkQueue {
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
   LiveCounts* live_counts_of(std::uint32_t index) noexcept;
+  /// A call of the writer's on the loop: what it throws is told later.
+  template <class Call>
+  void call_on_loop(const char* name, Call&& call) noexcept;
   /// In the handler of an exception from a call on the loop.
   void note_set_up_error(const char* call) noexcept;
   ChunkHeader* take_chunk(std::uint32_t slot);
@@ -169,11 +198,21 @@ class SinkQueue {
   void finish_batch();
   void fail_batch() noexcept;
   void refuse_batch();
+  /// Waits, until the queue is abandoned at the latest.
+  void pause(Duration duration);
+  bool is_abandoned();
+  Result<void> open();
+  Result<void> store();
+  Result<void> do_task(SinkTurn::Task task);
+  /// What was refused since the last call: how many, and the first reason.
+  std::uint64_t take_refusals(Error& why);
   template <class Call>
   Result<void> call_writer(Call&& call);
 
   const SinkConfig config_;
-  std::unique_ptr<Writer> writer_;
+  const std::unique_ptr<Writer> writer_;
+  RecordingWriter* const recording_;  // the same; null: it is none
+  const bool opens_at_set_up_;
   const StorePace pace_;
   std::size_t due_rows_ = 0;     // a batch by number
   std::size_t due_chunks_ = 0;   // by memory
@@ -188,6 +227,7 @@ class SinkQueue {
 
   // loop
   std::optional<Error> set_up_error_;
+  bool counts_live_;  // the writer has been opened as far as it must be to keep counts
   ChunkHeader* filling_ = nullptr;
   std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;

@@ -7,6 +7,7 @@
 
 #include "loop/loop_core.hpp"
 #include "loop/runtime_core.hpp"
+#include "sinks/sink_node.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -38,8 +39,8 @@ std::uint64_t course_of(const SensorCounts& c) noexcept {
 
 }  // namespace
 
-SinkTap::SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes)
-    : owner_(owner),
+SinkTap::SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes)
+    : sink_(sink),
       queue_(std::move(queue)),
       topic_(topic),
       number_(number),
@@ -70,12 +71,12 @@ void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const
   SinkQueue& queue = *queue_;
   std::byte* to = queue.room(place.slot, record_bytes_);
   if (to == nullptr) [[unlikely]]
-    return owner_.queue_is_full();
+    return sink_.start_work();
   const RecordHeader record{place.stored, to_nanoseconds(time), sequence};
   std::memcpy(to, &record, sizeof record);
   std::memcpy(to + sizeof record, payload, payload_bytes_);
   queue.commit(record_bytes_);
-  if (queue.is_batch_due()) owner_.batch_is_due();
+  if (queue.is_batch_due()) sink_.hand_over(SinkNode::Hand::rows);
 }
 
 void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) {
@@ -103,7 +104,16 @@ void SinkTap::expect(OriginCore& origin) {
     return queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description});
   }();
   places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, 0, slot};
-  owner_.account_is_due();
+  sink_.account_is_due();
+}
+
+void SinkTap::move_counts() noexcept {
+  for (const OriginCore* origin : topic_.origins()) {
+    if (!knows(*origin)) continue;
+    Place& place = places_[origin->index];
+    place.live = queue_->slot(place.slot).live;
+    keep(*origin, Now::between_events);
+  }
 }
 
 void SinkTap::keep(const OriginCore& origin, Now when) noexcept {

@@ -11,23 +11,14 @@
 
 namespace rtdata::detail {
 
+class SinkNode;
+
 class SinkTap final : public Tap {
  public:
-  /// What the sink does when events tell that it is time.
-  class Owner {
-   public:
-    virtual void queue_is_full() = 0;
-    virtual void batch_is_due() = 0;
-    /// An origin that no account knows yet.
-    virtual void account_is_due() = 0;
-
-   protected:
-    ~Owner() = default;
-  };
   /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused.
   enum class Takes { all, none };
   /// `number`: of the topic within the sink.
-  SinkTap(Owner& owner, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
+  SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
 
   void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
@@ -37,6 +28,8 @@ class SinkTap final : public Tap {
   void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
   /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is stored.
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
+  /// The queue has moved the counts of all slots: they, and what is kept, go on there.
+  void move_counts() noexcept;
   /// What is kept of an origin is changed no more.
   void end() noexcept { is_ended_ = true; }
 
@@ -77,7 +70,7 @@ class SinkTap final : public Tap {
   enum class Now { at_an_event, between_events };
   void keep(const OriginCore& origin, Now now) noexcept;
 
-  Owner& owner_;
+  SinkNode& sink_;
   const std::shared_ptr<SinkQueue> queue_;
   TopicCore& topic_;
   const std::uint32_t number_;

@@ -5,6 +5,7 @@
 
 #include <chrono>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <sstream>
 #include <thread>
 #include <vector>
@@ -56,6 +57,40 @@ TEST_SUITE("app") {
     CHECK(std::stoul(run.out.substr(at + 13)) == count_of(lines, "\n"));
     CHECK(count_of(lines, "\n") > 0);
     CHECK(has(folder.read("bench.log"), "info program: ended with status 0\n"));
+  }
+
+  TEST_CASE("NFR-6 a bus that a program of one's own has is listed, checked and run; two tiers share it") {
+    const Folder folder;
+    Process types(folder, program, {"types"});
+    CHECK(types.end() == 0);
+    CHECK(has(types.out, "bus types\n\nloopback  answers with how often it was asked\n"));
+    folder.write("bench.json", R"({"tiers": {"fast": {}}, "buses": {"b": {"type": "loopback"}}, "sensors": [
+  {"name": "x", "type": "wired", "bus": "b", "rate": "100 Hz", "topic": "x"},
+  {"name": "y", "type": "wired", "bus": "b", "rate": "100 Hz", "topic": "y", "tier": "fast"}],
+  "sinks": [{"type": "file", "path": "bench.jsonl"}]})");
+    Process check(folder, program, {"check", "bench.json"});
+    CHECK(check.end() == 0);
+    CHECK(has(check.out, "ok: 2 sensors, 1 sink\n"));
+    Process run(folder, program, {"run", "bench.json", "--for", "300ms"});
+    CHECK(run.end() == 0);
+    std::istringstream lines(folder.read("bench.jsonl"));
+    std::set<std::uint64_t> numbers;  // of both: each was asked for once
+    std::size_t count = 0;
+    for (std::string line; std::getline(lines, line); ++count) {
+      const auto at = line.find("\"number\":");
+      REQUIRE(at != std::string::npos);
+      numbers.insert(std::stoull(line.substr(at + 9)));
+    }
+    CHECK(count > 2);
+    CHECK(numbers.size() == count);
+    folder.write("wrong.json", R"({"buses": {"b": {"type": "loopbak"}}, "sensors": [
+  {"name": "x", "type": "wired", "bus": "c", "rate": "100 Hz"}], "sinks": [{"type": "discard"}]})");
+    for (const char* const verb : {"check", "run"}) {
+      Process wrong(folder, program, {verb, "wrong.json"});
+      CHECK(wrong.end() == 2);
+      CHECK(has(wrong.out + wrong.err, "buses.b.type: there is no bus type \"loopbak\" (did you mean \"loopback\"?)"));
+      CHECK(has(wrong.out + wrong.err, "sensors[0].bus: there is no bus \"c\" in `buses`"));
+    }
   }
 
   TEST_CASE("US-9 SIGINT and SIGTERM drain and close") {

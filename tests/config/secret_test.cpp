@@ -77,7 +77,8 @@ TEST_SUITE("config") {
       std::vector<LoginConfig> made;
       const Registry types = registry(&made);
       const SystemPlan plan = plan_system(
-          types, parse_config(with_sink(R"(, "password": )" + reference + R"(, "headers": {"x": )" + reference + "}"),
+          types, parse_config(with_sink(R"(, "close_deadline": "0 s", "password": )" + reference +
+                                        R"(, "headers": {"x": )" + reference + "}"),
                               "f.json"));
       CHECK(plan.problems.text() == "");
       CHECK(plan.warnings.text() == "");

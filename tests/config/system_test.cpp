@@ -470,7 +470,7 @@ f.json:16:38: sinks[2].when_full
     const auto schema = nlohmann::json::parse(registry().schema());
     CHECK(schema["properties"]["log"]["properties"].contains("level"));
     CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"] ==
-          nlohmann::json{"counter", "absent", "fed"});
+          nlohmann::json{"counter", "absent", "fed", "wired"});
     CHECK(schema["properties"]["sinks"]["items"]["allOf"][0]["then"]["properties"].contains("queue_bytes"));
     CHECK_FALSE(schema["properties"]["sensors"]["items"]["allOf"][2]["then"]["properties"].contains("rate"));
     CHECK(schema["additionalProperties"] == false);

@@ -4,6 +4,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cstdio>
 #include <memory>
 #include <string>
@@ -102,6 +103,18 @@ class Discard final : public Writer {
   DiscardConfig config_;
 };
 
+/// A bus that answers with how often it was asked, and a sensor on it.
+struct Loopback {
+  std::shared_ptr<std::atomic<std::uint64_t>> asked = std::make_shared<std::atomic<std::uint64_t>>();
+};
+struct WiredConfig {
+  std::string bus;
+  friend constexpr auto parameters(type_tag<WiredConfig>) {
+    return parameter_list(
+        parameter("bus", &WiredConfig::bus, "the bus that it is on", required, names_part("bus", "loopback")));
+  }
+};
+
 inline void add_test_types(Registry& registry) {
   registry.add_sensor<CounterConfig>(
       "counter", "counts its readings", [](const CounterConfig&) { return description_of<Count>(); },
@@ -116,6 +129,14 @@ inline void add_test_types(Registry& registry) {
   registry.add_sensor<NoParameters>(
       "fed", "is fed by the program", [](const NoParameters&) { return description_of<Count>(); },
       [](Loop& loop, const FeedConfig& common, const NoParameters&) { return Feed<Count>(loop, common); });
+  registry.add_bus<NoParameters>("loopback", "answers with how often it was asked",
+                                 [](Runtime&, const std::string&, const NoParameters&) { return Loopback{}; });
+  registry.add_sensor<WiredConfig>(
+      "wired", "is on a bus", [](const WiredConfig&) { return description_of<Count>(); },
+      [](Loop& loop, const SensorConfig& common, const WiredConfig& config, const Parts& parts) {
+        return Sensor<Count>(loop, common,
+                             [asked = parts.get<Loopback>("bus", config.bus).asked] { return Count{++*asked}; });
+      });
   registry.add_sink<DiscardConfig>(
       "discard", "throws its events away", [](const DiscardConfig& config) { return config.path; },
       [](Loop& loop, const DiscardConfig& config) {

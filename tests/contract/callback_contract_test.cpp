@@ -25,6 +25,7 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/sink_kinds.hpp"
 
@@ -85,7 +86,7 @@ struct LaneSide {
   }
 };
 
-class ChaosWriter final : public Writer {
+class ChaosWriter final : public RecordingWriter {
  public:
   ChaosWriter(World& world, std::shared_ptr<Stored> stored);
   ~ChaosWriter() override;

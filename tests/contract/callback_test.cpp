@@ -17,6 +17,7 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/sink_kinds.hpp"
 
@@ -39,7 +40,7 @@ struct Told {
   int failures = 0;
   std::function<void()> in_write, in_add_topic, in_live_counts;
 };
-class ToldWriter final : public Writer {
+class ToldWriter final : public RecordingWriter {
  public:
   explicit ToldWriter(Told& told) : told_(told) {}
   Result<void> open() override { return {}; }

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace sinks {
@@ -57,7 +58,7 @@ class Directory {
 std::string content(const std::string& path);
 
 /// A writer that does what a test tells it.
-class ScriptedWriter : public rtdata::Writer {
+class ScriptedWriter : public rtdata::RecordingWriter {
  public:
   /// Shared with the test; of the lane's while that works.
   struct Script {

@@ -10,6 +10,7 @@
 
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sink_notes.hpp"
 
@@ -393,7 +394,7 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("accounts of many origins come in parts, a few in each turn, and miss none") {
     constexpr int feeds = 1234;
-    struct Accounts final : Writer {
+    struct Accounts final : RecordingWriter {
       explicit Accounts(std::vector<std::vector<std::uint32_t>>& parts_) : parts(parts_) {}
       Result<void> open() override { return {}; }
       Result<void> write(Batch& batch) override {
@@ -508,7 +509,7 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("a writer is told to sync so long after the first storing, in silence too, and again when that fails") {
-    struct Syncing : Writer {
+    struct Syncing : RecordingWriter {
       explicit Syncing(std::vector<std::string>& calls_, int& failures_) : calls(calls_), failures(failures_) {}
       Result<void> open() override { return {}; }
       Result<void> write(Batch& batch) override {

@@ -7,6 +7,7 @@
 #include "loop/virtual_time.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 
 using namespace recordings;
 using namespace std::chrono_literals;
@@ -175,7 +176,7 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-26 what a tier publishes while a recording is being opened is in it") {
-    struct Counted : Writer {
+    struct Counted : RecordingWriter {
       Counted(std::function<void()> wait_, OriginAccount& last_) : wait(std::move(wait_)), last(last_) {}
       Result<void> add_topic(std::uint32_t, std::string_view topic, const Description&) override {
         if (topic == "feed") wait();

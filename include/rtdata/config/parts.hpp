@@ -192,9 +192,10 @@ class Registry {
     });
   }
 
-  /// A bus belongs to the runtime: sensors of all loops may name it, on all their threads at a time, and it is made before
-  /// them and closed after them. `make(Runtime&, const std::string& name, const C&)` returns it, of any class; sensors get
-  /// it with `parts.get<ThatClass>("bus", name)`.
+  /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
+  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from the
+  /// threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for a reading
+  /// that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in both).
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {

@@ -22,6 +22,11 @@
 /// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
 /// incomplete, with the callback's name and the time up to which the tier's account is known.
 ///
+/// On a manual loop a tier shares its virtual time, and runs whenever the main loop's thread waits: in `advance`, `run`,
+/// `close`, `call`, `stop`, and in `ManualClock::pass`. One of them runs at a time, in an order that `Loop::Manual` chooses.
+/// A callback there must wait for another loop in no other way (`manual_clock().pass(1ms)` until it is so), nor hold a lock that
+/// another one takes while it posts. `policy`, `cpus` and the like mean nothing.
+///
 /// Owner: the user; must be destroyed before its main loop, after the handles made on it or not; in a callback of the main
 /// loop too, but not in one of its own, nor on another thread, nor in a call of a sink's Writer: that ends the program,
 /// having said so. Thread: the main loop's.
@@ -60,8 +65,8 @@ class Tier {
     std::size_t ring_bytes = std::size_t{1} << 20;  ///< of each ring from and to another loop; 1024 or more
   };
 
-  /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main` is in
-  /// virtual time, or belongs to a tier; a priority, a spin or a processor out of range; a name that is
+  /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main`
+  /// belongs to a tier; a priority, a spin or a processor out of range; a name that is
   /// taken; (bad-name): one that is empty, longer than 200 characters or has control characters.
   Tier(Loop& main, Config config);
   /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;

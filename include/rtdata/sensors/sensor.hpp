@@ -134,7 +134,8 @@ class SamplePort {
   Time time_;
   const Tick* tick_;        // of a read on the loop
   bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
-  bool is_late_ = false;    // of one that is begun
+  Duration late_after_{0};  // of one that is begun: later than this it is late
+  Duration pushed_{0};      // its row is so much later than the read, to come after the row before
   bool is_usable_ = false;  // a sample was handed over that can be decoded
   bool has_sample_ = false;
   std::optional<Error> error_;

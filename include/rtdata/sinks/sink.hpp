@@ -101,60 +101,8 @@ struct Record {
   EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
 };
 
-/// What an origin's account says at the end of a batch.
-struct OriginAccount {
-  std::uint32_t slot = 0;
-  SensorCounts sensor;        ///< since the sink was attached
-  std::uint64_t carried = 0;  ///< reads that were under way then: 0 or 1
-  std::uint64_t offered = 0;
-  std::uint64_t dropped_newest = 0;
-  std::uint64_t dropped_oldest = 0;
-  std::uint64_t first_sequence = 0;  ///< of the first event offered to this sink; 0: none yet
-  std::uint64_t last_sequence = 0;
-  Segment segment;  ///< under way, from the first tick since then; `scheduled` 0: none
-  Gap gap;          ///< under way, if `has_gap`
-  bool has_gap = false;
-};
-
-/// All that a recording holds besides events. A writer that keeps no account ignores it.
-struct Account {
-  struct GapEntry {
-    std::uint32_t slot;
-    Gap gap;
-  };
-  struct SegmentEntry {
-    std::uint32_t slot;
-    Segment segment;
-  };
-  struct ErrorEntry {
-    Time time;
-    std::string object;
-    std::string id;
-    std::string text;
-    std::uint64_t count;
-    Time last;  ///< of those that are joined; `time` is that of the first
-  };
-  struct HealthEntry {
-    Time time;
-    HealthChange change;      ///< the last one
-    std::uint64_t count = 1;  ///< changes of this object, joined when there are too many
-    Time last{};              ///< of those; `time` is that of the first
-  };
-  Time at{};
-  bool is_last = false;                ///< the sink closes: nothing follows
-  std::string unknown = {};            ///< what no account of this sink has, and why; empty: nothing
-  std::vector<OriginAccount> origins;  ///< those that changed; of many, a part
-  std::vector<GapEntry> gaps;          ///< closed since the last account
-  std::vector<SegmentEntry> segments;  ///< ended since the last account
-  std::vector<ErrorEntry> errors;
-  std::vector<ClockPair> clock;
-  std::vector<HealthEntry> health;  ///< changes since the last account
-
-  bool is_empty() const noexcept {
-    return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && health.empty() &&
-           !is_last;
-  }
-};
+struct Account;
+class RecordingWriter;
 
 namespace detail {
 class SinkQueue;
@@ -186,7 +134,7 @@ class Batch {
   /// Events of the slot that will be stored once this batch is.
   std::uint64_t stored_after(std::uint32_t slot) const noexcept;
   std::uint64_t refused_after(std::uint32_t slot) const noexcept;
-  /// Null when this batch brings none.
+  /// Null when this batch brings none. See recording_writer.hpp.
   const Account* account() const noexcept { return account_; }
   /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals hold
   /// only if the batch succeeds.
@@ -201,24 +149,6 @@ class Batch {
   std::vector<detail::ChunkHeader*> chunks_;
   std::size_t rows_ = 0;
   const Account* account_ = nullptr;
-};
-
-/// Where a kept count of a slot lies, when it is to survive a kill. See SqliteSink.
-struct LiveCounts {
-  std::uint64_t offered = 0;
-  std::uint64_t dropped = 0;
-};
-
-/// How a writer wants what it stores, where each storing costs something however little it stores.
-struct StorePace {
-  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when it
-  /// takes so much memory of the queue.
-  std::size_t bytes = 0;
-  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last one.
-  Duration account_time{0};
-  std::uint64_t account_events = 0;
-  /// `Writer::sync` is called when so much time has gone since the first storing after the last call; 0: never.
-  Duration sync_time{0};
 };
 
 /// A topic that a sink is to take, before either is made. See `refused_topics` of each kind.
@@ -242,31 +172,17 @@ class Writer {
   virtual Result<void> write(Batch& batch) = 0;
   /// Nothing more is queued for now.
   virtual Result<void> flush() { return {}; }
-  /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.
-  virtual Result<void> sync() { return {}; }
-  /// The last call: what was written is made durable and the resources are released.
+  /// The last call: what was written is made durable and the resources are released. Not after an `open` that failed.
   virtual Result<void> close() { return {}; }
-  /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
-  virtual std::optional<Error> take_warning() { return std::nullopt; }
-  /// On the loop's thread, once, before the first batch.
-  virtual StorePace pace() const { return {}; }
-  /// On the loop's thread, before the first event of a topic: from the sink's constructor, or later, while the lane may
-  /// be at work. `number` is that of the slots to come. An error: no event of the topic comes here, each is
-  /// counted as refused, and the sink is faulted; the constructor throws it.
-  virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
-  /// On the loop's thread, at set-up of a slot: where to count what is offered, or null for the sink's own memory.
-  virtual LiveCounts* live_counts(std::uint32_t slot);
-  /// On the loop's thread, until the last account is handed over: an origin's account as it stands, when something has
-  /// happened that an event does not tell: a tick without one, a change of its schedule. A writer may keep it where it
-  /// survives a kill. `closed`: the gaps that have closed and may be in no account that is stored, as one; null: none.
-  virtual void keep(const OriginAccount& now, const Gap* closed);
+  /// What the sink asks once: itself, of a writer that does more than that.
+  virtual RecordingWriter* as_recording() noexcept { return nullptr; }
 };
 
 class Sink : public Handle {
  public:
   Sink() noexcept = default;
   /// SetupError: a pattern that is none, a topic without a description under an exact name, a topic that the writer
-  /// refuses.
+  /// refuses; of a writer that is opened at set-up (recording_writer.hpp), what its opening met while the loop did not run.
   Sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
   /// Zeros once it is closed.

@@ -7,14 +7,14 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <utility>
 #include <vector>
 
 #include "data/permissions.hpp"
-#include "loop/loop_core.hpp"
-#include "loop/runtime_core.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 #include "sinks/escaped_texts.hpp"
 #include "sinks/file/output_file.hpp"
 #include "sinks/file/rotation.hpp"
@@ -56,7 +56,7 @@ Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const 
       is_pattern ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
 }
 
-class FileWriter final : public Writer {
+class FileWriter final : public RecordingWriter {
  public:
   FileWriter(const FileConfig& config, std::unique_ptr<Codec> codec, std::unique_ptr<Codec> header_codec)
       : config_(config),
@@ -72,16 +72,13 @@ class FileWriter final : public Writer {
     }
     if (!is_pattern_) {
       files_.emplace_back();
-      open(files_.front(), config_.path).or_throw();
     } else if (config_.path.find('/', mark) != std::string::npos) {
       throw SetupError({Errc::bad_argument, "cannot make file sink", config_.path,
                         "{topic} stands in the name of a directory", "put it into the file's name"});
-    } else if (const auto directory = std::filesystem::path(config_.path).parent_path();
-               !directory.empty() && !std::filesystem::is_directory(directory)) {
-      throw SetupError({Errc::not_found, "cannot make file sink", config_.path,
-                        "there is no directory " + directory.string(), "make it first"});
     }
   }
+
+  Opening opening() const override { return Opening::at_set_up; }
 
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override {
     const std::string path = path_of(config_.path, topic);
@@ -89,10 +86,33 @@ class FileWriter final : public Writer {
     if (is_pattern_ || !header.empty()) {
       if (auto taken = take_path(topic_by_path_, config_.path, path, topic); !taken) return taken;
     }
-    return is_set_up_ ? Result<void>{} : prepare(number, path, header);  // later ones are opened by the lane
+    const std::lock_guard lock(known_mutex_);
+    if (!is_opened_) known_.push_back({number, path, header});
+    return {};
   }
 
-  Result<void> open() override { return {}; }
+  /// Opens the files of all topics that there are, so that one which cannot be is told at the start. After that, a topic's
+  /// file is opened for its next event, and what is wrong with it costs no other topic anything.
+  Result<void> open() override {
+    if (is_opened_) return {};
+    if (!is_pattern_) {
+      if (auto opened = open(files_.front(), config_.path); !opened) return opened;
+    } else if (const auto directory = std::filesystem::path(config_.path).parent_path();
+               !directory.empty() && !std::filesystem::is_directory(directory)) {
+      return Error{Errc::not_found, "cannot make file sink", config_.path,
+                   "there is no directory " + directory.string(), "make it first"};
+    }
+    std::vector<KnownTopic> known;
+    {
+      const std::lock_guard lock(known_mutex_);
+      known.swap(known_);
+      is_opened_ = true;
+    }
+    for (const KnownTopic& topic : known) {
+      if (auto ready = prepare(topic.number, topic.path, topic.header); !ready) return ready;
+    }
+    return {};
+  }
 
   Result<void> write(Batch& batch) override {
     for (OutputFile& file : files_) {
@@ -155,6 +175,7 @@ class FileWriter final : public Writer {
   }
 
   std::optional<Error> take_warning() override {
+    if (!repairs_.empty()) return take_repairs();
     if (std::string trouble = rotation_.take_trouble(); !trouble.empty()) {
       return Error{Errc::io_failed, "files are not rotated as set", config_.path, std::move(trouble),
                    "the file grows on, and it is tried again with each event"};
@@ -175,20 +196,21 @@ class FileWriter final : public Writer {
     return {};
   }
 
-  /// What was found at the ends of the files since the last call: an error that tells, when there was something.
-  Result<void> take_repairs() {
-    if (repairs_.empty()) return {};
+ private:
+  static constexpr std::size_t none = static_cast<std::size_t>(-1);
+  struct KnownTopic {
+    std::uint32_t number;
+    std::string path;
+    std::string header;
+  };
+
+  /// What was found at the ends of the files since the last call.
+  Error take_repairs() {
     std::string all;
     for (const std::string& repair : repairs_) all += (all.empty() ? "" : "; ") + repair;
     repairs_.clear();
     return Error{Errc::damaged, "an event was cut off", config_.path, all, "the run before did not end in good order"};
   }
-
-  /// The constructor of the sink has ended: from here on the files are the lane's.
-  void set_up() noexcept { is_set_up_ = true; }
-
- private:
-  static constexpr std::size_t none = static_cast<std::size_t>(-1);
 
   /// The file is there and is another's: waiting does not help.
   static bool is_for_good(const Error& error) {
@@ -242,8 +264,11 @@ class FileWriter final : public Writer {
   bool is_pattern_ = false;
   // loop
   std::map<std::string, std::string> topic_by_path_;
-  bool is_set_up_ = false;
-  // loop until it is set up, then lane
+  // both
+  std::mutex known_mutex_;
+  std::vector<KnownTopic> known_;  // before it was opened
+  bool is_opened_ = false;         // changed with the mutex
+  // lane
   Rotation rotation_;
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
@@ -258,7 +283,7 @@ std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
   return config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
 }
 
-std::unique_ptr<FileWriter> make_writer(const FileConfig& config, const CodecRegistry& formats) {
+std::unique_ptr<Writer> make_writer(const FileConfig& config, const CodecRegistry& formats) {
   const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
   return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
@@ -304,14 +329,7 @@ void check_config(const FileConfig& config, const ConfigItem& item, Problems& pr
   problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
 }
 
-FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats) {
-  auto made = make_writer(config, formats);
-  FileWriter& writer = *made;
-  static_cast<Sink&>(*this) = Sink(loop, with_name(config), std::move(made));
-  writer.set_up();
-  if (auto found = writer.take_repairs(); !found) {
-    loop.core().runtime.report(&loop.core(), "sink " + with_name(config).name, found.error());
-  }
-}
+FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats)
+    : Sink(loop, with_name(config), make_writer(config, formats)) {}
 
 }  // namespace rtdata

@@ -29,6 +29,12 @@ class AccountSums {
   Result<void> watch(Database& database);
   /// The run whose lines are written when it ends; 0: none.
   void begin(std::int64_t run) { open_run_ = run; }
+  /// As it was made; the connection that was watched is closed.
+  void forget() noexcept {
+    open_run_ = 0;
+    settled_ = {};
+    pending_.clear();
+  }
   /// What its lines would say now, with what the transaction under way did.
   RunSums sums_of(std::int64_t run) const;
   /// From here on the run's sums are these: of one that is to be sealed.

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "rtdata/sinks/recording_writer.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 

@@ -27,7 +27,8 @@ struct LiveFile::Header {
   std::uint64_t device;  // of the recording's file
   std::uint64_t inode;
   char recording[PATH_MAX];
-  std::atomic<std::uint64_t> is_incomplete;
+  std::atomic<std::uint64_t> lacks_room;
+  std::atomic<std::uint64_t> is_counting;
   std::atomic<std::uint64_t> slots;
   Kept<RunSums> sums;
 };
@@ -35,7 +36,7 @@ struct LiveFile::Header {
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{4} << 32) | sizeof(LiveSlot);
+constexpr std::uint64_t layout = (std::uint64_t{5} << 32) | sizeof(LiveSlot);
 constexpr std::size_t header_bytes = 8192;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";
@@ -225,7 +226,7 @@ Result<void> LiveFile::reserve(std::uint32_t slot) {
   Result<void> done;
   if (has(slot)) {
     // is set aside with those before it
-  } else if (fd_ < 0 || !is_complete() || block >= most_blocks) {
+  } else if (fd_ < 0 || lacks_room() || block >= most_blocks) {
     done = no_room();
   } else {
     std::size_t from = 0;
@@ -237,7 +238,7 @@ Result<void> LiveFile::reserve(std::uint32_t slot) {
   if (done) {
     if (slot >= slots()) header_->slots.store(slot + 1, std::memory_order_release);
   } else {
-    header_->is_incomplete.store(1, std::memory_order_release);
+    header_->lacks_room.store(1, std::memory_order_release);
   }
   return done;
 }
@@ -250,8 +251,16 @@ std::uint32_t LiveFile::slots() const noexcept {
   return header_ == nullptr ? 0 : static_cast<std::uint32_t>(header_->slots.load(std::memory_order_acquire));
 }
 
+void LiveFile::begin_counting() noexcept {
+  if (header_ != nullptr) header_->is_counting.store(1, std::memory_order_release);
+}
+
+bool LiveFile::lacks_room() const noexcept {
+  return header_ == nullptr || header_->lacks_room.load(std::memory_order_acquire) != 0;
+}
+
 bool LiveFile::is_complete() const noexcept {
-  return header_ != nullptr && header_->is_incomplete.load(std::memory_order_acquire) == 0;
+  return !lacks_room() && header_->is_counting.load(std::memory_order_acquire) != 0;
 }
 
 Kept<RunSums>& LiveFile::sums() noexcept { return header_->sums; }

@@ -14,7 +14,7 @@
 #include <type_traits>
 
 #include "rtdata/data/error.hpp"
-#include "rtdata/sinks/sink.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
 #include "sinks/sqlite/checksum.hpp"
 
 namespace rtdata::sqlite {
@@ -134,7 +134,12 @@ class LiveFile {
   Error no_room() const;
   /// How many slots were reserved.
   std::uint32_t slots() const noexcept;
-  /// Whether each slot of the run has its place here.
+  /// All that was counted before the file was there is in it, and what follows will be. A kill before that leaves a run of
+  /// which it is not known what was published.
+  void begin_counting() noexcept;
+  /// Some slots have found no place here.
+  bool lacks_room() const noexcept;
+  /// Whether all that was counted is here: of each slot, from the beginning on.
   bool is_complete() const noexcept;
 
   /// The checksums of the run's account, which are not in the recording before it ends. The lane's.

@@ -27,7 +27,19 @@ SinkConfig named(const SqliteConfig& config) {
   return sink;
 }
 
-/// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
+std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
+  detail::RuntimeCore& runtime = loop.runtime().core();
+  return std::make_unique<sqlite::SqliteWriter>(
+      config,
+      sqlite::RunInfo{runtime.config.name, runtime.config.notes, runtime.config.configuration,
+                      runtime.clock().boot_id(), loop.time(),
+                      runtime.clock_log.start().realtime.time_since_epoch() - runtime.clock_log.start().monotonic.time_since_epoch()});
+}
+
+}  // namespace
+
+namespace sqlite {
+
 Result<void> check_path(const std::string& path) {
   constexpr std::string_view longest_ending = "-journal";
   const auto refuse = [&](std::string why, const char* advice) {
@@ -51,23 +63,7 @@ Result<void> check_path(const std::string& path) {
   return {};
 }
 
-std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
-  check_path(config.path).or_throw();
-  detail::RuntimeCore& runtime = loop.runtime().core();
-  const sqlite::RunInfo run{
-      runtime.config.name,
-      runtime.config.notes,
-      runtime.config.configuration,
-      runtime.clock().boot_id(),
-      loop.time(),
-      runtime.clock_log.start().realtime.time_since_epoch() - runtime.clock_log.start().monotonic.time_since_epoch()};
-  std::vector<std::string> remarks;
-  auto writer = std::make_unique<sqlite::SqliteWriter>(config, run, remarks);
-  for (const std::string& remark : remarks) runtime.log(LogLevel::warning, "sink " + named(config).name, remark);
-  return writer;
-}
-
-}  // namespace
+}  // namespace sqlite
 
 std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRecord> topics) {
   std::vector<Error> refused;
@@ -86,7 +82,7 @@ bool is_beside(const SqliteConfig&, const std::string& file, const std::string& 
 }
 
 Result<void> check_recordable(const std::string& path) {
-  if (auto is_path = check_path(path); !is_path) return is_path;
+  if (auto is_path = sqlite::check_path(path); !is_path) return is_path;
   constexpr std::string_view magic("SQLite format 3\0", 16);
   std::array<unsigned char, 100> head{};
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);

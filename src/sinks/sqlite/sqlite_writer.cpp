@@ -37,8 +37,6 @@ std::string host_name() {
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
 }
 
-void throw_if(const Result<void>& result) { result.or_throw(); }
-
 /// The version of the recording's format; 0: the file is empty.
 Result<std::int64_t> format_of(const Database& database, const std::string& path) {
   auto id = database.integer("PRAGMA application_id");
@@ -63,8 +61,11 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
 
 }  // namespace
 
-SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks)
-    : config_(config), pruner_(config.max_bytes, config.max_age) {
+SqliteWriter::SqliteWriter(const SqliteConfig& config, RunInfo run)
+    : config_(config),
+      info_(std::move(run)),
+      permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
+      pruner_(config.max_bytes, config.max_age) {
   if (config_.path.empty()) {
     throw SetupError(
         {Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
@@ -78,49 +79,91 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::
     throw SetupError({Errc::bad_argument, "cannot record into", config_.path, "`max_age` is negative",
                       "set a positive time, or 0 for no limit"});
   }
-  const mode_t permissions = detail::permissions_of(config_.permissions, config_.path).or_throw();
-  database_ = std::move(Database::open(config_.path, Database::Mode::write, permissions)).or_throw();
-  if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
-    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
-                      "check the permissions of the file and its folder"});
-  }
-  (void)format_of(database_, config_.path).or_throw();
-  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
-  lock_ = std::move(RecordingLock::take(recording)).or_throw();
-  try {
-    begin(run, recording, remarks);
-  } catch (...) {
-    if (lock_.noted().empty()) lock_.remove();
-    throw;
-  }
 }
 
-void SqliteWriter::begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks) {
-  throw_if(configure());
+Result<void> SqliteWriter::open() {
+  if (run_ == 0) {
+    Result<void> begun;
+    try {
+      begun = begin();
+    } catch (...) {  // no memory
+      forget();
+      throw;
+    }
+    if (!begun) {
+      forget();
+      return begun;
+    }
+  }
+  // The run is in the database whatever becomes of the log. What fails here fails, and is told, when the log is full.
+  if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
+  for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
+    if (*statement) continue;
+    auto made = database_.prepare(sql);
+    if (!made) return std::move(made).error();
+    *statement = std::move(*made);
+  }
+  return account_.prepare(database_, run_, info_.boot_id);
+}
+
+void SqliteWriter::forget() noexcept {
+  run_ = 0;
+  live_ = LiveFile();
+  database_ = Database();
+  sums_.forget();
+  remarks_.clear();
+  if (lock_.noted().empty()) lock_.remove();
+  lock_ = RecordingLock();
+}
+
+Result<void> SqliteWriter::begin() {
+  if (auto is_path = check_path(config_.path); !is_path) return is_path;
+  auto database = Database::open(config_.path, Database::Mode::write, permissions_);
+  if (!database) return std::move(database).error();
+  database_ = std::move(*database);
+  if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
+    return Error{Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
+                 "check the permissions of the file and its folder"};
+  }
+  if (auto format = format_of(database_, config_.path); !format) return std::move(format).error();
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  auto lock = RecordingLock::take(recording);
+  if (!lock) return std::move(lock).error();
+  lock_ = std::move(*lock);
+  return begin_in(recording);
+}
+
+Result<void> SqliteWriter::begin_in(const std::string& recording) {
+  if (auto done = configure(); !done) return done;
   const std::string uuid = random_uuid();
-  throw_if(database_.execute("BEGIN IMMEDIATE"));
-  throw_if(make_schema());
-  throw_if(sums_.watch(database_));
+  if (auto done = database_.execute("BEGIN IMMEDIATE"); !done) return done;
+  if (auto done = make_schema(); !done) return done;
+  if (auto done = sums_.watch(database_); !done) return done;
   std::vector<LiveFile> used;
-  remarks = std::move(seal_runs(database_, recording, lock_.noted(), sums_, used)).or_throw();
-  throw_if(begin_run(run, uuid));
-  throw_if(sums_.write_changes(database_));
+  auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
+  if (!remarks) return std::move(remarks).error();
+  if (auto done = begin_run(uuid); !done) return done;
+  if (auto done = sums_.write_changes(database_); !done) return done;
   if (auto made = LiveFile::make(recording, uuid)) {
     live_ = std::move(*made);
   } else {
     tell_of_live_file(made.error());
   }
-  if (auto committed = database_.execute("COMMIT"); !committed) {
+  if (auto done = database_.execute("COMMIT"); !done) {
     live_.remove();
-    committed.or_throw();
+    return done;
   }
   if (live_) live_.sums().set(sums_.sums_of(run_));
   sums_.committed();
   lock_.note(live_.path());
+  remarks_ = std::move(*remarks);
   // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
-  if (config_.profile == SqliteProfile::normal) throw_if(sync());
+  if (config_.profile == SqliteProfile::normal) {
+    if (auto synced = sync(); !synced) return synced;
+  }
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
+  return {};
 }
 
 Result<void> SqliteWriter::configure() {
@@ -197,7 +240,8 @@ Result<void> SqliteWriter::make_schema() {
   return {};
 }
 
-Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid) {
+Result<void> SqliteWriter::begin_run(const std::string& uuid) {
+  const RunInfo& run = info_;
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
       "clock_offset, state, format) "
@@ -213,7 +257,6 @@ Result<void> SqliteWriter::begin_run(const RunInfo& run, const std::string& uuid
   run_ = database_.last_rowid();
   sums_.begin(run_);
   ranges_.begin(run_, run.started);
-  boot_id_ = run.boot_id;
   return {};
 }
 
@@ -242,18 +285,6 @@ void SqliteWriter::tell_of_live_file(const Error& why) {
 
 Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
   return check_columns(topic, description);
-}
-
-Result<void> SqliteWriter::open() {
-  // The run is in the database whatever becomes of the log. What fails here fails, and is told, when the log is full.
-  if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
-  for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
-    if (*statement) continue;
-    auto made = database_.prepare(sql);
-    if (!made) return std::move(made).error();
-    *statement = std::move(*made);
-  }
-  return account_.prepare(database_, run_, boot_id_);
 }
 
 Result<void> SqliteWriter::write(Batch& batch) {
@@ -288,8 +319,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
   try {
     escaped_.end_batch(batch);
     look_at_space();
-    if (batch.account() != nullptr && !has_told_of_live_file_ && !live_.is_complete())
-      tell_of_live_file(live_.no_room());
+    if (batch.account() != nullptr && !has_told_of_live_file_ && live_.lacks_room()) tell_of_live_file(live_.no_room());
   } catch (...) {  // no memory for a warning
   }
   return {};

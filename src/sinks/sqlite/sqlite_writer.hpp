@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/account_writer.hpp"
@@ -31,12 +32,14 @@ struct RunInfo {
   Duration clock_offset{0};
 };
 
-class SqliteWriter final : public Writer {
+class SqliteWriter final : public RecordingWriter {
  public:
-  /// On the calling thread: opens and locks the file, seals runs that ended without closing (`remarks` tells of them), and
-  /// begins a run. Throws SetupError.
-  SqliteWriter(const SqliteConfig& config, const RunInfo& run, std::vector<std::string>& remarks);
+  /// Touches no file. Throws SetupError.
+  SqliteWriter(const SqliteConfig& config, RunInfo run);
 
+  Opening opening() const override { return Opening::at_set_up; }
+  /// Opens and locks the file, brings it to this format, seals runs that ended without closing (remarks tell of them), and
+  /// begins a run.
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
@@ -45,16 +48,22 @@ class SqliteWriter final : public Writer {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
+  void begin_counting() override { live_.begin_counting(); }
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
+  std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
   StorePace pace() const override;
 
  private:
-  void begin(const RunInfo& run, const std::string& recording, std::vector<std::string>& remarks);
+  /// What `open` does once. Errors leave things behind: see `forget`.
+  Result<void> begin();
+  Result<void> begin_in(const std::string& recording);
+  /// Nothing has been opened yet.
+  void forget() noexcept;
   Result<void> configure();
   Result<void> make_schema();
-  Result<void> begin_run(const RunInfo& run, const std::string& uuid);
+  Result<void> begin_run(const std::string& uuid);
   Result<void> write_rows(Batch& batch);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
@@ -79,14 +88,16 @@ class SqliteWriter final : public Writer {
   void look_at_size();
   void tell_of_live_file(const Error& why);
 
-  SqliteConfig config_;
+  const SqliteConfig config_;
+  const RunInfo info_;
+  const mode_t permissions_;
   AccountSums sums_;  // the connection calls it
   ValueRanges ranges_;
   RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
   Database database_;
-  std::int64_t run_ = 0;
-  std::string boot_id_;
+  std::int64_t run_ = 0;  // 0: none has begun
+  std::vector<std::string> remarks_;
   detail::EscapedTexts escaped_;
   TopicTables tables_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made
@@ -109,6 +120,9 @@ class SqliteWriter final : public Writer {
   bool is_closed_ = false;
   bool is_log_lost_ = false;
 };
+
+/// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
+Result<void> check_path(const std::string& path);
 
 /// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
 /// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
