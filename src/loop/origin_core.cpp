@@ -45,15 +45,15 @@ void OriginCore::adopt(const State& state) {
   period_ = Duration{0};
   is_mirror = false;
   gap_is_open_ = false;  // the last holder of the name has closed it
-  if (passage != nullptr) passage->is_past = true;
+  if (passage != nullptr) passage->receiving.is_past = true;
   passage = nullptr;
 }
 
 void OriginCore::become_mirror(Passage& from) noexcept {
   is_mirror = true;
-  if (passage != nullptr) passage->is_past = true;
+  if (passage != nullptr) passage->receiving.is_past = true;
   passage = &from;
-  from.mirror = this;
+  from.receiving.mirror = this;
 }
 
 void OriginCore::mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way,

@@ -384,14 +384,14 @@ void TierCore::give_up() {
 }
 
 struct TierCore::Answer {
-  Bridge::Told told{};
+  Bridge::AccountsSent sent{};
   Latch is_there;
 };
 
 void TierCore::ask_account() {
   answer_ = std::make_shared<Answer>();
   const auto tell = [&bridge = bridge_to_main(), answer = answer_] {
-    answer->told = bridge.tell_all();
+    answer->sent = bridge.send_all_accounts();
     answer->is_there.set();
   };
   if (loop.core().runs_elsewhere()) {
@@ -404,8 +404,8 @@ void TierCore::ask_account() {
 bool TierCore::hear_out(Duration at_most) {
   Bridge& bridge = bridge_to_main();
   if (!main.core().wait_for(answer_->is_there, at_most)) return false;
-  if (answer_->told.left == 0) {
-    bridge.receive_up_to(answer_->told.position);
+  if (answer_->sent.left == 0) {
+    bridge.receive_up_to(answer_->sent.position);
     return true;
   }
   bridge.receive();
