@@ -28,7 +28,7 @@ PartObject made_at(const PartPlan& plan, const Make& make) {
 PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
   if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
     loop.runtime().note_place(plan.object(), std::move(place));
-  std::vector<std::string>& secrets = loop.runtime().core().secrets;
+  std::vector<std::string>& secrets = loop.runtime().core().reports.secrets;
   for (const std::string& secret : plan.secrets)
     if (std::find(secrets.begin(), secrets.end(), secret) == secrets.end()) secrets.push_back(secret);
   return plan.make(loop, parts);
@@ -80,7 +80,7 @@ std::string System::add(std::string_view kind, const std::string& name, const Co
     neighbours().check_files_of_topics(problems);
     neighbours().check_stored_topics(problems);
     if (!problems.empty()) {
-      std::vector<std::string> secrets = loop_.runtime().core().secrets;
+      std::vector<std::string> secrets = loop_.runtime().core().reports.secrets;
       secrets.insert(secrets.end(), part->plan.secrets.begin(), part->plan.secrets.end());
       config_detail::hide_secrets_in(problems, secrets);
       problems.sort();

@@ -18,7 +18,7 @@ Blame::~Blame() { loop_.deadlines.remove(recovery_); }
 
 void Blame::report(const std::string& name, Duration took) {
   const std::string lasted = "held the loop for " + to_string(took / 1000 * 1000);
-  const std::string place = loop_.runtime.place_of(name);
+  const std::string place = loop_.runtime.reports.place_of(name);
   held_last_ = loop_.now();
   if (!recovery_.is_listed()) {
     loop_.runtime.health_changed("loop", loop_.config.name, Health::degraded, name + " " + lasted);

@@ -31,8 +31,8 @@ void Channel::look_for_room(Passage& passage, Time time, std::uint64_t sequence,
   bridge_.make_known(record_bytes_);
   std::byte* room = bridge_.send_drops(passage, usual) ? ring_.reserve(record_bytes_, usual) : nullptr;
   if (room == nullptr) {
-    ++passage.dropped;
-    passage.last_dropped = sequence;
+    ++passage.sending.dropped;
+    passage.sending.last_dropped = sequence;
     bridge_.wake();  // what fills the ring may not have been announced yet
     return;
   }
@@ -55,9 +55,10 @@ Bridge::Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes)
 Bridge::~Bridge() {
   from_.deadlines.remove(reminder_);
   from_.deadlines.release_one();
-  to_.runtime.forget_announcements(*this);
+  to_.runtime.exchange.forget(*this);
   for (Passage* passage : heard_) {
-    if (passage != nullptr && passage->mirror != nullptr && !passage->is_past) passage->mirror->passage = nullptr;
+    if (passage != nullptr && passage->receiving.mirror != nullptr && !passage->receiving.is_past)
+      passage->receiving.mirror->passage = nullptr;
   }
   std::erase(from_.runtime.outbound, this);
   std::erase(to_.runtime.inbound, this);
@@ -78,7 +79,7 @@ void Bridge::wake() noexcept {
 }
 
 void Bridge::announce(Channel* channel, Passage* passage, const std::string& name, PayloadType type) {
-  to_.runtime.announce({this, channel, passage, name, std::move(type)});
+  to_.runtime.exchange.announce({this, channel, passage, name, std::move(type)});
   has_announced_ = true;
 }
 
@@ -134,11 +135,11 @@ RecordType* Bridge::reserve(Sort sort, const Passage& passage, ByteRing::Room ro
 }
 
 bool Bridge::send_drops(Passage& passage, ByteRing::Room room) noexcept {
-  if (passage.dropped == passage.told_dropped) return true;
+  if (passage.sending.dropped == passage.sending.reported_dropped) return true;
   auto* record = reserve<DropsRecord>(Sort::drops, passage, room);
   if (record == nullptr) return false;
-  record->dropped = passage.told_dropped = passage.dropped;
-  record->last_sequence = passage.last_dropped;
+  record->dropped = passage.sending.reported_dropped = passage.sending.dropped;
+  record->last_sequence = passage.sending.last_dropped;
   ring_.commit(record->bytes);
   return true;
 }
@@ -188,39 +189,39 @@ bool Bridge::send(const Note& note) noexcept {
 
 void Bridge::on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, first, last, object = std::string(object), error, count] {
+  from_.runtime.reports.post_to_main([&to = to_, first, last, object = std::string(object), error, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_error(first, last, object, error, count);
   });
 }
 
 void Bridge::on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) {
   if (!is_to_main_) return;
-  from_.runtime.tell_hub([&to = to_, first, last, change, count] {
+  from_.runtime.reports.post_to_main([&to = to_, first, last, change, count] {
     for (Listener* listener : to.runtime.recorders) listener->on_health(first, last, change, count);
   });
 }
 
 bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   if (!send_drops(passage, room)) return false;
-  if (passage.is_given_up || !is_to_main_) return true;
-  const OriginCore& origin = *passage.source;
+  if (passage.sending.is_given_up || !is_to_main_) return true;
+  const OriginCore& origin = *passage.sending.source;
   const SensorEntry* sensor = origin.sensor;
   const SensorCounts& counts = origin.counts;
   const Outages outages = origin.ended_outages();
-  Passage::Told told{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost + origin.sequence +
-                     outages.number};
+  AccountSummary summary{counts.scheduled + counts.received + counts.taken + counts.failed + counts.lost +
+                         origin.sequence + outages.number};
   if (sensor != nullptr) {
-    told.period = sensor->schedule_period();
-    told.has_sensor = true;
-    told.is_active = sensor->is_active();
-    told.health = sensor->health();
+    summary.period = sensor->schedule_period();
+    summary.has_sensor = true;
+    summary.is_active = sensor->is_active();
+    summary.health = sensor->health();
   }
-  told.has_gap = origin.gap_under_way() != nullptr;
-  told.is_absent = origin.absent_since() != Time::min();
-  if (told == passage.told) return true;
+  summary.has_gap = origin.gap_under_way() != nullptr;
+  summary.is_absent = origin.absent_since() != Time::min();
+  if (summary == passage.sending.last_account) return true;
   auto* record = reserve<AccountRecord>(Sort::account, passage, room);
   if (record == nullptr) return false;
-  passage.told = told;
+  passage.sending.last_account = summary;
   record->counts = counts;
   record->sequence = origin.sequence;
   record->under_way = origin.has_segment() ? origin.segment(from_.deadlines.handled_until()) : Segment{};
@@ -228,10 +229,10 @@ bool Bridge::send_account(Passage& passage, ByteRing::Room room) noexcept {
   if (record->has_gap) record->gap = *origin.gap_under_way();
   record->outages = outages;
   record->absent_since = origin.absent_since();
-  record->has_sensor = told.has_sensor;
-  record->period = told.period;
-  record->is_active = told.is_active;
-  record->health = told.health;
+  record->has_sensor = summary.has_sensor;
+  record->period = summary.period;
+  record->is_active = summary.is_active;
+  record->health = summary.health;
   const std::string_view reason = sensor != nullptr ? sensor->reason() : std::string_view();
   record->reason[put_fitting(record->reason, sizeof record->reason - 1, reason)] = '\0';
   ring_.commit(record->bytes);
@@ -251,9 +252,9 @@ std::size_t Bridge::send_accounts() {
   return left;
 }
 
-Bridge::Told Bridge::tell_all() {
+Bridge::AccountsSent Bridge::send_all_accounts() {
   for (const Passage& passage : passages_) {
-    if (!passage.is_given_up) passage.source->divide_gaps();
+    if (!passage.sending.is_given_up) passage.sending.source->divide_gaps();
   }
   const std::size_t left = send_accounts();
   return {left, ring_.published()};
@@ -271,7 +272,7 @@ void Bridge::send_some_accounts() {
 void Bridge::give_up(const OriginCore& origin) noexcept {
   Passage* passage = passage_of(origin);
   if (passage == nullptr) return;
-  passage->is_given_up = true;
+  passage->sending.is_given_up = true;
 }
 
 void Bridge::hand_over() {
@@ -336,7 +337,7 @@ void Bridge::hear(Announcement& announcement) {
         topic.add_channel_in(*channel);
       } else {
         topic.cut_off_from = from_.config.name;
-        here.tell_of_cut_off(topic);
+        here.exchange.report_cut_off(topic);
       }
     } catch (const SetupError& e) {
       here.keep_report(&to_, "loop " + from_.config.name, e.error());
@@ -345,7 +346,7 @@ void Bridge::hear(Announcement& announcement) {
   }
   if (channel->mirror_ != nullptr) {
     if (OriginCore* known = here.find_origin(announcement.name)) {
-      ++here.names_taken_over;
+      ++here.exchange.takeovers;
       // Another loop had the name. What it published is in its ring already, before anything that is not heard of yet.
       for (Bridge* bridge : here.inbound) bridge->take_heard();
       for (Bridge* bridge : here.outbound) bridge->give_up(*known);
@@ -360,14 +361,14 @@ void Bridge::hear(Announcement& announcement) {
 
 void Bridge::receive() {
   do {
-    to_.runtime.hear_announcements();  // it was announced before it was sent
+    to_.runtime.exchange.take_announcements();  // it was announced before it was sent
   } while (!take_heard());
 }
 
 void Bridge::receive_up_to(std::size_t position) {
-  to_.runtime.hear_announcements();
+  to_.runtime.exchange.take_announcements();
   ring_.look_up_to(position);
-  while (!take_seen()) to_.runtime.hear_announcements();
+  while (!take_seen()) to_.runtime.exchange.take_announcements();
 }
 
 bool Bridge::take_heard() {
@@ -383,7 +384,7 @@ bool Bridge::take_seen() {
     if (record.sort() == Sort::event) {
       take_events(static_cast<const EventRecord&>(record), *passage);
     } else {
-      if (passage->mirror != nullptr) take(record, *passage);
+      if (passage->receiving.mirror != nullptr) take(record, *passage);
       ring_.pop();
     }
     ring_.release();
@@ -401,21 +402,22 @@ void Bridge::take_events(const EventRecord& first, Passage& passage) {
     ByteRing::fetch_for_reading(at);
     ++count;
   }
-  if (passage.mirror == nullptr) [[unlikely]] {
-    to_.runtime.lost_between_loops += count;  // its topic cannot be what it is elsewhere, which was reported
+  if (passage.receiving.mirror == nullptr) [[unlikely]] {
+    to_.runtime.exchange.lost += count;  // its topic cannot be what it is elsewhere, which was reported
   } else {
-    passage.mirror->topic.receive(*passage.mirror, &first.event, count, stride);
+    passage.receiving.mirror->topic.receive(*passage.receiving.mirror, &first.event, count, stride);
   }
   ring_.pop(count * stride);
 }
 
 void Bridge::take(const Record& record, Passage& passage) {
-  OriginCore& mirror = *passage.mirror;
+  Passage::Receiving& here = passage.receiving;
+  OriginCore& mirror = *here.mirror;
   switch (record.sort()) {
     case Sort::event:
       break;  // see above
     case Sort::gap:
-      if (!passage.is_past) mirror.forget_gap();  // it was under way in an account
+      if (!here.is_past) mirror.forget_gap();  // it was under way in an account
       for (Listener* listener : to_.runtime.recorders)
         listener->on_gap(mirror, static_cast<const GapRecord&>(record).gap);
       break;
@@ -423,23 +425,23 @@ void Bridge::take(const Record& record, Passage& passage) {
       for (Listener* listener : to_.runtime.recorders) {
         listener->on_segment(mirror, static_cast<const SegmentRecord&>(record).segment);
       }
-      if (!passage.is_past) mirror.forget_segment();  // its account, told later, knows no more of it than this
+      if (!here.is_past) mirror.forget_segment();  // its account, told later, knows no more of it than this
       break;
     case Sort::account: {
       const auto& account = static_cast<const AccountRecord&>(record);
-      if (passage.is_past) break;  // the new holder of the name tells more
+      if (here.is_past) break;  // the new holder of the name tells more
       mirror.mirror(account.counts, account.sequence, account.under_way, account.has_gap ? &account.gap : nullptr);
       mirror.mirror(account.outages, account.absent_since);
-      passage.period = account.period;
-      passage.is_active = account.is_active;
-      passage.has_sensor = account.has_sensor;
-      passage.health = account.health;
-      if (passage.reason != account.reason) passage.reason = account.reason;
+      here.period = account.period;
+      here.is_active = account.is_active;
+      here.has_sensor = account.has_sensor;
+      here.health = account.health;
+      if (here.reason != account.reason) here.reason = account.reason;
       break;
     }
     case Sort::drops: {
       const auto& drops = static_cast<const DropsRecord&>(record);
-      const std::uint64_t more = drops.dropped - std::exchange(passage.known_dropped, drops.dropped);
+      const std::uint64_t more = drops.dropped - std::exchange(here.known_dropped, drops.dropped);
       mirror.topic.miss(mirror, more, drops.last_sequence);
       break;
     }
@@ -448,10 +450,11 @@ void Bridge::take(const Record& record, Passage& passage) {
 
 void Bridge::add_statuses(std::vector<SensorStatus>& all) const {
   for (const Passage* passage : heard_) {
-    if (passage == nullptr || !passage->has_sensor || passage->is_past) continue;
-    all.push_back({passage->mirror->name, passage->mirror->topic.name, passage->period, passage->is_active,
-                   passage->health, passage->reason, passage->mirror->counts, from_.config.name,
-                   passage->mirror->first_due(), passage->mirror->outages(to_.runtime.event_now())});
+    if (passage == nullptr || !passage->receiving.has_sensor || passage->receiving.is_past) continue;
+    const Passage::Receiving& here = passage->receiving;
+    all.push_back({here.mirror->name, here.mirror->topic.name, here.period, here.is_active, here.health, here.reason,
+                   here.mirror->counts, from_.config.name, here.mirror->first_due(),
+                   here.mirror->outages(to_.runtime.event_now())});
   }
 }
 

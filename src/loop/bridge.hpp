@@ -45,40 +45,53 @@ struct BridgeRecord {
   std::uint32_t tag;    // what it is, and the passage's number
 };
 
-/// One sensor (origin) and its mirror.
-struct Passage {
-  Passage(std::uint32_t number_, OriginCore& source_, Channel& channel_, std::uint32_t event_bytes)
-      : number(number_), event(event_bytes, BridgeRecord::Sort::event, number_), source(&source_), channel(&channel_) {}
-  const std::uint32_t number;  // among its bridge's
-  const BridgeRecord event;    // what its events' records begin with
-  OriginCore* const source;    // the sending side's
-  Channel* const channel;
-  std::uint64_t dropped = 0;  // the sending side's: for want of room in the ring, counted from the beginning
-  std::uint64_t told_dropped = 0;
-  std::uint64_t last_dropped = 0;  // its sequence
-  struct Told {
-    std::uint64_t grown = 0;  // sum of counts, each of which only grows
-    Duration period{0};
-    bool has_gap = false;
-    bool is_absent = false;
-    bool has_sensor = false;
-    bool is_active = false;
-    Health health = Health::ok;
-    bool operator==(const Told&) const = default;
-  };
-  Told told;                     // what its last account said
-  bool is_given_up = false;      // another loop has the name
-  OriginCore* mirror = nullptr;  // from here on the receiving side's; null: its topic cannot be what it is elsewhere
-  bool is_past = false;          // another loop has the name
-  std::uint64_t known_dropped = 0;
+/// What is compared to see whether an account says anything new.
+struct AccountSummary {
+  std::uint64_t grown = 0;  // sum of counts, each of which only grows
   Duration period{0};
-  bool is_active = false;
+  bool has_gap = false;
+  bool is_absent = false;
   bool has_sensor = false;
+  bool is_active = false;
   Health health = Health::ok;
-  std::string reason;
+  bool operator==(const AccountSummary&) const = default;
 };
 
-/// One topic and its mirror.
+/// One sensor (origin) and its mirror: a sending and a receiving side, each owned by the thread of its loop. They exchange
+/// records through the bridge's ring, and nothing else; what both read never changes.
+struct Passage {
+  Passage(std::uint32_t number_, OriginCore& source, Channel& channel_, std::uint32_t event_bytes)
+      : number(number_),
+        event(event_bytes, BridgeRecord::Sort::event, number_),
+        channel(&channel_),
+        sending{.source = &source} {}
+  const std::uint32_t number;  // among its bridge's
+  const BridgeRecord event;    // what its events' records begin with
+  Channel* const channel;
+
+  struct Sending {
+    OriginCore* source;
+    std::uint64_t dropped = 0;           // for want of room in the ring, since the beginning
+    std::uint64_t reported_dropped = 0;  // of these, those that the other side was told of
+    std::uint64_t last_dropped = 0;      // sequence of the last one
+    AccountSummary last_account = {};
+    bool is_given_up = false;  // another loop has the name: no more accounts
+  } sending;
+
+  struct alignas(64) Receiving {   // a cache line of its own
+    OriginCore* mirror = nullptr;  // null: its topic cannot be what it is elsewhere
+    bool is_past = false;          // another loop has the name
+    std::uint64_t known_dropped = 0;
+    // As the last account has it.
+    Duration period{0};
+    bool is_active = false;
+    bool has_sensor = false;
+    Health health = Health::ok;
+    std::string reason;
+  } receiving;
+};
+
+/// One topic and its mirror. The sending side owns all but `mirror_`, and `is_wanted_` is between the two.
 class Channel {
  public:
   Channel(Bridge& bridge, TopicCore& source);
@@ -91,7 +104,8 @@ class Channel {
   void send(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
     if (!is_wanted_.load(std::memory_order_relaxed)) return;
     // What most events are is done here, without a call.
-    std::byte* room = passage.dropped == passage.told_dropped ? ring_.reserve_at_hand(bytes_at_hand_) : nullptr;
+    const Passage::Sending& sending = passage.sending;
+    std::byte* room = sending.dropped == sending.reported_dropped ? ring_.reserve_at_hand(bytes_at_hand_) : nullptr;
     if (room == nullptr) return look_for_room(passage, time, sequence, payload);
     copy_few(begin_event(room, passage, time, sequence), payload, payload_bytes_);
     ring_.commit(record_bytes_);
@@ -156,11 +170,11 @@ class Bridge final : public Listener {
   /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received first.
   std::size_t send_accounts();
   /// All there is to say of the sensors up to now, gaps under way too.
-  struct Told {
+  struct AccountsSent {
     std::size_t left;      // as `send_accounts` returns it
     std::size_t position;  // up to which the other side has to take for it, and no more
   };
-  Told tell_all();
+  AccountsSent send_all_accounts();
   /// Another loop has the name of this origin: its account is no longer told.
   void give_up(const OriginCore& origin) noexcept;
   // These take it on the other side, too: on either thread, while none of the loops turns.
@@ -173,7 +187,7 @@ class Bridge final : public Listener {
   void hear(Announcement& announcement);
   /// Takes what was sent before the call.
   void receive();
-  /// Takes what was sent before `tell_all` said so.
+  /// Takes what was sent before `send_all_accounts` returned this position.
   void receive_up_to(std::size_t position);
   void add_statuses(std::vector<SensorStatus>& all) const;
 

@@ -59,7 +59,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      if (!is_there(tier)) {  // what one that does not run delivers here may destroy another
+      if (!is_there(tier)) {  // draining a stopped tier runs handlers here, which may destroy another
         std::erase(draining_, tier);
         continue;
       }
@@ -86,7 +86,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void give_up_tiers() {
     const auto self = shared_from_this();
     runtime_.receive();
-    std::vector<std::pair<std::string, Error>> errors;  // told of at the end, since a report may run user code
+    std::vector<std::pair<std::string, Error>> errors;  // reported at the end: a report may run user code
     for (detail::TierCore* tier : copy(draining_)) {
       if (!is_there(tier)) continue;
       if (!tier->is_running()) {  // it was stopped meanwhile: it is drained here
@@ -109,7 +109,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
       wait_for_reads();
     } catch (...) {
       timer_.start(try_again_after);
-      throw;  // is told
+      throw;  // the timer's call reports it
     }
   }
 
@@ -128,8 +128,8 @@ class Drain : public std::enable_shared_from_this<Drain> {
     std::vector<Callback<void(std::uint64_t)>> done;
     for (std::size_t i = 0; i < recorders.size(); ++i)
       done.emplace_back([self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
-    runtime_.flush_repeats(detail::RuntimeCore::Repeated::all);
-    loop_.core().call_own("clock", [&] { runtime_.look_at_clock("end"); });
+    runtime_.reports.flush(detail::Reports::Repeated::all);
+    loop_.core().call_own("clock", [&] { runtime_.clock_log.look("end"); });
     pending_ = recorders.size() + 1;
     for (detail::Recorder* recorder : recorders) {
       const auto& left = runtime_.recorders;  // a report of one may have closed another

@@ -15,7 +15,7 @@ class Latch {
   void set() noexcept {
     const std::lock_guard lock(mutex_);
     is_set_ = true;
-    signal_.notify_all();  // under the lock: who waits may take the latch away
+    signal_.notify_all();  // under the lock: a waiting thread may destroy the latch
   }
   void clear() noexcept {
     const std::lock_guard lock(mutex_);

@@ -21,7 +21,7 @@ Loop::Loop(uv_loop_t* host, Config config) : own_runtime_(std::make_unique<Runti
 }
 Loop::Loop(Manual manual) : Loop(manual, Config{}) {}
 Loop::Loop(Manual manual, Config config) : own_runtime_(std::make_unique<Runtime>()) {
-  own_runtime_->core().use_manual_clock();
+  own_runtime_->core().clock_log.use_manual_clock();
   core_ = std::make_unique<detail::LoopCore>(*this, own_runtime_->core(), std::move(config), nullptr,
                                              detail::LoopCore::Time::manual);
   core_->virtual_threads()->choose_by(manual);
@@ -34,7 +34,7 @@ Loop::Loop(Runtime& runtime, Config config)
 Loop::~Loop() {
   core_->check_may_end();
   core_->begin_ending();
-  if (own_runtime_ != nullptr) own_runtime_->core().on_log.reset();  // as for on_error
+  if (own_runtime_ != nullptr) own_runtime_->core().reports.on_log.reset();  // as for on_error
 }
 
 void Loop::run() { core_->run(); }

@@ -92,7 +92,7 @@ void LoopCore::turn_ended() noexcept {
   runtime.start_tiers_in_turn();
   call_own("loop", [&] {
     runtime.turn_done();
-    if (runtime.has_injected_clock()) runtime.look_at_clock();
+    if (runtime.has_injected_clock()) runtime.clock_log.look();
   });
   if (!deliveries.is_empty()) {
     deliveries.deliver(Deliveries::Budget::limited);
@@ -107,7 +107,7 @@ void LoopCore::turn_ended() noexcept {
 
 void LoopCore::clock_was_set() {
   const Calling calling(runtime);
-  call_own("clock", [&] { runtime.look_at_clock(); });
+  call_own("clock", [&] { runtime.clock_log.look(); });
 }
 
 MonotonicTime LoopCore::turn_start() noexcept {

@@ -52,7 +52,7 @@ std::vector<CallbackStatus> Nodes::callbacks() const {
   for (const Node* node = first_; node != nullptr; node = node->next_) {
     CallbackStatus status;
     if (!node->tell_times(status)) continue;
-    status.place = loop_.runtime.place_of(status.name);
+    status.place = loop_.runtime.reports.place_of(status.name);
     all.push_back(std::move(status));
   }
   std::reverse(all.begin(), all.end());
@@ -74,7 +74,7 @@ void Nodes::go_on(const std::shared_ptr<CallbackSurvey>& survey) {
     const Node* node = std::exchange(survey->next_, survey->next_->next_);
     CallbackStatus status;
     if (!node->tell_times(status) || status.times.count == 0) continue;
-    status.place = loop_.runtime.place_of(status.name);
+    status.place = loop_.runtime.reports.place_of(status.name);
     survey->callbacks_.push_back(std::move(status));
   }
   if (survey->next_ != nullptr) return loop_.post([this, survey] { go_on(survey); });

@@ -28,7 +28,7 @@ MonotonicTime OriginCore::last_due() const noexcept {
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
   const RuntimeCore& runtime = topic.runtime();
   const MonotonicTime last = last_due();
-  if (is_mirror || end < last) end = last;  // within a turn, ticks are counted that its end is not told of yet
+  if (is_mirror || end < last) end = last;  // within a turn, ticks are counted that are due after `handled_until`
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_,
           late_after};
 }
@@ -44,26 +44,26 @@ void OriginCore::adopt(const State& state) {
   first_due_ = state.free_from;
   period_ = Duration{0};
   is_mirror = false;
-  gap_is_open_ = false;  // who had the name has closed it
-  if (passage != nullptr) passage->is_past = true;
+  gap_is_open_ = false;  // the last holder of the name has closed it
+  if (passage != nullptr) passage->receiving.is_past = true;
   passage = nullptr;
 }
 
 void OriginCore::become_mirror(Passage& from) noexcept {
   is_mirror = true;
-  if (passage != nullptr) passage->is_past = true;
+  if (passage != nullptr) passage->receiving.is_past = true;
   passage = &from;
-  from.mirror = this;
+  from.receiving.mirror = this;
 }
 
-void OriginCore::mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way,
+void OriginCore::mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way,
                         const Gap* gap) noexcept {
-  counts = told;
+  counts = sent;
   sequence = last_sequence;
-  first_due_ = topic.runtime().monotonic_of(under_way.first_due);
+  first_due_ = topic.runtime().clock_log.monotonic_of(under_way.first_due);
   period_ = under_way.period;
   late_after = under_way.late_after;
-  scheduled_before_ = told.scheduled - under_way.scheduled;
+  scheduled_before_ = sent.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
   if (gap_is_open_) gaps_.gap = *gap;
   topic.tell_taps_of_change(*this);
@@ -120,8 +120,8 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
                             std::uint64_t count) noexcept {
   const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
   Gaps& now = gaps_;
-  // A read that was under way when the gaps around it were told of as one.
-  if (from <= now.joined_up_to && count != 0) return tell({kind, reason, from, to, count});
+  // A read that was under way when the gaps around it were joined and reported.
+  if (from <= now.joined_up_to && count != 0) return report({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
                        from == later(now.gap.last, period_);
   if (gap_is_open_ && !goes_on && !now.is_joining) close_gap();
@@ -183,7 +183,7 @@ void OriginCore::close_gap() noexcept {
   }
   gaps_.allowance.spend(closed.last.time_since_epoch());
   if (closed.kind == Gap::Kind::joined) gaps_.joined_up_to = closed.last;
-  tell(closed);
+  report(closed);
 }
 
 void OriginCore::divide_gaps() noexcept {
@@ -192,7 +192,7 @@ void OriginCore::divide_gaps() noexcept {
     gaps_.joined_up_to = std::max(gaps_.joined_up_to, topic.runtime().event_time(last_due()));
 }
 
-void OriginCore::tell(const Gap& gap) noexcept {
+void OriginCore::report(const Gap& gap) noexcept {
   for (Listener* listener : topic.runtime().listeners) listener->on_gap(*this, gap);
 }
 

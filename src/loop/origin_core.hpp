@@ -1,4 +1,4 @@
-// An origin: who publishes on a topic, and its account. Kept by the runtime under its name for the whole run, so that a
+// An origin: a source of events on a topic, and its account. The runtime keeps it by its name for the whole run, so that a
 // sensor that is removed and added again goes on in the same sequence.
 #pragma once
 
@@ -17,7 +17,7 @@ class TopicCore;
 
 class OriginCore {
  public:
-  /// How it comes to what it publishes; its account has other equations. Once it has one, it keeps it.
+  /// Where its events come from; the account of each has other equations. An origin keeps its first one.
   enum class Supply : std::uint8_t { none, schedule, feed };
 
   OriginCore(std::string_view name, TopicCore& topic, std::uint32_t index);
@@ -40,7 +40,7 @@ class OriginCore {
     ++counts.scheduled;
     ++counts.in_flight;
   }
-  /// A read has ended well. Whether it was late is for who began it to know: `late_after` may be another since.
+  /// A read has ended well. The caller says whether it was late: `late_after` may have changed since the read began.
   void end_read(bool is_late) noexcept {
     --counts.in_flight;
     ++counts.taken;
@@ -77,7 +77,7 @@ class OriginCore {
 
   /// Tells of the gap under way, if there is one. An absence goes on in another.
   void close_gap() noexcept;
-  /// The same; and what is told of later joins nothing from before.
+  /// The same; and gaps that are reported later join none from before.
   void divide_gaps() noexcept;
   /// Null: none.
   const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_.gap : nullptr; }
@@ -96,9 +96,9 @@ class OriginCore {
   void adopt(const State& state);
   /// It publishes on another loop from here on.
   void become_mirror(Passage& passage) noexcept;
-  /// A mirror's account, as its loop has told it. `under_way`: the segment that has not ended; period 0: none.
+  /// Sets a mirror's account to the one that the origin's loop has sent. `under_way`: the segment that has not ended; period 0: none.
   /// `gap`: under way; null: none.
-  void mirror(const SensorCounts& told, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
+  void mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
   /// The same of its outages: those that have ended, and when the one that lasts began.
   void mirror(const Outages& ended, Time absent_since) noexcept;
   /// The segment of a mirror has ended; the account that says so comes later.
@@ -115,8 +115,8 @@ class OriginCore {
   Passage* only_way = nullptr;   ///< to another loop, when that is all its events go to
   const std::uint32_t index;     ///< within its topic
   bool is_claimed = false;       ///< a sensor or feed of this name exists now on this loop
-  bool is_mirror = false;        ///< it publishes on another loop; what is known of it comes over a bridge
-  Supply supply = Supply::none;  ///< of who claimed it first on this loop
+  bool is_mirror = false;        ///< it publishes on another loop, from which a bridge brings events and accounts
+  Supply supply = Supply::none;  ///< of its first claim on this loop
 
  private:
   bool gap_is_open_ = false;
@@ -131,9 +131,10 @@ class OriginCore {
   MonotonicTime last_due() const noexcept;
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                   std::uint64_t count) noexcept;
-  /// There was a reading: what is told of later begins another gap, or joins this one when there are too many.
+  /// There was a reading: later failures begin another gap, or join this one when there are too many.
   void interrupt_gap() noexcept;
-  void tell(const Gap& gap) noexcept;
+  /// To all listeners.
+  void report(const Gap& gap) noexcept;
 
   MonotonicTime first_due_{};  // of the segment under way; without one, `free_from`
   Duration period_{0};         // without one, 0
@@ -148,7 +149,7 @@ class OriginCore {
     bool is_interrupted = false;  // by a reading, since the last part
     bool is_absence = false;      // it has not ended
     Allowance allowance;
-    Time joined_up_to = Time::min();  // the last one that was told of
+    Time joined_up_to = Time::min();  // the end of the joined gap that was reported last
     Outages outages;                  // number of all, time of those that have ended
     Time absent_since = Time::min();  // with an absence that has not ended
   };

@@ -1,4 +1,4 @@
-// Things of one kind that are told of again and again: when there are too many alike, some are held back and joined.
+// Rate limiting of repeated reports: when there are too many alike, some are held back, and reported later as one.
 #pragma once
 
 #include <algorithm>
@@ -24,10 +24,10 @@ struct Joined {
 template <class What>
 class Repeats {
  public:
-  /// `apart`: those within so long after one that was told are joined in any case.
+  /// `apart`: those within so long after one that was reported are joined in any case.
   explicit Repeats(Duration apart) : apart_(apart) {}
 
-  /// What is to be told now, with those alike that were held back; nothing: it is held back too.
+  /// The report to make now, joined with those alike that were held back; nothing: this one is held back too.
   std::optional<Joined<What>> take(const std::string& key, What what, MonotonicTime now) {
     auto found = entries_.find(key);
     if (found == entries_.end()) {
@@ -40,21 +40,21 @@ class Repeats {
     entry.held.what = std::move(what);
     entry.held.last = now;
     ++entry.held.count;
-    if (may_tell(entry, now)) return tell(entry, now);
+    if (may_report(entry, now)) return spend(entry, now);
     held_until_ = due(entry);
     return std::nullopt;
   }
-  /// When what was held back last may be told.
+  /// When the one that was held back last may be reported.
   MonotonicTime held_until() const noexcept { return held_until_; }
-  /// Those held back that may be told now. In no order.
+  /// Those held back that may be reported now. In no order.
   std::vector<Joined<What>> take_due(MonotonicTime now) {
-    std::vector<Joined<What>> told;
+    std::vector<Joined<What>> taken;
     for (auto& [key, entry] : entries_) {
-      if (entry.held.count != 0 && may_tell(entry, now)) told.push_back(tell(entry, now));
+      if (entry.held.count != 0 && may_report(entry, now)) taken.push_back(spend(entry, now));
     }
-    return told;
+    return taken;
   }
-  /// All that is held back; what comes afterwards is new.
+  /// All that are held back; the limits begin anew.
   std::vector<Joined<What>> take_all() {
     std::vector<Joined<What>> all;
     for (auto& [key, entry] : entries_) {
@@ -63,7 +63,7 @@ class Repeats {
     entries_.clear();
     return all;
   }
-  /// When the first of all that is held back may be told. Looks at all.
+  /// When the first of all that are held back may be reported. Looks at all.
   std::optional<MonotonicTime> next_due() const {
     std::optional<MonotonicTime> next;
     for (const auto& [key, entry] : entries_) {
@@ -77,17 +77,17 @@ class Repeats {
   static constexpr std::size_t most = 16384;
   struct Entry {
     Allowance allowance;
-    MonotonicTime told{MonotonicTime::min().time_since_epoch() / 2};
+    MonotonicTime reported{MonotonicTime::min().time_since_epoch() / 2};
     Joined<What> held;
   };
   MonotonicTime due(const Entry& entry) const noexcept {
-    return std::max(later(entry.told, apart_), MonotonicTime{entry.allowance.has_some_from()});
+    return std::max(later(entry.reported, apart_), MonotonicTime{entry.allowance.has_some_from()});
   }
-  bool may_tell(Entry& entry, MonotonicTime now) const noexcept {
-    return span_between(entry.told, now) >= apart_ && entry.allowance.has_some(now.time_since_epoch());
+  bool may_report(Entry& entry, MonotonicTime now) const noexcept {
+    return span_between(entry.reported, now) >= apart_ && entry.allowance.has_some(now.time_since_epoch());
   }
-  static Joined<What> tell(Entry& entry, MonotonicTime now) {
-    entry.told = now;
+  static Joined<What> spend(Entry& entry, MonotonicTime now) {
+    entry.reported = now;
     entry.allowance.spend(now.time_since_epoch());
     return std::exchange(entry.held, Joined<What>{});
   }

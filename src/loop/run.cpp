@@ -193,7 +193,7 @@ void LoopCore::settle() {
   // As in real time, deadlines come before deliveries, also when a handler took so long that one came due.
   bool is_some_left = false;
   do {
-    call_own("clock", [&] { runtime.look_at_clock(); });
+    call_own("clock", [&] { runtime.clock_log.look(); });
     run_due();
     is_some_left = take_sent(end_of_budget());
     look_at_io();

@@ -61,7 +61,7 @@ void RateGroup::fire(MonotonicTime now) {
     loop_.schedule().ticking_ = member;
     try {
       member->tick(tick);
-    } catch (...) {  // no memory, not even to tell of it: the others have their ticks all the same
+    } catch (...) {  // no memory, not even for a report: the others have their ticks all the same
       loop_.call_own("loop", [] { throw; });
     }
     const MonotonicTime to = std::max(from, loop_.quick_now());
@@ -96,19 +96,19 @@ void Schedule::begin_waiting() noexcept {
       place(*member);
     } catch (const std::bad_alloc&) {  // it waits for the next turn
     } catch (const std::exception& e) {
-      tell(*member, e.what());
+      report(*member, e.what());
     } catch (...) {
-      tell(*member, "an exception that is no std::exception");
+      report(*member, "an exception that is no std::exception");
     }
     member->is_waiting_ = member->group_ == nullptr;
     if (!member->is_waiting_) waiting_.remove_at(i);
   }
   waiting_.close_holes();
   // So that a turn comes, also when nothing else brings one.
-  if (!waiting_.empty()) loop_.runtime.flush_repeats_at(later(loop_.now(), try_again_after));
+  if (!waiting_.empty()) loop_.runtime.reports.flush_at(later(loop_.now(), try_again_after));
 }
 
-void Schedule::tell(const RateMember& member, const char* why) noexcept try {
+void Schedule::report(const RateMember& member, const char* why) noexcept try {
   loop_.runtime.keep_report(&loop_, member.blame_name(),
                             {Errc::handler_threw, "its schedule did not begin well", "loop " + loop_.config.name, why,
                              member.group_ == nullptr ? "it is tried again in the next turn" : ""});

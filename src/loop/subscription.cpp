@@ -156,7 +156,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
                         "the topic belongs to another runtime than the loop", "give both loops one runtime"});
     }
     if (auto linked = only->link(node); !linked) throw SetupError(linked.error());
-    runtime.tell_of_cut_off(*only);
+    runtime.exchange.report_cut_off(*only);
     runtime.report_kept();
     return;
   }
@@ -171,7 +171,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
       if (topic->name == node.pattern()) throw SetupError(linked.error());
       refused.push_back(std::move(linked).error());
     }
-    runtime.tell_of_cut_off(*topic);
+    runtime.exchange.report_cut_off(*topic);
   }
   runtime.patterns.push_back(&node);
   const std::string name = node.name;

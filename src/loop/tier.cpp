@@ -85,7 +85,7 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
 /// Puts a tier's runtime below that of the main loop.
 Runtime& below(Loop& main, Runtime& runtime) {
   runtime.core().hub = &main.core().runtime;
-  runtime.core().share_time(main.core().runtime);
+  runtime.core().clock_log.share_line(main.core().runtime.clock_log);
   return runtime;
 }
 
@@ -115,7 +115,7 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
       main(main_),
       runtime(runtime_config(main_)),
       loop(below(main_, runtime), loop_config(config)) {
-  main.core().runtime.share_names();
+  main.core().runtime.names.share();
   make_bridges();
   main.core().runtime.tiers.push_back(this);
 }
@@ -144,9 +144,9 @@ TierCore::~TierCore() {
   stop();
   for (Bridge* bridge : runtime.core().outbound) bridge->hand_over();  // there is room for what the end brings
   loop.core().close_nodes();
-  runtime.core().release_all();
-  main.core().runtime.tiers_were_balanced &= runtime.balances();
-  main.core().runtime.tiers_had_loss |= runtime.has_loss();
+  runtime.core().names.release_all();
+  main.core().runtime.exchange.tiers_were_balanced &= runtime.balances();
+  main.core().runtime.exchange.tiers_had_loss |= runtime.has_loss();
   for (Bridge* bridge : runtime.core().outbound) bridge->finish();
   for (const TierCore* tier : tiers) {
     if (tier == this) continue;
@@ -384,14 +384,14 @@ void TierCore::give_up() {
 }
 
 struct TierCore::Answer {
-  Bridge::Told told{};
+  Bridge::AccountsSent sent{};
   Latch is_there;
 };
 
 void TierCore::ask_account() {
   answer_ = std::make_shared<Answer>();
   const auto tell = [&bridge = bridge_to_main(), answer = answer_] {
-    answer->told = bridge.tell_all();
+    answer->sent = bridge.send_all_accounts();
     answer->is_there.set();
   };
   if (loop.core().runs_elsewhere()) {
@@ -404,8 +404,8 @@ void TierCore::ask_account() {
 bool TierCore::hear_out(Duration at_most) {
   Bridge& bridge = bridge_to_main();
   if (!main.core().wait_for(answer_->is_there, at_most)) return false;
-  if (answer_->told.left == 0) {
-    bridge.receive_up_to(answer_->told.position);
+  if (answer_->sent.left == 0) {
+    bridge.receive_up_to(answer_->sent.position);
     return true;
   }
   bridge.receive();

@@ -121,7 +121,7 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
 
 void TopicCore::followers_changed() noexcept {
   const Followers before = followers_;
-  const bool is_wanted = !taps_.empty() || !links_.empty() || runtime_.is_wanted(name);
+  const bool is_wanted = !taps_.empty() || !links_.empty() || runtime_.exchange.is_wanted(name);
   if (taps_.empty() && channels_out_.empty()) {
     followers_ = links_.empty() ? Followers::none : Followers::handlers;
   } else {

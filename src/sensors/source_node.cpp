@@ -21,11 +21,11 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
                        OriginCore::Supply supply)
     : SensorEntry(loop),
       origin_(
-          loop.runtime.claim_origin(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)), supply)) {
+          loop.runtime.names.claim(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)), supply)) {
   try {
     loop.runtime.sensors.add(*this);
   } catch (...) {
-    loop.runtime.release(origin_);
+    loop.runtime.names.release(origin_);
     throw;
   }
   origin_.sensor = this;
@@ -33,7 +33,7 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
 
 void SourceNode::leave() noexcept {
   origin_.sensor = nullptr;
-  loop()->runtime.release(origin_);
+  loop()->runtime.names.release(origin_);
   loop()->runtime.sensors.remove(*this);
   loop()->runtime.sensors.tidy();
 }

@@ -18,20 +18,20 @@ void SinkNode::drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done)
 void SinkNode::begin_closing(MonotonicTime deadline) {
   RuntimeCore& runtime = loop()->runtime;
   if (life_ != Life::attached) return;
-  runtime.flush_repeats(RuntimeCore::Repeated::all);
+  runtime.reports.flush(Reports::Repeated::all);
   if (life_ != Life::attached) return;  // a user's handler has closed this sink
   // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
   // runs between here and the last account. Storing needs time, too.
-  std::string unknown = runtime.unknown_of_tiers();
+  std::string unknown = runtime.exchange.unknown();
   note([&] {
     if (unknown.empty())
-      unknown = runtime.hear_tiers_out(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
+      unknown = runtime.exchange.catch_up(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
   });
   life_ = Life::closing;
   account_.end();
   note([&] {
-    if (!account_.notes.has_end()) account_.notes.add(runtime.read_clock("end"));
+    if (!account_.notes.has_end()) account_.notes.add(runtime.clock_log.read("end"));
   });
   account_.close_gaps();
   is_between_parts_ = false;
@@ -96,7 +96,7 @@ std::uint64_t SinkNode::leave() noexcept {
                       "the next start seals the recording"});
     }
   });
-  runtime.flush_repeats(RuntimeCore::Repeated::all);  // of closing; nobody may come later to tell of them
+  runtime.reports.flush(Reports::Repeated::all);  // of closing; nobody may come later to tell of them
   return lost;
 }
 

@@ -44,14 +44,14 @@ void SinkNode::attach() {
   }
   job_->sink = this;
   // What tiers published before is not this recording's. One that does not answer is not waited for.
-  const RuntimeCore::Wanted until_all_is_attached(runtime, config_.topics);
-  const std::string unknown = runtime.hear_tiers_out(std::chrono::seconds{1});
+  const Exchange::Interest until_all_is_attached(runtime, config_.topics);
+  const std::string unknown = runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty()) unknown_ = "it began although " + unknown;
   for (const auto& topic : runtime.topics()) {
     if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
   }
   runtime.attach(*this);
-  for (const ClockPair& pair : runtime.clock_pairs()) account_.notes.add(pair);
+  for (const ClockPair& pair : runtime.clock_log.pairs()) account_.notes.add(pair);
   loop()->schedule().add(*this);
   life_ = Life::attached;
   if (is_to_open_) {
@@ -131,8 +131,8 @@ SinkStatus SinkNode::status() const {
 void SinkNode::tick(const Tick&) {
   Call call(*this);
   RuntimeCore& runtime = loop()->runtime;
-  runtime.look_at_clock();  // may log, as the next may, and a user's handler may close this sink
-  runtime.flush_repeats(RuntimeCore::Repeated::due);
+  runtime.clock_log.look();  // may log, as the next may, and a user's handler may close this sink
+  runtime.reports.flush(Reports::Repeated::due);
   if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   if (is_open() && is_sync_due()) start_work();  // also when nothing more came
 }

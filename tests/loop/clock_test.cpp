@@ -70,8 +70,8 @@ TEST_SUITE("loop") {
     CHECK(recorder.pairs[0].realtime == Time{1'700'000'000s});
     CHECK(recorder.pairs[1].realtime - recorder.pairs[0].realtime == 1s - 1h);
     CHECK(recorder.pairs[2].realtime - recorder.pairs[1].realtime == 1s + 1h);
-    CHECK_FALSE(runtime.core().look_at_clock());
-    CHECK(runtime.core().look_at_clock("regular"));
+    CHECK_FALSE(runtime.core().clock_log.look());
+    CHECK(runtime.core().clock_log.look("regular"));
     CHECK(std::string(recorder.pairs.back().occasion) == "regular");
     loop.close();
     CHECK(std::string(recorder.pairs.back().occasion) == "end");
@@ -178,7 +178,7 @@ TEST_SUITE("loop") {
     loop.advance(1min);
     CHECK(recorder.pairs.size() == 9);
     // A recording that begins now is told the last of it.
-    const auto pairs = runtime.core().clock_pairs();
+    const auto pairs = runtime.core().clock_log.pairs();
     REQUIRE(pairs.size() == 2);
     CHECK(pairs[0].source == "gps");
     CHECK(pairs[0].monotonic == loop.now());

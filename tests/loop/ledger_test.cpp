@@ -29,7 +29,7 @@ struct Account final : detail::Recorder {
   };
   explicit Account(Runtime& runtime) : core(runtime.core()) { core.attach(*this); }
   ~Account() { core.detach(*this); }
-  Duration since_start(Time time) const { return time - core.start().realtime; }
+  Duration since_start(Time time) const { return time - core.clock_log.start().realtime; }
   Result<void> on_topic(detail::TopicCore&) override { return {}; }
   void on_gap(detail::OriginCore&, const Gap& gap) override {
     gaps.push_back({gap.kind, std::string(gap.reason), since_start(gap.first), since_start(gap.last), gap.count});

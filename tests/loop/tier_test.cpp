@@ -883,7 +883,7 @@ TEST_SUITE("loop") {
     Loop loop;
     Tier fast(loop, {});
     fast.start();
-    const auto pairs = [&] { return loop.runtime().core().clock_pairs(); };
+    const auto pairs = [&] { return loop.runtime().core().clock_log.pairs(); };
     const auto noted = fast.call([](Loop& on) {
       return on.runtime()
           .note_wall_clock({.monotonic = on.now(), .realtime = Time{1h}, .source = "gps", .accuracy = 1us})

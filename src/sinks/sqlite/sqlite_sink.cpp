@@ -33,7 +33,7 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
       config,
       sqlite::RunInfo{runtime.config.name, runtime.config.notes, runtime.config.configuration,
                       runtime.clock().boot_id(), loop.time(),
-                      runtime.start().realtime.time_since_epoch() - runtime.start().monotonic.time_since_epoch()});
+                      runtime.clock_log.start().realtime.time_since_epoch() - runtime.clock_log.start().monotonic.time_since_epoch()});
 }
 
 }  // namespace

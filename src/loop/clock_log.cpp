@@ -1,4 +1,5 @@
-// The clock model: pairs of the monotonic clock and the time of day, steps of the latter, and who tells of it.
+#include "loop/clock_log.hpp"
+
 #include <algorithm>
 #include <chrono>
 #include <string>
@@ -30,7 +31,17 @@ std::pair<MonotonicTime, Time> both_times(Clock& clock) noexcept {
 
 }  // namespace
 
-void RuntimeCore::use_clock(Clock& clock) {
+ClockLog::ClockLog(RuntimeCore& runtime, Clock* clock) : runtime_(runtime) {
+  use(clock != nullptr ? *clock : system_clock_);
+}
+
+void ClockLog::share_line(const ClockLog& of) noexcept {
+  start_ = of.start_;
+  offset_ = of.offset_;
+  last_offset_ = of.last_offset_;
+}
+
+void ClockLog::use(Clock& clock) {
   clock_ = &clock;
   const auto [at, realtime] = both_times(clock);
   start_ = {at, realtime, "system", clock.accuracy(), "start"};
@@ -53,23 +64,23 @@ bool is_step(Duration moved) noexcept {
 
 }  // namespace
 
-ClockPair RuntimeCore::read_clock(const char* occasion) noexcept {
+ClockPair ClockLog::read(const char* occasion) noexcept {
   const auto [at, realtime] = both_times(*clock_);
   const Duration offset = difference(at.time_since_epoch(), realtime.time_since_epoch());
   return {at, is_step(difference(last_offset_, offset)) ? realtime : later(Time{last_offset_}, at.time_since_epoch()),
           "system", clock_->accuracy(), occasion};
 }
 
-bool RuntimeCore::look_at_clock(const char* occasion) {
-  ClockPair pair = read_clock(occasion);
+bool ClockLog::look(const char* occasion) {
+  ClockPair pair = read(occasion);
   const Duration offset = difference(pair.monotonic.time_since_epoch(), pair.realtime.time_since_epoch());
   const bool was_set = offset != last_offset_;
   if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, pair.monotonic) < clock_look_interval)
     return false;
   if (was_set) {
-    log(LogLevel::warning, "clock",
-        "the time of day was set by " + to_string(difference(last_offset_, offset)) +
-            "; recorded times go on without a jump, the step is recorded");
+    runtime_.log(LogLevel::warning, "clock",
+                 "the time of day was set by " + to_string(difference(last_offset_, offset)) +
+                     "; recorded times go on without a jump, the step is recorded");
     last_offset_ = offset;
     // A clock that was right until now (a leap second, a machine that slept): where it stood just before.
     if (system_.latest.accuracy && system_.latest.monotonic > system_.recorded.monotonic)
@@ -83,7 +94,7 @@ bool RuntimeCore::look_at_clock(const char* occasion) {
     }
   }
   if (std::string_view(pair.occasion) == "end") {
-    for (ClockSource& source : plugged_) {
+    for (Source& source : plugged_) {
       if (source.latest.monotonic > source.recorded.monotonic) record(source, source.latest);
     }
   }
@@ -91,7 +102,7 @@ bool RuntimeCore::look_at_clock(const char* occasion) {
   return true;
 }
 
-Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
+Result<void> ClockLog::note_wall_clock(ClockPair pair) {
   const auto refused = [&](Errc code, const char* why, const char* advice) {
     return Error{code, "cannot note the time of day", "source \"" + pair.source + "\"", why, advice};
   };
@@ -103,12 +114,12 @@ Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
     return refused(Errc::bad_argument, "its accuracy is not above 0",
                    "say how far the time may be from UTC, or leave it out");
   }
-  if (hub != nullptr) {  // the main loop's recordings keep the clock
-    hub->own_loop->post([main = hub, pair] { [[maybe_unused]] const auto noted = main->note_wall_clock(pair); });
+  if (RuntimeCore* main = runtime_.hub) {  // the main loop's recordings keep the clock
+    main->own_loop->post([main, pair] { [[maybe_unused]] const auto noted = main->clock_log.note_wall_clock(pair); });
     return {};
   }
   const auto known = std::find_if(plugged_.begin(), plugged_.end(),
-                                  [&](const ClockSource& s) { return s.latest.source == pair.source; });
+                                  [&](const Source& s) { return s.latest.source == pair.source; });
   if (known == plugged_.end()) {
     if (plugged_.size() == most_clock_sources)
       return refused(Errc::bad_argument, "there are 16 sources already", "use one name for each source");
@@ -123,7 +134,7 @@ Result<void> RuntimeCore::note_wall_clock(ClockPair pair) {
   return {};
 }
 
-bool RuntimeCore::ClockSource::is_news(const ClockPair& pair) const noexcept {
+bool ClockLog::Source::is_news(const ClockPair& pair) const noexcept {
   constexpr Duration most_drift = std::chrono::milliseconds{100};  // between regular pairs
   const Duration since = span_between(recorded.monotonic, pair.monotonic);
   if (since < least_between_pairs) return false;
@@ -136,18 +147,18 @@ bool RuntimeCore::ClockSource::is_news(const ClockPair& pair) const noexcept {
   return moved > noise || moved < -noise;
 }
 
-void RuntimeCore::record(ClockSource& source, const ClockPair& pair) {
+void ClockLog::record(Source& source, const ClockPair& pair) {
   const bool is_known = source.best && pair.accuracy;
   source.best = is_known ? std::min(source.best, pair.accuracy) : pair.accuracy;
   source.recorded = pair;
   source.latest = pair;
-  for (Recorder* recorder : recorders) recorder->on_clock(pair);
+  for (Recorder* recorder : runtime_.recorders) recorder->on_clock(pair);
 }
 
-std::vector<ClockPair> RuntimeCore::clock_pairs() {
+std::vector<ClockPair> ClockLog::pairs() {
   std::vector<ClockPair> pairs;
-  for (const ClockSource& source : plugged_) pairs.push_back(source.latest);
-  pairs.push_back(read_clock("start"));
+  for (const Source& source : plugged_) pairs.push_back(source.latest);
+  pairs.push_back(read("start"));
   return pairs;
 }
 

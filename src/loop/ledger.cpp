@@ -1,0 +1,51 @@
+#include "rtdata/loop/ledger.hpp"
+
+#include "data/rounded_time.hpp"
+
+namespace rtdata {
+
+std::string to_string(const Outages& outages) {
+  const auto time = [](Duration duration) {
+    const auto s = std::chrono::duration_cast<std::chrono::seconds>(duration).count();
+    const auto parts = [](std::int64_t large, const char* unit, std::int64_t small, const char* smaller) {
+      const std::string text = std::to_string(large) + " " + unit;
+      return small == 0 ? text : text + " " + std::to_string(small) + " " + smaller;
+    };
+    if (s < 60) return detail::rounded_time(static_cast<double>(duration.count()));
+    if (s < 3600) return parts(s / 60, "min", s % 60, "s");
+    if (s < 86400) return parts(s / 3600, "h", s % 3600 / 60, "min");
+    return parts(s / 86400, "d", s % 86400 / 3600, "h");
+  };
+  return std::to_string(outages.number) + (outages.number == 1 ? " outage of " : " outages of ") +
+         (outages.is_at_most ? "at most " : "") + time(outages.time) + (outages.number > 1 ? " together" : "");
+}
+
+std::string_view name_of(Gap::Kind kind) noexcept {
+  switch (kind) {
+    case Gap::Kind::missed:
+      return "missed";
+    case Gap::Kind::failed:
+      return "failed";
+    case Gap::Kind::disconnected:
+      return "disconnected";
+    case Gap::Kind::silent:
+      return "silent";
+    case Gap::Kind::joined:
+      return "joined";
+  }
+  return "?";
+}
+
+std::string_view name_of(DropReason reason) noexcept {
+  switch (reason) {
+    case DropReason::queue_full_newest:
+      return "queue full, newest";
+    case DropReason::queue_full_oldest:
+      return "queue full, oldest";
+    case DropReason::refused:
+      return "refused";
+  }
+  return "unknown";
+}
+
+}  // namespace rtdata
