@@ -12,7 +12,7 @@ if(TARGET rtdata_sqlite)
   rtdata_sources(RTDATA_PROGRAM_SQLITE_SOURCES src/rtdata_program_sqlite.sources)
   target_sources(rtdata_program PRIVATE ${RTDATA_PROGRAM_SQLITE_SOURCES})
 endif()
-set_property(SOURCE src/app/program.cpp APPEND PROPERTY COMPILE_DEFINITIONS RTDATA_VERSION="${PROJECT_VERSION}")
+set_property(SOURCE src/app/core/program.cpp APPEND PROPERTY COMPILE_DEFINITIONS RTDATA_VERSION="${PROJECT_VERSION}")
 
 add_executable(rtdata_main src/app/main.cpp)
 set_target_properties(rtdata_main PROPERTIES OUTPUT_NAME rtdata)

@@ -1,11 +1,11 @@
 // What the program shows of a run.
-#include "app/account.hpp"
+#include "app/control/account.hpp"
 
 #include <doctest/doctest.h>
 
-#include "app/live_view.hpp"
-#include "app/table.hpp"
-#include "app/terminal_text.hpp"
+#include "app/control/live_view.hpp"
+#include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "sinks/sink_kinds.hpp"

@@ -1,5 +1,5 @@
 // The local socket of an instance, in virtual time, with clients that behave and clients that do not.
-#include "app/control_socket.hpp"
+#include "app/control/control_socket.hpp"
 
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -11,8 +11,8 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
+#include "app/control/status.hpp"
 #include "app/runtime_folder.hpp"
-#include "app/status.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
 

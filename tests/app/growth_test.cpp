@@ -1,5 +1,5 @@
 // Estimates of how files grow, and the starter file.
-#include "app/growth.hpp"
+#include "app/run/growth.hpp"
 
 #include <doctest/doctest.h>
 #include <sys/stat.h>
@@ -9,7 +9,7 @@
 #include <filesystem>
 
 #include "app/process.hpp"
-#include "app/starter.hpp"
+#include "app/run/starter.hpp"
 #include "rtdata/app/standard.hpp"
 
 using namespace rtdata;

@@ -1,4 +1,4 @@
-#include "app/log.hpp"
+#include "app/run/log.hpp"
 
 #include <doctest/doctest.h>
 #include <sys/stat.h>

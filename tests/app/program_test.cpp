@@ -10,7 +10,7 @@
 #include <thread>
 #include <vector>
 
-#include "app/control_socket.hpp"
+#include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
 

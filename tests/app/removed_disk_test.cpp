@@ -8,7 +8,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "app/control_socket.hpp"
+#include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
 

@@ -1,5 +1,5 @@
 // What a service manager hears, with a socket of the test in its place.
-#include "app/service.hpp"
+#include "app/run/service.hpp"
 
 #include <doctest/doctest.h>
 #include <poll.h>

@@ -3,7 +3,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/control_socket.hpp"
+#include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
 

@@ -21,6 +21,15 @@ below = {
     "config": {"data", "loop", "io", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp"},
     "app": {"data", "loop", "io", "sensors", "sinks", "config"},
 }
+# Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call
+# upwards, since objects of a loop register with its runtime; elsewhere they may not either.
+rooms = {
+    "loop": [{"support"}, {"core"}, {"events"}, {"runtime"}, {"tier"}],
+    "sensors": [{"core"}, {"analog", "host", "serial"}],
+    "sinks": [{"core"}, {"console", "file", "sqlite"}],
+    "config": [{"read"}, {"schema"}, {"plan"}],
+    "app": [{"core"}, {"bench", "control", "inspect"}, {"run"}],
+}
 problems = []
 
 
@@ -32,6 +41,25 @@ def layer_of(name):
     return folder
 
 
+def room_of(name):
+    """Of "loop/core/lane.cpp": its folder, its room, and how high that lies."""
+    folder, room = (name.split("/") + [""])[:2]
+    for height, alike in enumerate(rooms.get(folder, [])):
+        if room in alike:
+            return folder, room, height
+    return folder, "", 0
+
+
+def is_upwards(path, name, included):
+    folder, room, height = room_of(name)
+    other_folder, other, other_height = room_of(included)
+    if folder != other_folder or not room or not other or room == other:
+        return False
+    if folder == "loop" and path.suffix == ".cpp":
+        return False
+    return other_height >= height
+
+
 def look_at(path, folder):
     name = path.relative_to(folder).as_posix()
     layer = layer_of(name)
@@ -39,6 +67,8 @@ def look_at(path, folder):
         problems.append(f"{path.relative_to(root)} lies in no layer")
         return
     public = folder.name == "rtdata"
+    if not public and name.split("/")[0] in rooms and not room_of(name)[1] and name != "app/main.cpp":
+        problems.append(f"{path.relative_to(root)} lies in no room of its folder")
     for number, line in enumerate(path.read_text().split("\n"), 1):
         found = re.match(r'\s*#\s*include\s*([<"])([^>"]+)[>"]', line)
         if not found:
@@ -52,6 +82,8 @@ def look_at(path, folder):
         if public and not included.startswith("rtdata/"):
             problems.append(f"{where}: a public header includes \"{included}\", which is not installed")
             continue
+        if not public and is_upwards(path, name, included):
+            problems.append(f"{where}: {included} lies no lower than this room")
         included = included.removeprefix("rtdata/")
         other = layer_of(included)
         if other not in below[layer] | {layer} and included not in below[layer]:

@@ -6,7 +6,7 @@
 #include <memory>
 #include <vector>
 
-#include "loop/loop_core.hpp"
+#include "loop/core/loop_core.hpp"
 #include "loop/observed.hpp"
 #include "loop/run_until.hpp"
 #include "loop/virtual_time.hpp"

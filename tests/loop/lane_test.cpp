@@ -13,7 +13,7 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 
-#include "loop/loop_core.hpp"
+#include "loop/core/loop_core.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "loop/observed.hpp"
-#include "loop/runtime_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "loop/loop_core.hpp"
+#include "loop/core/loop_core.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/sensor.hpp"
 

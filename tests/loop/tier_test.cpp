@@ -17,11 +17,11 @@
 #include <thread>
 #include <vector>
 
-#include "loop/callback_survey.hpp"
+#include "loop/core/callback_survey.hpp"
+#include "loop/core/loop_core.hpp"
 #include "loop/lane_sensor.hpp"
-#include "loop/loop_core.hpp"
 #include "loop/run_until.hpp"
-#include "loop/runtime_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "loop/virtual_time.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"

@@ -1,5 +1,5 @@
 // How loops wake each other.
-#include "loop/wake.hpp"
+#include "loop/support/wake.hpp"
 
 #include <doctest/doctest.h>
 #include <poll.h>
@@ -7,7 +7,7 @@
 #include <atomic>
 #include <thread>
 
-#include "loop/byte_ring.hpp"
+#include "loop/tier/byte_ring.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"

@@ -7,7 +7,7 @@
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/read.hpp"
 #include "sensors/fixture.hpp"
-#include "sensors/host_text.hpp"
+#include "sensors/host/host_text.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

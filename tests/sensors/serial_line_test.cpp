@@ -19,8 +19,8 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sensors/fixture.hpp"
-#include "sensors/line_decoder.hpp"
 #include "sensors/pty.hpp"
+#include "sensors/serial/line_decoder.hpp"
 #include "sensors/termios2.hpp"
 
 using namespace rtdata;

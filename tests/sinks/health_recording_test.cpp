@@ -2,7 +2,7 @@
 
 #include <sstream>
 
-#include "app/commands.hpp"
+#include "app/core/commands.hpp"
 #include "loop/virtual_time.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sinks/verify.hpp"

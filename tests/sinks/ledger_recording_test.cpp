@@ -4,7 +4,7 @@
 #include <functional>
 #include <sstream>
 
-#include "app/commands.hpp"
+#include "app/core/commands.hpp"
 #include "rtdata/sensors/transaction.hpp"
 #include "sinks/recordings.hpp"
 

@@ -7,8 +7,8 @@
 #include <string>
 #include <thread>
 
+#include "loop/core/loop_core.hpp"
 #include "loop/lane_sensor.hpp"
-#include "loop/loop_core.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
 

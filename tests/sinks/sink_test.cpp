@@ -11,8 +11,8 @@
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
+#include "sinks/core/sink_notes.hpp"
 #include "sinks/sink_kinds.hpp"
-#include "sinks/sink_notes.hpp"
 
 using namespace rtdata;
 using namespace sinks;

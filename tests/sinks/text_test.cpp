@@ -5,7 +5,7 @@
 #include <span>
 #include <sstream>
 
-#include "app/log.hpp"
+#include "app/run/log.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/sinks/export.hpp"

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <sstream>
 
-#include "app/commands.hpp"
+#include "app/core/commands.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
 

@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/commands.hpp"
+#include "app/core/commands.hpp"
 #include "loop/lane_sensor.hpp"
 #include "sinks/recordings.hpp"
 

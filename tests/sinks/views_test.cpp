@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/commands.hpp"
+#include "app/core/commands.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

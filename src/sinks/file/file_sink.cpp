@@ -15,7 +15,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
-#include "sinks/escaped_texts.hpp"
+#include "sinks/core/escaped_texts.hpp"
 #include "sinks/file/output_file.hpp"
 #include "sinks/file/rotation.hpp"
 

@@ -14,7 +14,7 @@
 #include <utility>
 
 #include "data/utf8.hpp"
-#include "sinks/lock_holder.hpp"
+#include "sinks/core/lock_holder.hpp"
 
 namespace rtdata::detail {
 namespace {

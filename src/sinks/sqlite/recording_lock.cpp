@@ -9,7 +9,7 @@
 #include <cerrno>
 #include <utility>
 
-#include "sinks/lock_holder.hpp"
+#include "sinks/core/lock_holder.hpp"
 
 namespace rtdata::sqlite {
 namespace {

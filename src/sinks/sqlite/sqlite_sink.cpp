@@ -9,7 +9,7 @@
 #include <filesystem>
 #include <system_error>
 
-#include "loop/runtime_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -30,10 +30,10 @@ SinkConfig named(const SqliteConfig& config) {
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
   return std::make_unique<sqlite::SqliteWriter>(
-      config,
-      sqlite::RunInfo{runtime.config.name, runtime.config.notes, runtime.config.configuration,
-                      runtime.clock().boot_id(), loop.time(),
-                      runtime.clock_log.start().realtime.time_since_epoch() - runtime.clock_log.start().monotonic.time_since_epoch()});
+      config, sqlite::RunInfo{runtime.config.name, runtime.config.notes, runtime.config.configuration,
+                              runtime.clock().boot_id(), loop.time(),
+                              runtime.clock_log.start().realtime.time_since_epoch() -
+                                  runtime.clock_log.start().monotonic.time_since_epoch()});
 }
 
 }  // namespace

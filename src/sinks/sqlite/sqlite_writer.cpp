@@ -7,7 +7,7 @@
 #include <algorithm>
 
 #include "data/permissions.hpp"
-#include "loop/first_line.hpp"
+#include "loop/support/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 

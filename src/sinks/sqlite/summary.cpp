@@ -4,7 +4,7 @@
 #include <bit>
 #include <map>
 
-#include "loop/deadline.hpp"
+#include "loop/support/deadline.hpp"
 #include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/verify_run.hpp"

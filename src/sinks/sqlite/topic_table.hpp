@@ -8,7 +8,7 @@
 
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
-#include "sinks/escaped_texts.hpp"
+#include "sinks/core/escaped_texts.hpp"
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/value_ranges.hpp"

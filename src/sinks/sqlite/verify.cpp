@@ -7,7 +7,7 @@
 #include <fstream>
 #include <set>
 
-#include "loop/deadline.hpp"
+#include "loop/support/deadline.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"

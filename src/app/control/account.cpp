@@ -1,0 +1,168 @@
+#include "app/control/account.hpp"
+
+#include <algorithm>
+
+#include "app/core/table.hpp"
+
+namespace rtdata::app {
+
+RunAccount account_of(const Runtime& runtime) {
+  RunAccount account;
+  for (const TopicStatus& topic : runtime.topics()) {
+    if (topic.name.starts_with('$')) continue;
+    account.topics.push_back({});
+    account.topics.back().topic = topic.name;
+    account.topics.back().events = topic.published;
+    account.events += topic.published;
+  }
+  for (const SensorStatus& sensor : runtime.sensors()) {
+    const auto topic = std::find_if(account.topics.begin(), account.topics.end(),
+                                    [&](const TopicAccount& known) { return known.topic == sensor.topic; });
+    if (topic == account.topics.end()) continue;
+    topic->late += sensor.counts.late;
+    topic->missed += sensor.counts.missed;
+    topic->failed += sensor.counts.failed;
+    topic->unreadable += sensor.counts.unreadable;
+    topic->lost += sensor.counts.lost;
+    topic->outages.add(sensor.outages);
+    account.outages.add(sensor.outages);
+    if (sensor.counts.published + sensor.counts.repeated + sensor.counts.filtered == 0)
+      account.mute.push_back(sensor.name);
+    if (sensor.health > topic->health) {
+      topic->health = sensor.health;
+      topic->reason = sensor.reason;
+    }
+    account.late += sensor.counts.late;
+    account.missed += sensor.counts.missed;
+    account.failed += sensor.counts.failed;
+    account.unreadable += sensor.counts.unreadable;
+    account.lost += sensor.counts.lost;
+  }
+  account.sinks = runtime.sinks();
+  for (const SinkStatus& sink : account.sinks) {
+    account.dropped += sink.counts.all_dropped();
+    for (const TopicDrops& dropped : sink.dropped) {
+      for (TopicAccount& topic : account.topics) {
+        if (topic.topic == dropped.topic) topic.dropped += dropped.count;
+      }
+    }
+    account.queued += sink.counts.queued;
+  }
+  return account;
+}
+
+std::string progress(const RunAccount& account) {
+  const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
+  return std::to_string(account.events) + " events" + part(account.late, "late") + part(account.missed, "missed") +
+         part(account.failed, "failed") + (account.unreadable > 0 ? part(account.unreadable, "unreadable") : "") +
+         (account.lost > 0 ? part(account.lost, "lost") : "") +
+         (account.outages.number > 0 ? ", " + to_string(account.outages) : "") + part(account.dropped, "dropped") +
+         part(account.queued, "queued");
+}
+
+std::string verdict(const RunAccount& account, const Ending& ending) {
+  constexpr std::size_t most_names = 2;
+  std::string losses;
+  const auto add = [&](const std::string& what, const std::string& names) {
+    losses += (losses.empty() ? "" : ", ") + what + (names.empty() ? "" : " (" + names + ")");
+  };
+  // The topics that it happened to, the worst first: `amount` orders them, `text` is what is said of one.
+  const auto worst = [&](const auto& amount, const auto& text) {
+    std::vector<const TopicAccount*> topics;
+    for (const TopicAccount& topic : account.topics) {
+      if (amount(topic) > 0) topics.push_back(&topic);
+    }
+    std::stable_sort(topics.begin(), topics.end(),
+                     [&](const auto* a, const auto* b) { return amount(*a) > amount(*b); });
+    std::string names;
+    for (std::size_t i = 0; i < topics.size() && i < most_names; ++i)
+      names += (i == 0 ? "" : ", ") + topics[i]->topic + (topics.size() == 1 ? "" : " " + text(*topics[i]));
+    if (topics.size() > most_names) names += " and " + std::to_string(topics.size() - most_names) + " more";
+    return names;
+  };
+  const auto count = [&](std::uint64_t TopicAccount::*member, std::uint64_t sum, const char* one, const char* many) {
+    if (sum == 0) return;
+    add(std::to_string(sum) + " " + (sum == 1 ? one : many),
+        worst([member](const TopicAccount& topic) { return topic.*member; },
+              [member](const TopicAccount& topic) { return std::to_string(topic.*member); }));
+  };
+  count(&TopicAccount::missed, account.missed, "tick missed", "ticks missed");
+  count(&TopicAccount::failed, account.failed, "tick failed", "ticks failed");
+  count(&TopicAccount::unreadable, account.unreadable, "unreadable", "unreadable");
+  count(&TopicAccount::lost, account.lost, "lost by its source", "lost by their sources");
+  if (account.outages.number > 0) {
+    add(to_string(account.outages),
+        worst(
+            [](const TopicAccount& topic) {
+              return topic.outages.number > 0 ? std::max<Duration::rep>(topic.outages.time.count(), 1) : 0;
+            },
+            [](const TopicAccount& topic) { return to_string(topic.outages); }));
+  }
+  count(&TopicAccount::dropped, account.dropped, "event dropped by a sink", "events dropped by sinks");
+  if (losses.empty() && ending.has_loss) losses = "events between the loops (the log names them)";
+
+  std::string mute;
+  for (std::size_t i = 0; i < account.mute.size() && i < most_names; ++i)
+    mute += (i == 0 ? "" : ", ") + account.mute[i];
+  if (account.mute.size() > most_names) mute += " and " + std::to_string(account.mute.size() - most_names) + " more";
+
+  std::string text;
+  if (!ending.unknown.empty()) text += "the account is NOT complete: " + ending.unknown + "; ";
+  if (ending.not_stored > 0) text += std::to_string(ending.not_stored) + " events were NOT stored; ";
+  if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
+  text += losses.empty() ? (mute.empty() ? "nothing lost: " : "nothing lost that is known: ")
+                         : "LOST: " + losses + "; taken: ";
+  text += std::to_string(account.events) + (account.events == 1 ? " event" : " events");
+  if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
+  if (!ending.unknown.empty()) return text;
+  return text + (ending.balances ? "; ledger balances" : "; the ledger does NOT balance");
+}
+
+namespace {
+
+/// "12 (queue full)"
+std::string dropped_text(const SinkCounts& counts) {
+  std::string text = std::to_string(counts.all_dropped());
+  for (std::size_t i = 0; i < drop_reasons; ++i) {
+    if (counts.dropped[i] == 0) continue;
+    text += " (" + std::string(name_of(static_cast<DropReason>(i))) + ")";
+  }
+  return text;
+}
+
+}  // namespace
+
+std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns) {
+  std::string text;
+  const bool has_unreadable = account.unreadable > 0, has_outages = account.outages.number > 0;
+  std::vector<std::string> heading{"topic", ">events", ">late", ">missed", ">failed"};
+  if (has_unreadable) heading.push_back(">unreadable");
+  heading.push_back(">lost");
+  if (has_outages) heading.push_back(">outages");
+  heading.insert(heading.end(), {">dropped", "health"});
+  Table topics(heading);
+  for (const TopicAccount& topic : account.topics) {
+    std::vector<std::string> row{topic.topic, std::to_string(topic.events), std::to_string(topic.late),
+                                 std::to_string(topic.missed), std::to_string(topic.failed)};
+    if (has_unreadable) row.push_back(std::to_string(topic.unreadable));
+    row.push_back(std::to_string(topic.lost));
+    if (has_outages) row.push_back(std::to_string(topic.outages.number));
+    row.insert(row.end(), {std::to_string(topic.dropped), std::string(name_of(topic.health))});
+    topics.add(row, topic.health == Health::ok ? "" : topic.reason);
+  }
+  if (!topics.empty()) text += topics.text("", columns);
+  Table sinks({"sink", ">stored", ">dropped", "health", "where"});
+  for (const SinkStatus& sink : account.sinks) {
+    const auto path = paths.find(sink.name);
+    const std::string where = path == paths.end() || path->second.empty() ? "-"
+                              : path->second == "-"                       ? "standard output"
+                                                                          : path->second;
+    sinks.add({sink.name, std::to_string(sink.counts.stored), dropped_text(sink.counts),
+               std::string(name_of(sink.health)), where},
+              sink.health == Health::ok ? "" : sink.reason);
+  }
+  if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text("", columns);
+  return text;
+}
+
+}  // namespace rtdata::app

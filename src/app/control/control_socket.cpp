@@ -1,0 +1,419 @@
+#include "app/control/control_socket.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration pause = std::chrono::milliseconds{20};
+constexpr int most_after_end = 8;  // lines of who has ended its side: there is no pause between them
+constexpr Duration patience = std::chrono::seconds{5};
+
+/// Set to an absolute path; of several, parted by ':', the first. Else empty.
+std::string folder_in(const char* variable) {
+  const char* const value = std::getenv(variable);
+  return value != nullptr && value[0] == '/' ? std::string(value, std::strcspn(value, ":")) : std::string();
+}
+
+/// Where sockets may be, best first.
+std::vector<std::string> folders() {
+  std::vector<std::string> all;
+  if (std::string only = folder_in("RTDATA_RUNTIME_DIR"); !only.empty()) return {std::move(only)};
+  // Of a service, made by systemd below /run; it may have a /tmp that nobody else sees.
+  if (std::string service = folder_in("RUNTIME_DIRECTORY"); !service.empty()) all.push_back(std::move(service));
+  if (const std::string user = folder_in("XDG_RUNTIME_DIR"); !user.empty()) all.push_back(user + "/rtdata");
+  all.push_back("/run/rtdata");
+  all.push_back("/tmp/rtdata-" + std::to_string(::geteuid()));
+  return all;
+}
+
+/// The folders, and those in them: services have one each.
+std::vector<std::string> folders_to_search() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders()) {
+    std::error_code none;
+    for (const auto& entry : std::filesystem::directory_iterator(folder, none)) {
+      if (std::filesystem::is_directory(entry.symlink_status(none))) all.push_back(entry.path());
+    }
+    all.push_back(std::move(folder));
+  }
+  std::sort(all.begin(), all.end());
+  all.erase(std::unique(all.begin(), all.end()), all.end());
+  return all;
+}
+
+/// Ours, and nobody else can put anything into it.
+bool is_private(const std::string& folder) {
+  struct stat found {};
+  return ::lstat(folder.c_str(), &found) == 0 && S_ISDIR(found.st_mode) && found.st_uid == ::geteuid() &&
+         (found.st_mode & 077) == 0;
+}
+
+bool address_of(const std::string& path, sockaddr_un& address) {
+  address = {};
+  address.sun_family = AF_UNIX;
+  if (path.size() >= sizeof address.sun_path) return false;
+  std::memcpy(address.sun_path, path.data(), path.size());
+  return true;
+}
+
+const sockaddr* generic(const sockaddr_un& address) { return reinterpret_cast<const sockaddr*>(&address); }
+
+/// "4711.sock" to 4711; 0: no name of a socket.
+pid_t pid_of(std::string_view name) {
+  constexpr std::string_view suffix = ".sock";
+  pid_t pid = 0;
+  if (!name.ends_with(suffix)) return 0;
+  const char* const end = name.data() + name.size() - suffix.size();
+  const auto [stopped, error] = std::from_chars(name.data(), end, pid);
+  return error == std::errc{} && stopped == end && pid > 0 ? pid : 0;
+}
+
+bool is_alive(pid_t pid) { return ::kill(pid, 0) == 0 || errno != ESRCH; }
+
+/// The sockets in a folder, of the living and the dead.
+std::vector<Instance> sockets_in(const std::string& folder) {
+  std::vector<Instance> all;
+  DIR* const directory = ::opendir(folder.c_str());
+  if (directory == nullptr) return all;
+  while (const dirent* entry = ::readdir(directory)) {
+    if (const pid_t pid = pid_of(entry->d_name); pid != 0) all.push_back({pid, folder + "/" + entry->d_name});
+  }
+  ::closedir(directory);
+  return all;
+}
+
+/// Of this user, or root.
+bool is_trusted(int fd) {
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  return ::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 && (peer.uid == ::geteuid() || peer.uid == 0);
+}
+
+}  // namespace
+
+/// Makes one answer.
+struct ControlSocket::Job final : detail::LaneJob {
+  Job(ControlSocket& to, std::uint64_t client, Work work)
+      : to_(to), is_alive_(to.is_alive_), client_(client), work_(std::move(work)) {}
+  void run() noexcept override {
+    try {
+      text_ = work_();
+    } catch (...) {  // out of memory
+      text_.clear();
+    }
+  }
+  void done(Outcome) override {
+    if (*is_alive_) to_.answered(client_, std::move(text_));
+  }
+
+ private:
+  ControlSocket& to_;
+  std::shared_ptr<bool> is_alive_;
+  std::uint64_t client_;
+  Work work_;
+  std::string text_;
+};
+
+ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
+    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", patience) {
+  listen();
+  try {
+    look_for_clients();
+  } catch (...) {
+    ::unlink(path_.c_str());
+    ::close(fd_);
+    throw;
+  }
+}
+
+ControlSocket::~ControlSocket() {
+  *is_alive_ = false;
+  ::unlink(path_.c_str());
+  watch_.close();
+  ::close(fd_);
+  while (!clients_.empty()) drop(clients_.back()->number);
+}
+
+void ControlSocket::listen() {
+  std::string why;
+  for (const std::string& folder : folders()) {
+    const auto failed = [&](const std::string& what) { why += (why.empty() ? "" : "; ") + folder + ": " + what; };
+    if (::mkdir(folder.c_str(), 0700) != 0 && errno != EEXIST) {
+      failed(std::strerror(errno));
+      continue;
+    }
+    if (!is_private(folder)) {
+      failed("not a folder of mode 0700 of this user");
+      continue;
+    }
+    for (const Instance& one : sockets_in(folder)) {
+      if (one.pid == ::getpid() || !is_alive(one.pid)) ::unlink(one.path.c_str());
+    }
+    const std::string path = folder + "/" + std::to_string(::getpid()) + ".sock";
+    sockaddr_un address;
+    if (!address_of(path, address)) {
+      failed("the path is too long for a socket");
+      continue;
+    }
+    const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    if (fd >= 0 && ::bind(fd, generic(address), sizeof address) == 0 &&
+        ::listen(fd, static_cast<int>(most_clients)) == 0) {
+      fd_ = fd;
+      path_ = path;
+      return;
+    }
+    failed(std::strerror(errno));
+    if (fd >= 0) ::close(fd);
+  }
+  throw SetupError({Errc::io_failed, "cannot open the control socket", "local socket", why,
+                    "`rtdata top` does not see this instance; all else works"});
+}
+
+void ControlSocket::look_for_clients() {
+  watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
+}
+
+void ControlSocket::accept() {
+  const int fd = ::accept4(fd_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+  if (fd < 0) {
+    if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // it went away again
+    // It stays readable: the loop would do nothing else until a descriptor is free.
+    watch_.close();
+    later_ = Timer(loop_, std::chrono::seconds{1}, [this] { look_for_clients(); });
+    return;
+  }
+  if (!is_trusted(fd)) {
+    ::close(fd);
+    return;
+  }
+  if (clients_.size() >= most_clients) make_room();
+  auto client = std::make_unique<Client>();
+  const std::uint64_t number = ++last_number_;
+  client->number = number;
+  client->fd = fd;
+  client->last_asked = loop_.now();
+  try {
+    client->timer = Timer(loop_, [this, number] { timed_out(number); });
+    client->watch = FdWatch(loop_, fd, FdWatch::readable, "control client",
+                            [this, number](const FdEvent& event) { ready(number, event); });
+  } catch (...) {
+    client->watch.close();
+    ::close(fd);
+    throw;
+  }
+  clients_.push_back(std::move(client));
+}
+
+/// Whoever has asked nothing for the longest gives way.
+void ControlSocket::make_room() {
+  const auto quietest = std::min_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
+    return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;
+  });
+  constexpr std::string_view why = "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n";
+  if ((*quietest)->out.empty()) [[maybe_unused]]
+    const ssize_t told = ::send((*quietest)->fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  drop((*quietest)->number);
+}
+
+ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
+  for (const auto& client : clients_) {
+    if (client->number == number) return client.get();
+  }
+  return nullptr;
+}
+
+void ControlSocket::drop(std::uint64_t number) {
+  const auto found = std::find_if(clients_.begin(), clients_.end(),
+                                  [&](const auto& client) { return client->number == number; });
+  if (found == clients_.end()) return;
+  const std::unique_ptr<Client> client = std::move(*found);
+  clients_.erase(found);
+  client->watch.close();
+  ::close(client->fd);
+  gone_(number);
+}
+
+void ControlSocket::ready(std::uint64_t number, const FdEvent& event) {
+  Client* const client = find(number);
+  if (client == nullptr || client->is_answered) return;
+  bool stays = true;
+  if (!client->out.empty()) {
+    stays = event.hung_up && !event.writable ? false : send(*client);
+  } else if (event.readable || event.hung_up) {
+    stays = receive(*client) && answer_next(*client);
+  }
+  if (!stays) drop(number);
+}
+
+bool ControlSocket::receive(Client& client) {
+  char buffer[16 * 1024];
+  const ssize_t size = ::recv(client.fd, buffer, sizeof buffer, MSG_DONTWAIT);
+  if (size < 0) return errno == EAGAIN || errno == EINTR;
+  if (size == 0) {
+    client.has_ended = true;
+    return true;
+  }
+  client.in.append(buffer, static_cast<std::size_t>(size));
+  return true;
+}
+
+bool ControlSocket::answer_next(Client& client) {
+  const std::size_t end = client.in.find('\n', client.searched);
+  if (end == std::string::npos) {
+    if (client.has_ended) return false;
+    client.searched = client.in.size();
+    if (client.in.size() > longest_line) return false;
+    wait_for_more(client);
+    return true;
+  }
+  if (end > longest_line || (client.has_ended && ++client.answered_after_end > most_after_end)) return false;
+  std::string line = client.in.substr(0, end);
+  client.in.erase(0, end + 1);
+  client.searched = 0;
+  client.is_answered = true;
+  client.last_asked = loop_.now();
+  client.watch.set_events(FdWatch::Events{});
+  return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
+}
+
+void ControlSocket::answered(std::uint64_t number, std::string text) {
+  Client* const client = find(number);
+  if (client == nullptr) return;
+  client->is_answered = false;
+  client->out = std::move(text) + "\n";
+  if (!send(*client)) drop(number);
+}
+
+bool ControlSocket::send(Client& client) {
+  const ssize_t size = ::send(client.fd, client.out.data() + client.sent, client.out.size() - client.sent,
+                              MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (size < 0 && errno != EAGAIN && errno != EINTR) return false;
+  if (size > 0) client.sent += static_cast<std::size_t>(size);
+  if (client.sent == client.out.size()) {
+    std::string().swap(client.out);
+    client.sent = 0;
+    client.timer.start(pause);
+  } else {
+    client.watch.set_events(FdWatch::writable);
+    if (size > 0 || !client.timer.is_running()) client.timer.start(patience);
+  }
+  return true;
+}
+
+void ControlSocket::wait_for_more(Client& client) {
+  client.timer.stop();
+  client.watch.set_events(FdWatch::readable);
+}
+
+void ControlSocket::timed_out(std::uint64_t number) {
+  Client* const client = find(number);
+  if (client == nullptr) return;
+  const bool stays = client->out.empty() && answer_next(*client);  // else it has not read for too long
+  if (!stays) drop(number);
+}
+
+std::vector<Instance> running_instances() {
+  std::vector<Instance> all;
+  for (const std::string& folder : folders_to_search()) {
+    if (::geteuid() != 0 && !is_private(folder)) continue;
+    for (Instance& one : sockets_in(folder)) {
+      if (!is_alive(one.pid)) continue;
+      const auto client = ControlClient::connect(one.path);
+      if (client || client.error().code == make_error_code(Errc::busy)) all.push_back(std::move(one));
+    }
+  }
+  std::sort(all.begin(), all.end(), [](const Instance& a, const Instance& b) { return a.pid < b.pid; });
+  return all;
+}
+
+std::vector<std::string> closed_folders() {
+  std::vector<std::string> all;
+  for (std::string& folder : folders_to_search()) {
+    if (::faccessat(AT_FDCWD, folder.c_str(), R_OK | X_OK, AT_EACCESS) != 0 && errno == EACCES)
+      all.push_back(std::move(folder));
+  }
+  return all;
+}
+
+Result<ControlClient> ControlClient::connect(const std::string& path) {
+  sockaddr_un address;
+  if (!address_of(path, address))
+    return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
+  ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
+  if (!is_connected && errno == EAGAIN) {
+    return Error{Errc::busy, "cannot connect", path, "too many wait to be connected",
+                 "see whether the process is stopped"};
+  }
+  if (!is_connected) return system_error(errno, "cannot connect", path);
+  if (!is_trusted(client.fd_) && ::geteuid() != 0)
+    return Error{Errc::not_permitted, "cannot connect", path, "it is of another user", "ask them"};
+  return client;
+}
+
+ControlClient::~ControlClient() {
+  if (fd_ >= 0) ::close(fd_);
+}
+
+Result<std::string> ControlClient::ask(std::string_view line, Duration at_most) {
+  send(line);
+  auto answer = receive(at_most);
+  if (!answer) return std::move(answer).error();
+  if (*answer) return std::move(**answer);
+  return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
+               "see whether it is stopped, its loop is held, or the machine is busy"};
+}
+
+void ControlClient::send(std::string_view line) {
+  out_.append(line).append("\n");
+  send_more();
+}
+
+void ControlClient::send_more() {
+  const ssize_t size = ::send(fd_, out_.data(), out_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  if (size > 0) out_.erase(0, static_cast<std::size_t>(size));
+}
+
+Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
+  const auto until = std::chrono::steady_clock::now() + at_most;
+  for (;;) {
+    if (const std::size_t end = rest_.find('\n'); end != std::string::npos) {
+      std::string answer = rest_.substr(0, end);
+      rest_.erase(0, end + 1);
+      return std::optional(std::move(answer));
+    }
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
+    pollfd waits{fd_, static_cast<short>(out_.empty() ? POLLIN : POLLIN | POLLOUT), 0};
+    if (::poll(&waits, 1, static_cast<int>(std::max<std::int64_t>(left, 0))) <= 0) {
+      if (left <= 0) return std::optional<std::string>{};
+      continue;
+    }
+    if ((waits.revents & POLLOUT) != 0) send_more();
+    if ((waits.revents & (POLLIN | POLLHUP | POLLERR)) != 0) {
+      char buffer[16 * 1024];
+      const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
+      if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
+        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves others, who came later: 8 at most",
+                     "look again when fewer look at it"};
+      }
+      if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
+    }
+  }
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,149 @@
+#include "rtdata/sinks/export.hpp"
+
+#include <time.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <ctime>
+#include <ostream>
+#include <set>
+
+#include "app/core/commands.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::app {
+namespace {
+
+/// "+01:00", this machine's at that time of its own.
+std::string zone_at(Time time) {
+  const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
+  std::tm here{};
+  std::array<char, 8> text{};
+  if (::localtime_r(&seconds, &here) == nullptr || std::strftime(text.data(), text.size(), "%z", &here) != 5)
+    return "+00:00";
+  return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
+}
+
+/// ISO 8601 or ns since the epoch.
+Result<std::optional<Time>> parse_time(const std::string& text) {
+  if (text.empty()) return std::optional<Time>{};
+  std::int64_t ns = 0;
+  const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), ns);
+  if (failed == std::errc{} && end == text.data() + text.size()) return std::optional{from_nanoseconds(ns)};
+  auto time = parse_iso8601(text);
+  if (const auto utc = parse_iso8601(text + "Z"); !time && utc) {
+    return Error{Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
+                 "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"};
+  }
+  if (!time) return std::move(time).error();
+  return std::optional{*time};
+}
+
+std::string list_of(const std::set<std::string>& names) {
+  constexpr std::size_t most = 10;
+  std::string text;
+  std::size_t count = 0;
+  for (const std::string& name : names) {
+    if (count++ == most) return text + ", ...";
+    text += (text.empty() ? "" : ", ") + name;
+  }
+  return text.empty() ? "nothing" : text;
+}
+
+/// Error: there is no such run, topic or origin in the recording, whatever the time.
+Result<void> find(const Recording& recording, const RowFilter& filter) {
+  const auto missing = [&](std::string why) {
+    return Error{Errc::not_found, "cannot export", recording.path(), std::move(why),
+                 "see `rtdata info " + recording.path() + "`"};
+  };
+  const auto runs = recording.runs();
+  if (!runs) return runs.error();
+  std::set<std::string> numbers, topics, origins;
+  bool is_there = false;
+  for (const RunInfo& run : *runs) {
+    numbers.insert(std::to_string(run.run));
+    if (filter.run && run.run != *filter.run) continue;
+    const auto ledger = recording.ledger(run.run);
+    if (!ledger) return ledger.error();
+    for (const LedgerEntry& entry : *ledger) {
+      topics.insert(entry.topic);
+      if (!topic_matches(filter.topic, entry.topic)) continue;
+      origins.insert(entry.origin);
+      is_there = is_there || !filter.origin || entry.origin == *filter.origin;
+    }
+  }
+  const std::string of_run = filter.run ? "run " + std::to_string(*filter.run) : "it";
+  if (filter.run && !numbers.contains(std::to_string(*filter.run)))
+    return missing("there is no " + of_run + "; its runs are " + list_of(numbers));
+  if (is_there || (filter.topic == "#" && !filter.origin)) return {};
+  // A run that goes on, or was killed, may have rows before its first account.
+  auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin});
+  if (!rows) return rows.error();
+  const auto row = rows->next();
+  if (!row) return row.error();
+  if (*row != nullptr) return {};
+  if (origins.empty()) return missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
+  return missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic + "; there is " +
+                 list_of(origins));
+}
+
+/// Rows that are left out are told, and are an error.
+int tell_refused(std::ostream& err, const ExportCount& count) {
+  if (count.refused == 0) return 0;
+  err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")
+      << " left out, the first: " << count.refusal.text() << "\n";
+  return 1;
+}
+
+int fail(std::ostream& err, const Error& error, int code) {
+  err << "rtdata: " << error.text() << "\n";
+  return code;
+}
+
+}  // namespace
+
+int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err) {
+  auto recording = Recording::open(options.database);
+  if (!recording) return fail(err, recording.error(), 2);
+  auto from = parse_time(options.from);
+  if (!from) return fail(err, from.error(), 1);
+  auto until = parse_time(options.until);
+  if (!until) return fail(err, until.error(), 1);
+  if (*from && *until && **from > **until) {
+    return fail(err,
+                {Errc::bad_argument, "cannot export", "--from " + options.from + " --until " + options.until,
+                 "it ends before it begins", "exchange them"},
+                1);
+  }
+  const bool is_utc = options.times == ExportOptions::Times::utc;
+  ExportConfig config;
+  config.format = options.format;
+  config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
+  config.existing = options.existing == ExportOptions::Existing::replace ? ExportConfig::Existing::replace
+                                                                         : ExportConfig::Existing::refuse;
+  config.time = is_utc ? ExportTime::utc : ExportTime::recorded;
+  config.time_text = is_utc ? ExportConfig::TimeText::iso8601 : ExportConfig::TimeText::nanoseconds;
+  config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
+                                                                 : ExportConfig::Header::names_and_units;
+  const auto code_of = [](const Error& error) { return error.code == make_error_code(Errc::damaged) ? 2 : 1; };
+  if (auto found = find(*recording, config.filter); !found) return fail(err, found.error(), code_of(found.error()));
+  if (options.folder.empty()) {
+    auto count = export_rows(*recording, config, out);
+    if (!count && !out) return 1;
+    if (!count) return fail(err, count.error(), code_of(count.error()));
+    if (count->rows + count->refused == 0)
+      err << "rtdata: no rows: " << recording->path() << " has none of what was asked for\n";
+    return tell_refused(err, *count);
+  }
+  auto counts = export_files(*recording, config, options.folder);
+  if (!counts) return fail(err, counts.error(), code_of(counts.error()));
+  int status = 0;
+  for (const ExportCount& count : *counts) {
+    out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
+    status = std::max(status, tell_refused(err, count));
+  }
+  return status;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,351 @@
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <ostream>
+
+#include "app/core/commands.hpp"
+#include "data/wrap.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+std::string short_time(Time time) { return to_iso8601(time).substr(0, 19) + "Z"; }
+
+/// Three digits and a unit: "1.20ms".
+std::string short_duration(Duration duration) {
+  const double ns = static_cast<double>(duration.count());
+  const char* unit = "s";
+  double value = ns / 1e9;
+  if (ns < 1e6) {
+    unit = "us";
+    value = ns / 1e3;
+  } else if (ns < 1e9) {
+    unit = "ms";
+    value = ns / 1e6;
+  }
+  char text[32];
+  std::snprintf(text, sizeof text, "%.*f%s", value < 10 ? 2 : value < 100 ? 1 : 0, value, unit);
+  return text;
+}
+
+std::string hertz(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.*f", value < 10 ? 3 : value < 100 ? 2 : 1, value);
+  return text;
+}
+
+std::string padded(std::string text, std::size_t width) {
+  return text.size() < width ? std::string(width - text.size(), ' ') + text : text;
+}
+
+/// At most 80 columns unless numbers are very large; a long name has a line of its own.
+void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
+  constexpr std::size_t name_width = 17;
+  bool is_complete = true;
+  out << "  topic               rows     Hz wanted late p50     p99     max missed dropped\n";
+  for (const TopicSummary& topic : topics) {
+    std::string name = "  " + topic.topic;
+    if (name.size() > name_width) {
+      out << name << "\n";
+      name.clear();
+    }
+    name.resize(name_width, ' ');
+    is_complete = is_complete && topic.is_complete;
+    const auto count_of = [&](std::uint64_t count) { return std::to_string(count) + (topic.is_complete ? "" : "+"); };
+    const auto late = [&](Duration duration) {
+      return topic.has_lateness ? short_duration(duration) : std::string("-");
+    };
+    out << name << padded(std::to_string(topic.rows), 9)
+        << padded(" " + (topic.reached_hertz > 0 ? hertz(topic.reached_hertz) : "-"), 7)
+        << padded(topic.wanted_hertz > 0 ? hertz(topic.wanted_hertz) : "-", 7) << padded(late(topic.lateness_p50), 9)
+        << padded(late(topic.lateness_p99), 8) << padded(late(topic.lateness_max), 8)
+        << padded(count_of(topic.missed), 7) << padded(count_of(topic.dropped), 8) << "\n";
+    std::string losses;
+    const auto add = [&](std::uint64_t count, const char* what) {
+      if (count != 0) losses += (losses.empty() ? "" : ", ") + count_of(count) + " " + what;
+    };
+    add(topic.failed, "failed");
+    add(topic.unreadable, "unreadable");
+    add(topic.late, "late");
+    add(topic.lost.value_or(0), "lost by the source");
+    if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
+    if (topic.pruned != 0)
+      losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
+                " more rows were pruned (max_age, max_bytes)";
+    if (!losses.empty()) {
+      std::string lines;
+      detail::wrap(lines, "    ", losses);
+      out << lines;
+    }
+  }
+  if (is_complete) return;
+  std::string note;
+  detail::wrap(note, "  ", "+: up to the last account; the run was not closed, `rtdata verify` says what is known");
+  out << note;
+}
+
+void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
+  for (const RecordedTopic& topic : topics) {
+    std::string line = "  " + topic.topic +
+                       (topic.version > 1 ? " (version " + std::to_string(topic.version) + ")" : "") + ":";
+    for (const Field& field : topic.description->fields()) {
+      std::string item = " " + field.name + (field.unit.empty() ? "" : " [" + field.unit + "]");
+      if (&field != &topic.description->fields().back()) item += ",";
+      if (line.size() + item.size() > 80) {
+        out << line << "\n";
+        line = "    ";
+      }
+      line += item;
+    }
+    out << line << "\n";
+  }
+}
+
+Json json_of(const RunInfo& run) {
+  Json json{{"run", run.run},
+            {"uuid", run.uuid},
+            {"name", run.name},
+            {"notes", run.notes},
+            {"program", run.program},
+            {"host", run.host},
+            {"state", name_of(run.state)},
+            {"started", to_nanoseconds(run.started)}};
+  json["ended"] = run.ended ? Json(to_nanoseconds(*run.ended)) : Json();
+  json["lost"] = run.lost ? Json(*run.lost) : Json();
+  json["remark"] = run.remark;
+  return json;
+}
+
+Json json_of(const TopicSummary& topic) {
+  Json json{{"topic", topic.topic},
+            {"origins", topic.origins},
+            {"rows", topic.rows},
+            {"wanted_hz", topic.wanted_hertz},
+            {"reached_hz", topic.reached_hertz},
+            {"missed", topic.missed},
+            {"failed", topic.failed},
+            {"unreadable", topic.unreadable},
+            {"dropped", topic.dropped},
+            {"pruned", topic.pruned},
+            {"outages", topic.outages.number},
+            {"outage_time_ns", topic.outages.time.count()},
+            {"late", topic.late},
+            {"is_complete", topic.is_complete}};
+  if (!(topic.wanted_hertz > 0)) json["wanted_hz"] = Json();
+  if (!(topic.reached_hertz > 0)) json["reached_hz"] = Json();
+  json["lost"] = topic.lost ? Json(*topic.lost) : Json();
+  const auto lateness = [&](Duration value) { return topic.has_lateness ? Json(value.count()) : Json(); };
+  json["lateness_p50_ns"] = lateness(topic.lateness_p50);
+  json["lateness_p99_ns"] = lateness(topic.lateness_p99);
+  json["lateness_max_ns"] = lateness(topic.lateness_max);
+  json["first"] = topic.first ? Json(to_nanoseconds(*topic.first)) : Json();
+  json["last"] = topic.last ? Json(to_nanoseconds(*topic.last)) : Json();
+  return json;
+}
+
+/// What is read of a recording before anything is printed.
+struct Content {
+  std::vector<RunInfo> runs;
+  std::vector<RecordedTopic> topics;
+  std::optional<RunInfo> shown;
+  std::vector<TopicSummary> summaries;
+  std::vector<RecordedError> errors;
+  std::vector<RecordedHealth> health;
+  std::vector<RecordedEscapes> escaped;
+  std::vector<RecordedGap> gaps;
+  UtcLine line{{}};  // of the run that is shown
+};
+
+Result<Content> read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
+  Content content;
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  content.runs = std::move(*runs);
+  auto topics = recording.topics();
+  if (!topics) return std::move(topics).error();
+  content.topics = std::move(*topics);
+  for (const RunInfo& run : content.runs) {
+    if (!wanted || run.run == *wanted) content.shown = run;
+  }
+  if (!content.shown) {
+    if (!wanted) return content;
+    return Error{Errc::not_found, "cannot show the run", recording.path(), "there is no run " + std::to_string(*wanted),
+                 "`rtdata info` without --run lists them"};
+  }
+  auto summaries = summary(recording, content.shown->run);
+  if (!summaries) return std::move(summaries).error();
+  content.summaries = std::move(*summaries);
+  auto errors = recording.errors(content.shown->run);
+  if (!errors) return std::move(errors).error();
+  content.errors = std::move(*errors);
+  auto health = recording.health(content.shown->run);
+  if (!health) return std::move(health).error();
+  content.health = std::move(*health);
+  auto escaped = recording.escaped(content.shown->run);
+  if (!escaped) return std::move(escaped).error();
+  content.escaped = std::move(*escaped);
+  if (gaps == InfoOptions::Gaps::counted) return content;
+  auto listed = recording.gaps(content.shown->run);
+  if (!listed) return std::move(listed).error();
+  content.gaps = std::move(*listed);
+  auto line = recording.utc_line(content.shown->run);
+  if (!line) return std::move(line).error();
+  content.line = std::move(*line);
+  return content;
+}
+
+/// "missed 12: reason", "disconnected: reason"; of gaps that were joined, how many there were together.
+std::string described(const RecordedGap& gap) {
+  if (gap.kind == "joined") {
+    return "several gaps joined" + (gap.count > 0 ? ", " + std::to_string(gap.count) + " together" : std::string()) +
+           (gap.reason.empty() || gap.reason == "several" ? ", for several reasons" : ": " + gap.reason);
+  }
+  return gap.kind + (gap.count > 0 ? " " + std::to_string(gap.count) : "") +
+         (gap.reason.empty() || gap.reason == gap.kind ? "" : ": " + gap.reason);
+}
+
+void print_gaps(const Content& content, std::ostream& out) {
+  out << "\ngaps of run " << content.shown->run << " (UTC)\n";
+  if (content.gaps.empty()) out << "  none\n";
+  for (const RecordedGap& gap : content.gaps) {
+    const Time from = content.line.utc(gap.first), until = content.line.utc(gap.last);
+    std::string line;
+    detail::wrap(line, "  ",
+                 to_iso8601(from) + (gap.last == gap.first ? "" : " to " + to_iso8601(until)) + " " + gap.origin +
+                     " on " + gap.topic + ": " + described(gap));
+    out << line;
+  }
+}
+
+void print(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
+  out << recording.path() << "\n\n";
+  if (content.runs.empty()) {
+    out << "No run was recorded yet.\n";
+    return;
+  }
+  out << "runs\n";
+  for (const RunInfo& run : content.runs) {
+    out << "  " << run.run << (run.name.empty() ? "" : " \"" + run.name + "\"") << "  " << short_time(run.started)
+        << (run.ended ? " to " + short_time(*run.ended) : "") << "  " << name_of(run.state) << "\n";
+    std::string lines;
+    if (!run.notes.empty()) detail::wrap(lines, "    ", run.notes);
+    if (!run.remark.empty()) detail::wrap(lines, "    ", run.remark);
+    out << lines;
+  }
+  out << "\nrun " << content.shown->run << "\n";
+  print_table(content.summaries, out);
+  for (const RecordedEscapes& of : content.escaped) {
+    out << "  " << of.topic << ", " << of.origin << ": " << of.texts << " texts were no UTF-8, see rtdata_escaped\n";
+  }
+  if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
+  if (!content.errors.empty()) {
+    constexpr std::size_t most = 10;
+    out << "\nerrors of run " << content.shown->run << "\n";
+    for (std::size_t i = 0; i < content.errors.size() && i < most; ++i) {
+      const RecordedError& error = content.errors[i];
+      std::string line;
+      detail::wrap(line, "  ",
+                   short_time(error.time) + " " + error.object + ": " + error.text +
+                       (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : ""));
+      out << line;
+    }
+    if (content.errors.size() > most) out << "  and " << content.errors.size() - most << " more\n";
+  }
+  if (!content.health.empty()) {
+    constexpr std::size_t most = 20;
+    out << "\nhealth in run " << content.shown->run << "\n";
+    for (std::size_t i = 0; i < content.health.size() && i < most; ++i) {
+      const RecordedHealth& change = content.health[i];
+      std::string line;
+      detail::wrap(line, "  ",
+                   short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
+                       (change.reason.empty() ? "" : ": " + change.reason) +
+                       (change.count == 1
+                            ? ""
+                            : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")"));
+      out << line;
+    }
+    if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
+  }
+  out << "\nfields\n";
+  print_fields(content.topics, out);
+}
+
+void print_json(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
+  Json json;
+  json["path"] = recording.path();
+  json["runs"] = Json::array();
+  for (const RunInfo& run : content.runs) json["runs"].push_back(json_of(run));
+  json["shown_run"] = content.shown ? Json(content.shown->run) : Json();
+  json["topics"] = Json::array();
+  for (const TopicSummary& topic : content.summaries) json["topics"].push_back(json_of(topic));
+  json["errors"] = Json::array();
+  for (const RecordedError& error : content.errors) {
+    json["errors"].push_back(Json{{"time", to_nanoseconds(error.time)},
+                                  {"object", error.object},
+                                  {"id", error.id},
+                                  {"text", error.text},
+                                  {"count", error.count},
+                                  {"last", to_nanoseconds(error.last)}});
+  }
+  json["health"] = Json::array();
+  for (const RecordedHealth& change : content.health) {
+    json["health"].push_back(Json{{"time", to_nanoseconds(change.time)},
+                                  {"kind", change.kind},
+                                  {"name", change.name},
+                                  {"state", change.state},
+                                  {"reason", change.reason},
+                                  {"count", change.count},
+                                  {"last", to_nanoseconds(change.last)}});
+  }
+  json["escaped"] = Json::array();
+  for (const RecordedEscapes& of : content.escaped)
+    json["escaped"].push_back(Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}});
+  if (gaps == InfoOptions::Gaps::listed) {
+    json["gaps"] = Json::array();
+    for (const RecordedGap& gap : content.gaps) {
+      json["gaps"].push_back(Json{{"topic", gap.topic},
+                                  {"origin", gap.origin},
+                                  {"kind", gap.kind},
+                                  {"reason", gap.reason},
+                                  {"first", to_nanoseconds(gap.first)},
+                                  {"last", to_nanoseconds(gap.last)},
+                                  {"first_utc", to_iso8601(content.line.utc(gap.first))},
+                                  {"last_utc", to_iso8601(content.line.utc(gap.last))},
+                                  {"count", gap.count}});
+    }
+  }
+  json["descriptions"] = Json::array();
+  for (const RecordedTopic& topic : content.topics) {
+    json["descriptions"].push_back(Json{{"topic", topic.topic},
+                                        {"version", topic.version},
+                                        {"table", topic.table},
+                                        {"first_run", topic.first_run},
+                                        {"description", Json::parse(topic.description->to_json())}});
+  }
+  out << json.dump(2, ' ', false, Json::error_handler_t::replace) << "\n";
+}
+
+}  // namespace
+
+int info(const InfoOptions& options, std::ostream& out, std::ostream& err) {
+  auto recording = Recording::open(options.database);
+  if (!recording) {
+    err << "rtdata: " << recording.error().text() << "\n";
+    return 2;
+  }
+  auto content = read(*recording, options.run, options.gaps);
+  if (!content) {
+    err << "rtdata: " << content.error().text() << "\n";
+    return content.error().code == make_error_code(Errc::not_found) ? 1 : 2;
+  }
+  options.output == Output::json ? print_json(*recording, *content, options.gaps, out)
+                                 : print(*recording, *content, options.gaps, out);
+  return 0;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,111 @@
+#include <unistd.h>
+
+#include <iostream>
+
+#include "app/core/subcommands.hpp"
+#include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/data/codec.hpp"
+#include "rtdata/sensors/host.hpp"
+
+namespace rtdata::app {
+namespace {
+
+/// `columns`: of the terminal, on which long lists of choices do not widen their column; 0: there is none.
+void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, const std::string& indent,
+                    std::size_t columns) {
+  constexpr std::size_t widest = 16;
+  for (const ParameterInfo& parameter : parameters) {
+    std::string type = parameter.type.name();
+    if (parameter.type.kind == ParameterType::Kind::choice) {
+      type.clear();
+      for (const std::string& choice : parameter.type.choices) type += (type.empty() ? "" : "|") + choice;
+    }
+    const std::string range = parameter.type.range();
+    std::string fallback = parameter.required ? "required" : parameter.default_text();
+    const bool has_members = !parameter.type.members.empty();
+    if (has_members) fallback.clear();
+    std::string doc = parameter.doc + (range.empty() ? "" : " (" + range + ")");
+    if (columns != 0 && width_of(type) > widest) {
+      const bool is_choice = parameter.type.kind == ParameterType::Kind::choice;
+      std::string choices;
+      for (const std::string& choice : parameter.type.choices) choices += (choices.empty() ? "" : ", ") + choice;
+      doc += is_choice ? "; one of " + choices : "; type: " + type;
+      type = is_choice ? "choice" : "see right";
+    }
+    if (columns != 0 && width_of(fallback) > widest) {
+      doc += "; default: " + fallback;
+      fallback = "see right";
+    }
+    table.add({indent + parameter.key, type, parameter.unit, fallback, doc});
+    add_parameters(table, parameter.type.members, indent + "  ", columns);
+    for (const ParameterType& element : parameter.type.element)
+      add_parameters(table, element.members, indent + "  ", columns);
+  }
+}
+
+std::string described(const TypeInfo& type) {
+  Table table({"parameter", "type", "unit", "default", "meaning"});
+  add_parameters(table, type.parameters, "", columns_of(STDOUT_FILENO));
+  return type.name + "  " + type.doc + "\n" + (table.empty() ? "" : table.text("  "));
+}
+
+/// What of the type `host` this machine has.
+std::string on_this_machine() {
+  std::string text = "  on this machine:\n";
+  for (const HostSensorInfo& info : available_host_sensors()) {
+    ConfigItem quantity;
+    ConfigValue<HostQuantity>::write(info.what, quantity);
+    text += "    " + *quantity.as_string();
+    if (!info.device.empty()) text += ", device " + info.device;
+    if (!info.name.empty() && info.name != info.device) text += " (" + info.name + ")";
+    text += "\n";
+  }
+  return text;
+}
+
+void print_all(const std::string& title, const std::vector<TypeInfo>& types) {
+  std::cout << title << "\n\n";
+  for (const TypeInfo& type : types) std::cout << described(type) << "\n";
+}
+
+}  // namespace
+
+int types(const Registry& registry, const std::string& name, TypesAs format) {
+  if (name.empty() && format == TypesAs::schema) {
+    std::cout << registry.schema() << std::endl;
+    return exit_good;
+  }
+  if (name.empty()) {
+    for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind)
+      if (const auto types = kind->types.types(); !types.empty()) print_all(kind->name + " types", types);
+    std::cout << "formats of events\n\n ";
+    for (const std::string& codec : CodecRegistry::standard().names()) std::cout << " " << codec;
+    std::cout << "\n\nformats of configuration files\n\n ";
+    for (const std::string& extension : ConfigFormats().extensions())
+      std::cout << " " << (extension.empty() ? "(none)" : extension);
+    std::cout << std::endl;
+    return exit_good;
+  }
+  std::vector<std::string> names;
+  int found = 0;
+  for (const PartKind& kind : registry.kinds()) {
+    for (const TypeInfo& type : kind.types.types()) {
+      names.push_back(type.name);
+      if (type.name != name) continue;
+      ++found;
+      std::cout << (format == TypesAs::schema ? type.schema() + "\n" : described(type));
+      if (format == TypesAs::text && kind.name == "sensor" && name == "host") std::cout << on_this_machine();
+    }
+  }
+  if (found > 0) return exit_good;
+  const std::string nearest = nearest_name(name, names);
+  std::cerr << "rtdata: there is no type \"" << name << "\""
+            << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << "; `rtdata types` lists all"
+            << std::endl;
+  return exit_other;
+}
+
+}  // namespace rtdata::app

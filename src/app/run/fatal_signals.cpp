@@ -1,0 +1,132 @@
+#include <signal.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstring>
+
+#include "app/run/log.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr std::array fatal{SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ};
+// A signal handler can reach globals only.
+std::atomic<const WriterCounts*> counts_of_log{nullptr};
+std::array<struct sigaction, fatal.size()> before;
+alignas(16) std::array<char, 64 * 1024> handler_stack;
+
+/// A line without the heap: text is cut where it does not fit.
+struct Line {
+  std::array<char, 160> text{};
+  std::size_t size = 0;
+  void add(const char* more) noexcept {
+    while (*more != '\0' && size < text.size()) text[size++] = *more++;
+  }
+  void add(std::int64_t number, int digits) noexcept {
+    std::array<char, 24> reversed{};
+    int count = 0;
+    for (; number > 0 || count < digits; number /= 10)
+      reversed[static_cast<std::size_t>(count++)] = static_cast<char>('0' + number % 10);
+    while (count > 0 && size < text.size()) text[size++] = reversed[static_cast<std::size_t>(--count)];
+  }
+};
+
+void add_time(Line& line) noexcept {
+  timespec now{};
+  ::clock_gettime(CLOCK_REALTIME, &now);
+  const std::int64_t second = now.tv_sec % 86400;
+  // Days to year, month and day of the proleptic Gregorian calendar, years beginning in March.
+  const std::int64_t days = now.tv_sec / 86400 + 719468;
+  const std::int64_t era = days / 146097;
+  const std::int64_t day_of_era = days - era * 146097;
+  const std::int64_t year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36524 - day_of_era / 146096) / 365;
+  const std::int64_t day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+  const std::int64_t month_from_march = (5 * day_of_year + 2) / 153;
+  const std::int64_t month = month_from_march < 10 ? month_from_march + 3 : month_from_march - 9;
+  line.add(year_of_era + era * 400 + (month <= 2 ? 1 : 0), 4);
+  line.add("-");
+  line.add(month, 2);
+  line.add("-");
+  line.add(day_of_year - (153 * month_from_march + 2) / 5 + 1, 2);
+  line.add("T");
+  line.add(second / 3600, 2);
+  line.add(":");
+  line.add(second / 60 % 60, 2);
+  line.add(":");
+  line.add(second % 60, 2);
+  line.add(".");
+  line.add(now.tv_nsec / 1000, 6);
+  line.add("Z");
+}
+
+const char* name_of_signal(int signal) noexcept {
+  switch (signal) {
+    case SIGSEGV:
+      return "SIGSEGV";
+    case SIGBUS:
+      return "SIGBUS";
+    case SIGILL:
+      return "SIGILL";
+    case SIGFPE:
+      return "SIGFPE";
+    case SIGABRT:
+      return "SIGABRT";
+    case SIGSYS:
+      return "SIGSYS";
+    case SIGXCPU:
+      return "SIGXCPU";
+    case SIGXFSZ:
+      return "SIGXFSZ";
+    default:
+      return "unknown";
+  }
+}
+
+extern "C" void on_fatal_signal(int signal) {
+  const int saved_errno = errno;
+  if (const WriterCounts* counts = counts_of_log.exchange(nullptr)) {
+    for (int i = 0; i < 500 && !counts->is_idle(); ++i) {
+      const timespec pause{0, 1'000'000};
+      ::nanosleep(&pause, nullptr);
+    }
+    Line line;
+    add_time(line);
+    line.add(" error program: fatal signal ");
+    line.add(signal, 1);
+    line.add(" (");
+    line.add(name_of_signal(signal));
+    line.add(")\n");
+    write_fully(counts->fd.load(), line.text.data(), line.size);
+  }
+  for (std::size_t i = 0; i < fatal.size(); ++i) {
+    if (fatal[i] == signal) ::sigaction(signal, &before[i], nullptr);
+  }
+  errno = saved_errno;
+  ::raise(signal);  // comes when this handler has returned
+}
+
+}  // namespace
+
+FatalSignals::FatalSignals(const Log& log) {
+  counts_of_log.store(&log.counts());
+  stack_t stack{};
+  stack.ss_sp = handler_stack.data();
+  stack.ss_size = handler_stack.size();
+  ::sigaltstack(&stack, nullptr);
+  struct sigaction action {};
+  action.sa_handler = on_fatal_signal;
+  action.sa_flags = SA_ONSTACK;
+  ::sigfillset(&action.sa_mask);
+  for (std::size_t i = 0; i < fatal.size(); ++i) ::sigaction(fatal[i], &action, &before[i]);
+}
+
+FatalSignals::~FatalSignals() {
+  for (std::size_t i = 0; i < fatal.size(); ++i) ::sigaction(fatal[i], &before[i], nullptr);
+  stack_t none{};
+  none.ss_flags = SS_DISABLE;
+  ::sigaltstack(&none, nullptr);
+  counts_of_log.store(nullptr);
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,363 @@
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <iostream>
+#include <utility>
+
+#include "app/control/account.hpp"
+#include "app/control/control_socket.hpp"
+#include "app/control/live_view.hpp"
+#include "app/control/status.hpp"
+#include "app/core/subcommands.hpp"
+#include "app/core/terminal_text.hpp"
+#include "app/run/async_writer.hpp"
+#include "app/run/growth.hpp"
+#include "app/run/log.hpp"
+#include "app/run/log_file.hpp"
+#include "app/run/service.hpp"
+#include "app/run/stop_signals.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "rtdata/config/secret.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration redraw_period = std::chrono::milliseconds{500};
+constexpr Duration line_period = std::chrono::seconds{10};  // in a pipe, and for the service manager
+
+/// One run, from the file to the exit status. Members in the order in which they may go.
+class Run {
+ public:
+  Run(const Registry& registry, const RunOptions& options) : registry_(registry), options_(options), terminal_(16) {}
+
+  int execute() {
+    messages_.open(STDERR_FILENO);
+    SystemPlan plan = plan_system(registry_, load_config(options_.file));
+    secrets_ = plan.secrets;
+    warn_of_growth(plan, options_.duration.value_or(growth_span));
+    open_log(plan);
+    const FatalSignals fatal(log_);
+    log_.write(LogLevel::info, "program", "started with " + options_.file);
+    int status = exit_other;
+    try {
+      status = plan.good() ? run(plan) : refuse(plan);
+    } catch (const SetupError& error) {
+      say(LogLevel::error, "program", error.what(), error.error().id());
+    } catch (const std::exception& error) {
+      say(LogLevel::error, "program", error.what());
+    }
+    log_.write(LogLevel::info, "program", "ended with status " + std::to_string(status));
+    messages_.wait_until_written(std::chrono::seconds{2});
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    return status;
+  }
+
+ private:
+  void open_log(SystemPlan& plan) {
+    const LogSettings& settings = plan.settings.log;
+    const std::string file = log_file_of(plan, options_.log_file);
+    if (!check_log_file(file, plan)) return;  // it is another's file
+    // Probably a mistyped name: a log beside it would only be in the way.
+    const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
+    if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
+    if (auto opened = log_.open(file, settings); !opened) {
+      say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
+    }
+  }
+
+  /// Opened when there is something to write.
+  AsyncWriter& terminal() {
+    terminal_.open(STDOUT_FILENO);
+    return terminal_;
+  }
+
+  int refuse(const SystemPlan& plan) {
+    for (const Problem& problem : plan.problems)
+      log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
+    tell(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
+         (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
+    return exit_configuration;
+  }
+
+  int run(const SystemPlan& plan) {
+    for (const Problem& warning : plan.warnings) {
+      if (warning.id == "cannot-write") continue;  // of the log: told when it was opened
+      say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    }
+    Runtime runtime(plan.runtime_config());
+    runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
+    Loop loop(runtime, plan.loop_config());
+    std::map<std::string, std::string> paths;
+    bool uses_stdout = false;
+    Duration deadline{0};
+    for (const PartPlan& part : plan.parts) {
+      if (!part.stores) continue;
+      paths[part.name] = hide_secrets(part.stores->path, secrets_);
+      uses_stdout = uses_stdout || part.stores->path == "-";
+      deadline = std::max(deadline, part.stores->close_deadline);
+    }
+    if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
+    System system(loop, registry_, plan);
+    signals_.attach(
+        loop, {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
+               [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); }});
+    struct Detach {
+      StopSignals& signals;
+      ~Detach() { signals.detach(); }
+    } const detach{signals_};
+    StatusSource status(loop, {plan.settings.name, options_.file, paths});
+    std::optional<ControlSocket> control;
+    open_control(control, loop, status);
+    tell_start(plan);
+
+    if (options_.talk == Talk::normal && !uses_stdout && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+    {
+      Service service(loop);
+      loop.post([&] { be_ready(service); });
+      // Without the table there is nothing to show between two lines: the program is not woken up for it.
+      Ticker ticker(loop, Ticker::Config{.period = view_ ? redraw_period : line_period, .name = "display"},
+                    [&](const Tick& tick) { show(runtime, service, tick.due); });
+      if (options_.duration) {
+        loop.run_for(*options_.duration);
+      } else {
+        loop.run();
+      }
+      (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
+      is_closing_ = true;
+      close_deadline_ = deadline;
+      ticker.set_period(redraw_period);
+      not_stored_ = loop.close(deadline);
+    }
+    tell_holds(loop.callbacks());
+    const std::string hanging = stop_tiers(plan, system);
+    close_view();
+    const int exit_status = report(runtime, loop.core().runtime.unknown_end, paths, uses_stdout);
+    if (!hanging.empty()) {
+      control.reset();
+      leave_behind(hanging);
+    }
+    return exit_status;
+  }
+
+  /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
+  std::string stop_tiers(const SystemPlan& plan, System& system) {
+    std::string hanging;
+    for (const auto& entry : plan.settings.tiers) {
+      Tier& tier = system.tier(entry.first);
+      if (tier.stop_within(std::chrono::milliseconds{100})) {
+        tell_holds(tier.loop().callbacks());
+        continue;
+      }
+      const std::string where = tier.doing();
+      hanging += (hanging.empty() ? "tier " : ", tier ") + entry.first + " in " +
+                 (where.empty() ? "a callback" : where);
+    }
+    return hanging;
+  }
+
+  /// The end of a program of which a thread does not end: what it uses cannot be destroyed.
+  [[noreturn]] void leave_behind(const std::string& hanging) {
+    say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
+        "not-turning");
+    log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
+    log_.wait_until_written(std::chrono::seconds{1});
+    messages_.wait_until_written(std::chrono::seconds{2});
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    ::_exit(exit_other);
+  }
+
+  void open_control(std::optional<ControlSocket>& control, Loop& loop, StatusSource& status) {
+    try {
+      control.emplace(
+          loop, [&status](std::uint64_t client, std::string_view line) { return status.answer(client, line); },
+          [&status](std::uint64_t client) { status.forget(client); });
+      log_.write(LogLevel::debug, "program", "control socket " + control->path());
+    } catch (const SetupError& error) {
+      say(LogLevel::warning, "program", error.what(), error.error().id());
+    }
+  }
+
+  void tell_start(const SystemPlan& plan) {
+    const auto counted = [](std::size_t count, const char* what) {
+      return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+    };
+    std::string text = "running " + plan.settings.name + ": " + counted(plan.of_kind("sensor").size(), "sensor") +
+                       ", " + counted(plan.of_kind("sink").size(), "sink");
+    if (options_.duration) text += ", for " + to_string(*options_.duration);
+    text += log_.file().empty() ? "" : "; log " + log_.file();
+    if (!options_.duration) text += "; Ctrl-C ends it";
+    say(LogLevel::info, "", text);
+    for (const LoopLoad& load : plan.loads()) say(LogLevel::info, "", load.text());
+  }
+
+  /// The loop turns, and so do its tiers.
+  void be_ready(Service& service) {
+    const auto told = service.tell("READY=1\nSTATUS=running");
+    if (!told) say(LogLevel::warning, "program", told.error().text(), told.error().id());
+  }
+
+  /// Who held the loop, and how much it took otherwise.
+  void tell_holds(const std::vector<CallbackStatus>& callbacks) {
+    for (const CallbackStatus& callback : callbacks) {
+      const CallbackTimes& times = callback.times;
+      if (times.held == 0) continue;
+      log_.write(LogLevel::info, callback.name,
+                 "held the loop " + std::to_string(times.held) + " times in " + std::to_string(times.count) +
+                     " calls of " + to_string(times.total) + " together; 99 of 100 took at most " +
+                     to_string(times.p99()) + ", the longest " + to_string(times.max) +
+                     (callback.place.empty() ? "" : "; made at " + callback.place));
+    }
+  }
+
+  void stop(Loop& loop, const Runtime& runtime, const char* signal) {
+    is_storing_told_ = true;
+    if (is_closing_) {  // stopping the loop would end that
+      say(LogLevel::info, "program",
+          std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+      draw(account_of(runtime));
+      return;
+    }
+    say(LogLevel::info, "program",
+        std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+    draw(account_of(runtime));
+    loop.stop();
+  }
+
+  /// On the signals' thread.
+  [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued) {
+    const std::string
+        text = std::string("ended at once by a second ") + signal + ": " +
+               (queued ? std::to_string(*queued) + " queued events were not stored"
+                       : "how many queued events were not stored is not known, because the loop is held by a callback");
+    log_.write(LogLevel::error, "program", text);
+    log_.wait_until_written(std::chrono::seconds{1});
+    const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
+    if (view_is_shown_) {
+      const char* const show_cursor = "\x1b[?25h";
+      write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
+    }
+    write_fully(STDERR_FILENO, line.data(), line.size());
+    ::_exit(exit_other);
+  }
+
+  /// To the log file, and to people. Never waits.
+  void say(LogLevel level, std::string_view object, std::string_view told, std::string_view error_id = {}) {
+    const std::string text = hide_secrets(std::string(told), secrets_);
+    log_.write(level, object, text, error_id);
+    tell_log_failure();
+    if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
+    std::string line = "rtdata: ";
+    if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
+    line.append(object).append(object.empty() ? "" : ": ").append(text);
+    if (!error_id.empty()) line.append(" [").append(error_id).append("]");
+    if (view_) {
+      note_ = line;
+    } else {
+      tell(line + "\n");
+    }
+  }
+
+  /// Onto the terminal or wherever messages go.
+  void tell(const std::string& text) { messages_.write(wrapped(text, columns_of(STDERR_FILENO))); }
+
+  void draw(const RunAccount& account) {
+    if (!view_) return;
+    winsize size{};
+    if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
+    terminal().write(view_->frame(account, size.ws_col, size.ws_row, note_));
+    view_is_shown_ = true;
+  }
+
+  /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
+  void tell_storing(const RunAccount& account) {
+    if (is_storing_told_ || ++shows_while_closing_ < 2 || account.queued == 0) return;
+    is_storing_told_ = true;
+    say(LogLevel::info, "program",
+        "storing what is queued: " + std::to_string(account.queued) + " events, for at most " +
+            to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
+  }
+
+  void tell_log_failure() {
+    const int failed = log_.counts().last_errno.load();
+    if (failed == 0 || std::exchange(log_failure_told_, true)) return;
+    say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+  }
+
+  void show(const Runtime& runtime, Service& service, MonotonicTime due) {
+    if (last_line_ == MonotonicTime{}) last_line_ = due;
+    const bool is_line_due = due - last_line_ >= line_period;
+    if (is_line_due) last_line_ = due;
+    if (is_line_due) (void)service.tell("STATUS=" + progress(account_of(runtime)));
+    tell_log_failure();
+    if (is_closing_) tell_storing(account_of(runtime));
+    if (view_) {
+      draw(account_of(runtime));
+    } else if (is_line_due) {
+      say(LogLevel::info, "", progress(account_of(runtime)));
+    }
+  }
+
+  void close_view() {
+    if (!view_) return;
+    terminal_.write(view_->end());
+    terminal_.wait_until_written(std::chrono::seconds{2});
+    view_is_shown_ = false;
+    view_.reset();
+    if (note_.empty()) return;
+    tell(note_ + "\n");
+    messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
+  }
+
+  /// `unknown`: what is not in the account; empty: it is complete.
+  int report(const Runtime& runtime, const std::string& unknown, const std::map<std::string, std::string>& paths,
+             bool uses_stdout) {
+    tell_log_failure();
+    const RunAccount account = account_of(runtime);
+    const bool balances = unknown.empty() && runtime.balances();
+    const bool has_loss = runtime.has_loss();
+    const std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
+    const LogLevel level = !balances || not_stored_ > 0        ? LogLevel::error
+                           : has_loss || !account.mute.empty() ? LogLevel::warning
+                                                               : LogLevel::info;
+    log_.write(level, "program", said);
+    if (options_.talk == Talk::normal) {
+      const std::size_t columns = columns_of(uses_stdout ? STDERR_FILENO : STDOUT_FILENO);
+      const std::string text = summary(account, paths, columns) + "\n" + wrapped(said, columns) + "\n";
+      (uses_stdout ? messages_ : terminal()).write(text);
+    } else if (level != LogLevel::info) {
+      tell("rtdata: " + std::string(name_of(level)) + ": " + said + "\n");
+    }
+    if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
+    return balances && not_stored_ == 0 ? exit_good : exit_other;
+  }
+
+  const Registry& registry_;
+  const RunOptions& options_;
+  StopSignals signals_;               // first: the threads of the others are not to take the signals
+  std::vector<std::string> secrets_;  // of the configuration
+  AsyncWriter terminal_;
+  AsyncWriter messages_{64};
+  Log log_;
+  std::optional<LiveView> view_;
+  std::atomic<bool> view_is_shown_{false};
+  std::string note_;
+  MonotonicTime last_line_{};
+  bool is_closing_ = false;
+  Duration close_deadline_{0};  // once it is closing
+  bool is_storing_told_ = false;
+  unsigned shows_while_closing_ = 0;
+  std::uint64_t not_stored_ = 0;  // when it ended: they are lost
+  bool log_failure_told_ = false;
+};
+
+}  // namespace
+
+int run(const Registry& registry, const RunOptions& options) { return Run(registry, options).execute(); }
+
+}  // namespace rtdata::app

@@ -1,0 +1,112 @@
+#include "app/run/stop_signals.hpp"
+
+#include <pthread.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <condition_variable>
+#include <mutex>
+#include <system_error>
+#include <thread>
+
+#include "loop/support/no_thread.hpp"
+
+namespace rtdata::app {
+
+struct StopSignals::State {
+  sigset_t taken{};
+  sigset_t mask_before{};
+  int any_taken = 0;  // one of them; 0: all are ignored
+  std::atomic<bool> is_over{false};
+  std::thread thread;
+
+  std::mutex mutex;
+  Loop* loop = nullptr;
+  Actions actions;
+  const char* pending = nullptr;  // came before there was a loop
+  int count = 0;
+
+  struct Answer {
+    std::mutex mutex;
+    std::condition_variable is_there;
+    std::optional<std::uint64_t> queued;
+  };
+
+  void run() {
+    for (;;) {
+      int signal = 0;
+      if (::sigwait(&taken, &signal) != 0) continue;
+      if (is_over.load()) return;
+      came(signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : "SIGHUP");
+    }
+  }
+
+  void came(const char* name) {
+    const std::lock_guard lock(mutex);
+    ++count;
+    if (loop == nullptr) {
+      if (count > 1) ::_exit(1);
+      pending = name;
+    } else if (count == 1) {
+      loop->post([this, name] { actions.first(name); });
+    } else {
+      actions.second(name, ask());
+    }
+  }
+
+  std::optional<std::uint64_t> ask() {
+    auto answer = std::make_shared<Answer>();
+    loop->post([this, answer] {
+      const std::lock_guard lock(answer->mutex);
+      answer->queued = actions.queued();
+      answer->is_there.notify_one();
+    });
+    std::unique_lock lock(answer->mutex);
+    answer->is_there.wait_for(lock, std::chrono::milliseconds{500}, [&] { return answer->queued.has_value(); });
+    return answer->queued;
+  }
+};
+
+StopSignals::StopSignals() : state_(std::make_unique<State>()) {
+  ::sigemptyset(&state_->taken);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction now {};
+    ::sigaction(signal, nullptr, &now);
+    if (now.sa_handler == SIG_IGN) continue;
+    ::sigaddset(&state_->taken, signal);
+    state_->any_taken = signal;
+  }
+  if (state_->any_taken == 0) return;
+  ::pthread_sigmask(SIG_BLOCK, &state_->taken, &state_->mask_before);
+  try {
+    state_->thread = std::thread([state = state_.get()] { state->run(); });
+  } catch (const std::system_error&) {
+    ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
+    throw SetupError(detail::no_thread("cannot start", "the thread that waits for signals"));
+  }
+}
+
+StopSignals::~StopSignals() {
+  if (state_->any_taken == 0) return;
+  // It waits without a descriptor, which the system may refuse: a signal of its own wakes it.
+  state_->is_over = true;
+  ::pthread_kill(state_->thread.native_handle(), state_->any_taken);
+  state_->thread.join();
+  ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
+}
+
+void StopSignals::attach(Loop& loop, Actions actions) {
+  const std::lock_guard lock(state_->mutex);
+  state_->loop = &loop;
+  state_->actions = std::move(actions);
+  if (state_->pending != nullptr)
+    loop.post([state = state_.get(), name = state_->pending] { state->actions.first(name); });
+}
+
+void StopSignals::detach() noexcept {
+  const std::lock_guard lock(state_->mutex);
+  state_->loop = nullptr;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,246 @@
+#include "config/plan/neighbours.hpp"
+
+#include <algorithm>
+
+#include "config/plan/part_reader.hpp"
+#include "config/read/mistakes.hpp"
+#include "loop/support/name.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::config_detail {
+namespace {
+
+std::string lower(std::string_view text) {
+  std::string result(text);
+  for (char& c : result)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
+  return result;
+}
+
+/// Where a part's topic is said: its `topic`, or else its `name`.
+const ConfigItem& topic_item(const PartPlan& part) {
+  const ConfigItem* topic = child_of(part.item, "topic");
+  return topic != nullptr ? *topic : child_or_self(part.item, "name");
+}
+
+/// Where a part's name is said: its `name`, or else the item, at its key.
+Problem problem_of_name(const PartPlan& part, std::string id, std::string message) {
+  const ConfigItem* name = child_of(part.item, "name");
+  return name != nullptr ? name->problem(std::move(id), std::move(message))
+                         : problem_at_key(part.item, std::move(id), std::move(message));
+}
+
+std::string place_of_name(const PartPlan& part) {
+  const std::string place = problem_of_name(part, "", "").place.text();
+  return place.empty() ? child_or_self(part.item, "name").path() : place;
+}
+
+std::string listed(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text;
+}
+
+}  // namespace
+
+Neighbours::Neighbours(const Registry& registry, const std::string& configuration) : registry_(registry) {
+  if (!configuration.empty()) configuration_.emplace(configuration);
+}
+
+void Neighbours::add(const PartPlan& part, Problems& problems) {
+  if (part.publishes) check_topic(part, problems);
+  if (part.stores) {
+    if (!part.stores->path.empty() && part.stores->path != "-") check_path(part, problems);
+    storing_.push_back({&part});
+  }
+  check_name(part, problems);
+}
+
+void Neighbours::check_name(const PartPlan& part, Problems& problems) {
+  if (part.name.empty() || (!part.stores && !detail::is_name(part.name))) return;
+  const auto [known, is_new] = names_.try_emplace({part.kind, part.name}, &part);
+  if (is_new) return;
+  const PartPlan& first = *known->second;
+  const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
+  if (both_by_default && refused_paths_.contains(&part)) return;  // both are called as their path, which was told
+  problems.add(problem_of_name(part, "duplicate-name",
+                               "there is a " + part.kind + " \"" + part.name + "\" already, at " +
+                                   place_of_name(first) + "; give each a `name` of its own"));
+}
+
+void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
+  const PublishedTopic& published = *part.publishes;
+  if (!is_topic_name(published.topic)) return;
+  const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(lower(published.topic), &part);
+  if (const PartPlan& other = *other_case->second; other.publishes->topic != published.topic) {
+    problems.add(topic_item(part).problem("bad-name", "the topic \"" + published.topic +
+                                                          "\" differs in case only from \"" + other.publishes->topic +
+                                                          "\", at " + place_of(topic_item(other))));
+    return;
+  }
+  publishers_[published.topic].push_back(&part);
+  const auto [known, is_new] = topics_.try_emplace(published.topic, &part);
+  if (is_new) topic_names_.push_back(published.topic);
+  const PartPlan& first = *known->second;
+  if (first.publishes->description == nullptr) known->second = &part;
+  if (&first == &part || first.publishes->description == nullptr || published.description == nullptr) return;
+  if (first.publishes->description->same_meaning(*published.description)) return;
+  std::string message = "the topic \"" + published.topic + "\" carries \"" + first.publishes->description->name() +
+                        "\" of " + first.kind + " " + first.name + ", at " + place_of(topic_item(first)) + ", and \"" +
+                        published.description->name() + "\" of this one";
+  for (const std::string& difference : first.publishes->description->differences(*published.description))
+    message += "; " + difference;
+  message += "; give one of them a topic of its own";
+  problems.add(topic_item(part).problem("description-differs", std::move(message)));
+}
+
+std::string Neighbours::conflict_with_configuration(const WrittenFile& written) const {
+  if (!configuration_) return "";
+  if (written.identity.is_same(*configuration_)) return "this is the configuration; choose another file";
+  if (configuration_->is_beside(written.identity, written.is_beside))
+    return "the configuration would be taken for a file beside \"" + written.path + "\"; choose another file";
+  return "";
+}
+
+/// Why it cannot be written; empty: it can. A part has several topics in one file, but none in one beside another.
+std::string Neighbours::conflict_with_files(const KnownFile& written) const {
+  if (std::string why = conflict_with_configuration(written.file); !why.empty()) return why;
+  for (const KnownFile& known : files_) {
+    if (known.part == written.part && known.file.path == written.file.path) continue;
+    if (std::string why = conflict(written.file, known.file); !why.empty()) return why;
+  }
+  return "";
+}
+
+void Neighbours::check_path(const PartPlan& part, Problems& problems) {
+  KnownFile written{written_file(part, part.stores->path), &part};
+  if (const std::string why = conflict_with_files(written); !why.empty()) {
+    refused_paths_.insert(&part);
+    problems.add(child_or_self(part.item, "path").problem("duplicate-path", why));
+  } else {
+    files_.push_back(std::move(written));
+  }
+}
+
+void Neighbours::check_file_of(const PartPlan& part, const std::string& topic, Problems& problems) {
+  const std::string file = part.stores->file_of_topic(topic);
+  if (file.empty() || file == part.stores->path) return;
+  KnownFile written{written_file(part, file), &part};
+  if (const std::string why = conflict_with_files(written); !why.empty()) {
+    problems.add(
+        child_or_self(part.item, "path")
+            .problem("duplicate-path", "the events of topic \"" + topic + "\" go to \"" + file + "\": " + why));
+  } else {
+    files_.push_back(std::move(written));
+  }
+}
+
+void Neighbours::check_files_of_topics(Problems& problems) {
+  for (Storing& storing : storing_) {
+    const PartPlan& part = *storing.part;
+    const bool has_files = part.stores->file_of_topic && !refused_paths_.contains(&part);
+    for (; storing.files < topic_names_.size(); ++storing.files) {
+      const std::string& topic = topic_names_[storing.files];
+      if (has_files && part.stores->wants(topic)) check_file_of(part, topic, problems);
+    }
+  }
+}
+
+void Neighbours::check_stored_topics(Problems& problems) {
+  for (Storing& storing : storing_) {
+    const StoredTopics& stores = *storing.part->stores;
+    std::vector<TopicToRecord> wanted;
+    for (; storing.stored < topic_names_.size(); ++storing.stored) {
+      const std::string& topic = topic_names_[storing.stored];
+      if (stores.refused_topics && stores.wants(topic))
+        wanted.push_back({topic, topics_.find(topic)->second->publishes->description.get()});
+    }
+    if (wanted.empty()) continue;
+    for (const Error& error : stores.refused_topics(wanted))
+      problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
+  }
+}
+
+void Neighbours::assume_stored() {
+  for (Storing& storing : storing_) storing.stored = topic_names_.size();
+}
+
+void Neighbours::add_log(const LogSettings& log, const ConfigItem& at, Problems& problems) {
+  if (log.file.empty()) return;
+  KnownFile written{
+      {log.file, "the log",
+       [log](const std::string& full, const std::string& other) { return is_rotated_log(log, full, other); }},
+      nullptr};
+  if (const std::string why = conflict_with_configuration(written.file); !why.empty()) {
+    problems.add(at.problem("duplicate-path", why));
+    return;
+  }
+  for (const KnownFile& known : files_) {
+    const std::string why = conflict(written.file, known.file);
+    if (why.empty()) continue;
+    problems.add(at.problem("duplicate-path", why + " for the log"));
+    return;
+  }
+  files_.push_back(std::move(written));
+}
+
+const PartPlan* Neighbours::find(std::string_view kind, std::string_view name) const {
+  const auto found = names_.find({std::string(kind), std::string(name)});
+  return found != names_.end() ? found->second : nullptr;
+}
+
+const std::vector<const PartPlan*>& Neighbours::publishers(const std::string& topic) const {
+  static const std::vector<const PartPlan*> none;
+  const auto found = publishers_.find(topic);
+  return found != publishers_.end() ? found->second : none;
+}
+
+std::string Neighbours::suggestion(const PartUse& use) {
+  if (++suggestions_ > most_suggestions) return "";
+  std::vector<std::string> names;
+  if (use.kind == "topic") {
+    names = topic_names_;
+  } else {
+    for (const auto& [key, part] : names_)
+      if (key.first == use.kind) names.push_back(key.second);
+  }
+  return nearest_name(use.name, names);
+}
+
+/// A part of another kind that has the name.
+const PartPlan* Neighbours::namesake_of(const PartUse& use) const {
+  if (const PartPlan* tier = find("tier", use.name)) return tier;
+  for (const PartKind& kind : registry_.kinds())
+    if (const PartPlan* part = find(kind.name, use.name)) return part;
+  return nullptr;
+}
+
+void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
+  for (const PartUse& use : part.uses) {
+    if (use.kind == "topic") {
+      if (!publishers(use.name).empty()) continue;
+      problems.add(use.item.problem("unknown-topic", "nothing of this configuration publishes on \"" + use.name + "\"",
+                                    suggestion(use)));
+      continue;
+    }
+    const std::string name = ConfigItem::of(use.name).to_json();
+    const PartPlan* other = find(use.kind, use.name);
+    if (other == nullptr) {
+      const PartKind* kind = find_kind(registry_, use.kind);
+      std::string message = "there is no " + use.kind + " " + name + " in `" +
+                            (kind != nullptr ? kind->key : use.kind + "s") + "`";
+      std::string nearest = suggestion(use);
+      if (const PartPlan* namesake = nearest.empty() ? namesake_of(use) : nullptr)
+        message += "; that is the name of a " + namesake->kind + ", at " + place_of_name(*namesake);
+      problems.add(use.item.problem("unknown-" + use.kind, std::move(message), std::move(nearest)));
+      continue;
+    }
+    const bool is_known = other->make != nullptr && !use.types.empty();
+    if (!is_known || std::find(use.types.begin(), use.types.end(), other->type) != use.types.end()) continue;
+    problems.add(use.item.problem("wrong-part", "the " + use.kind + " " + name + ", at " + place_of_name(*other) +
+                                                    ", is of type " + other->type + "; this needs " +
+                                                    listed(use.types)));
+  }
+}
+
+}  // namespace rtdata::config_detail

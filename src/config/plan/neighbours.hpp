@@ -1,0 +1,84 @@
+// What must hold between the parts of a configuration. Private to src/config.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "config/plan/written_file.hpp"
+#include "rtdata/config/parts.hpp"
+#include "rtdata/config/settings.hpp"
+
+namespace rtdata::config_detail {
+
+/// What was probably meant is looked for among all names: for so many mistakes, so that telling many takes a time that
+/// grows with their number alone.
+inline constexpr std::size_t most_suggestions = 100;
+
+/// Knows what the parts have taken: names, topics with their payloads, and files. A part is added when it has been
+/// compared with those before it, which takes a time that does not grow with their number, but for files. Parts with
+/// mistakes of their own are among them, as far as they are known.
+class Neighbours {
+ public:
+  /// `configuration`: the file, which no part may write; empty: none. `registry` must outlive it.
+  Neighbours(const Registry& registry, const std::string& configuration);
+
+  /// Names that are taken, payloads that differ on one topic, files that another writes. The part must stay where it is as
+  /// long as this object is used.
+  void add(const PartPlan& part, Problems& problems);
+  /// After the last one: files that are made for single topics, as far as they have not been looked at.
+  void check_files_of_topics(Problems& problems);
+  /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read files.
+  void check_stored_topics(Problems& problems);
+  /// The topics that are there are stored already, by all that are there.
+  void assume_stored();
+  /// Parts that it uses and that are not there, or are of a wrong type.
+  void check_uses(const PartPlan& part, Problems& problems);
+  /// The log is a file of its own. `at`: the item that names it.
+  void add_log(const LogSettings& log, const ConfigItem& at, Problems& problems);
+
+  /// Null when there is none.
+  const PartPlan* find(std::string_view kind, std::string_view name) const;
+  /// Each topic, with the first part that publishes on it and knows its payload.
+  const std::map<std::string, const PartPlan*, std::less<>>& topics() const noexcept { return topics_; }
+  /// All that publish on it.
+  const std::vector<const PartPlan*>& publishers(const std::string& topic) const;
+
+ private:
+  struct KnownFile {
+    WrittenFile file;
+    const PartPlan* part;  ///< null: the log
+  };
+  struct Storing {
+    const PartPlan* part;
+    std::size_t files = 0;   ///< so many of topic_names_ have been looked at for their files
+    std::size_t stored = 0;  ///< and so many for whether they can be stored
+  };
+
+  void check_name(const PartPlan& part, Problems& problems);
+  void check_topic(const PartPlan& part, Problems& problems);
+  void check_path(const PartPlan& part, Problems& problems);
+  void check_file_of(const PartPlan& part, const std::string& topic, Problems& problems);
+  std::string conflict_with_configuration(const WrittenFile& written) const;
+  std::string conflict_with_files(const KnownFile& written) const;
+  std::string suggestion(const PartUse& use);
+  const PartPlan* namesake_of(const PartUse& use) const;
+
+  const Registry& registry_;
+  std::optional<FileIdentity> configuration_;
+  std::map<std::pair<std::string, std::string>, const PartPlan*> names_;
+  std::map<std::string, const PartPlan*, std::less<>> topics_;
+  std::map<std::string, const PartPlan*> topic_by_lower_case_;
+  std::map<std::string, std::vector<const PartPlan*>> publishers_;
+  std::vector<std::string> topic_names_;  // in the order in which they came
+  std::vector<Storing> storing_;
+  std::set<const PartPlan*> refused_paths_;
+  std::vector<KnownFile> files_;
+  std::size_t suggestions_ = 0;
+};
+
+}  // namespace rtdata::config_detail

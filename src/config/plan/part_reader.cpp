@@ -1,0 +1,112 @@
+#include "config/plan/part_reader.hpp"
+
+#include "config/plan/warnings.hpp"
+#include "config/read/mistakes.hpp"
+#include "loop/support/name.hpp"
+#include "rtdata/config/secret.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::config_detail {
+namespace {
+
+/// The plan of an item without mistakes; with one, a plan without `make`.
+PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem& item, Problems& problems) {
+  try {
+    return kind.types.create(item, name);
+  } catch (const ConfigError& error) {
+    problems.append(error.problems());
+  } catch (const SetupError& error) {  // it cannot say what it will publish
+    const Error& e = error.error();
+    Error rest{e.code, e.what, "", e.why, e.advice};
+    problems.add(item.problem("bad-value", rest.text()));
+  }
+  return {};
+}
+
+/// What is known of an item with mistakes.
+PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigItem& item) {
+  PartPlan plan;
+  plan.kind = kind.name;
+  plan.type = text_or_empty(item, "type");
+  plan.name = kind.written == PartKind::Written::by_name ? name : text_or_empty(item, "name");
+  plan.item = item;
+  if (kind.name == "sensor") {
+    std::string topic = text_or_empty(item, "topic");
+    plan.publishes = PublishedTopic{topic.empty() ? plan.name : std::move(topic), nullptr, std::nullopt};
+  }
+  if (kind.name == "sink") plan.stores.emplace().path = text_or_empty(item, "path");
+  return plan;
+}
+
+/// A topic that is written was checked when it was read, but not one that is the name of the part.
+void check_topic(const PartPlan& plan, Problems& problems) {
+  const std::string& topic = plan.publishes->topic;
+  std::string mistake;
+  if (!is_topic_name(topic)) mistake = topic_advice(topic) + "; give the sensor a `topic`, or another name";
+  if (topic.starts_with("$")) mistake = "topics that begin with $ are the library's own; give the sensor a `topic`";
+  if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
+}
+
+/// The parts that the item names.
+void collect_uses(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, std::vector<PartUse>& uses) {
+  const auto add = [&](const NamesPart& names, const std::string& name, const ConfigItem& at) {
+    if (name.empty()) return;
+    PartUse& use = uses.emplace_back(PartUse{std::string(names.kind), name, {}, at});
+    for (const std::string_view type : names.types)
+      if (!type.empty()) use.types.emplace_back(type);
+  };
+  for_each_text(parameters, item, [&](const ParameterInfo& parameter, const std::string& text, const ConfigItem& leaf) {
+    if (!parameter.names_part.kind.empty()) add(parameter.names_part, text, leaf);
+  });
+  for (const ParameterInfo& parameter : parameters) {
+    const std::string* text = parameter.default_value.as_string();
+    if (!parameter.names_part.kind.empty() && text != nullptr && child_of(item, parameter.key) == nullptr)
+      add(parameter.names_part, *text, item);
+  }
+}
+
+}  // namespace
+
+const PartKind* find_kind(const Registry& registry, std::string_view name) {
+  for (const PartKind& kind : registry.kinds())
+    if (kind.name == name) return &kind;
+  return nullptr;
+}
+
+const std::vector<ParameterInfo>& PartReader::parameters_of_item(const PartKind& kind, const ConfigItem& item) {
+  const auto [known, is_new] = parameters_.try_emplace({kind.name, text_or_empty(item, "type")});
+  if (!is_new) return known->second;
+  if (const std::optional<TypeInfo> type = kind.types.find(known->first.second)) {
+    known->second = type->parameters;
+  } else if (kind.name == "sensor") {
+    known->second = parameters_of<Placement>();
+  }
+  return known->second;
+}
+
+PartPlan PartReader::read(const PartKind& kind, const std::string& name, const ConfigItem& item, Problems& problems) {
+  const std::size_t before = problems.size();
+  const std::vector<ParameterInfo>& parameters = parameters_of_item(kind, item);
+  if (kind.written == PartKind::Written::by_name && !detail::is_name(name))
+    problems.add(problem_at_key(item, "bad-name", detail::name_rule));
+  // A sink is called as its path by default, unless that is a secret: names are shown.
+  ConfigItem named = item;
+  const ConfigItem* path = child_of(item, "path");
+  const std::string type = text_or_empty(item, "type");
+  if (kind.name == "sink" && path != nullptr && is_secret_reference(*path) && !type.empty() &&
+      child_of(item, "name") == nullptr)
+    named.set("name", type);
+
+  PartPlan plan = created(kind, name, named, problems);
+  if (plan.make) {
+    plan.item = item;
+    if (plan.publishes) check_topic(plan, problems);
+    check_output_files(parameters, item, problems);
+  }
+  if (problems.size() != before) plan = raw_plan(kind, name, item);
+  collect_uses(parameters, item, plan.uses);
+  collect_secrets(parameters, item, plan.secrets);
+  return plan;
+}
+
+}  // namespace rtdata::config_detail

@@ -1,0 +1,114 @@
+#include "rtdata/config/system.hpp"
+
+#include <algorithm>
+
+#include "config/plan/neighbours.hpp"
+#include "config/plan/part_reader.hpp"
+#include "config/read/mistakes.hpp"
+#include "loop/runtime/runtime_core.hpp"
+
+namespace rtdata {
+namespace {
+
+/// An error of making a part says where its item is.
+template <class Make>
+PartObject made_at(const PartPlan& plan, const Make& make) {
+  try {
+    return make();
+  } catch (const SetupError& error) {
+    Error placed = error.error();
+    std::string where = plan.item.place().text();
+    where += (where.empty() ? "" : ": ") + plan.object();
+    placed.where = placed.where.empty() ? where : where + ": " + placed.where;
+    throw SetupError(std::move(placed));
+  }
+}
+
+/// Makes the part on this loop. What is made of its item may meet errors, which say where it is and show no secret of it.
+PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
+  if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
+    loop.runtime().note_place(plan.object(), std::move(place));
+  std::vector<std::string>& secrets = loop.runtime().core().reports.secrets;
+  for (const std::string& secret : plan.secrets)
+    if (std::find(secrets.begin(), secrets.end(), secret) == secrets.end()) secrets.push_back(secret);
+  return plan.make(loop, parts);
+}
+
+}  // namespace
+
+System::System(Loop& loop, const Registry& registry, const SystemPlan& plan)
+    : loop_(loop), registry_(registry), configuration_(plan.document.file), log_(plan.settings.log) {
+  if (!plan.good()) throw ConfigError(plan.problems);
+  for (const PartPlan& part : plan.parts) make(std::make_unique<Parts::Part>(Parts::Part{part, {}}));
+}
+
+System::System(Loop& loop, const Registry& registry, const ConfigDocument& document)
+    : System(loop, registry, plan_system(registry, document)) {}
+
+System::~System() = default;
+
+void System::make(std::unique_ptr<Parts::Part> part) {
+  const PartPlan& plan = part->plan;
+  part->object = made_at(plan, [&] {
+    const auto make_there = [&](Loop& on) { return made_on(on, plan, parts_); };
+    return plan.tier().empty() ? make_there(loop_) : tier(plan.tier()).call(make_there);
+  });
+  parts_.add(std::move(part));
+}
+
+config_detail::Neighbours& System::neighbours() {
+  if (neighbours_ == nullptr) {
+    neighbours_ = std::make_unique<config_detail::Neighbours>(registry_, configuration_);
+    Problems ignored;  // they were looked at when they were made
+    for (const auto& part : parts_.made_) neighbours_->add(part->plan, ignored);
+    neighbours_->check_files_of_topics(ignored);
+    neighbours_->assume_stored();
+    neighbours_->add_log(log_, ConfigItem(), ignored);
+  }
+  return *neighbours_;
+}
+
+std::string System::add(std::string_view kind, const std::string& name, const ConfigItem& item) {
+  const PartKind& known = *config_detail::find_kind(registry_, kind);
+  Problems problems;
+  auto part = std::make_unique<Parts::Part>();
+  part->plan = config_detail::PartReader().read(known, name, item, problems);
+  const std::string made = part->plan.name;
+  try {
+    neighbours().check_uses(part->plan, problems);
+    neighbours().add(part->plan, problems);
+    neighbours().check_files_of_topics(problems);
+    neighbours().check_stored_topics(problems);
+    if (!problems.empty()) {
+      std::vector<std::string> secrets = loop_.runtime().core().reports.secrets;
+      secrets.insert(secrets.end(), part->plan.secrets.begin(), part->plan.secrets.end());
+      config_detail::hide_secrets_in(problems, secrets);
+      problems.sort();
+      throw ConfigError(std::move(problems));
+    }
+    make(std::move(part));
+  } catch (...) {
+    neighbours_.reset();  // it knows a part that does not come
+    throw;
+  }
+  return made;
+}
+
+AnySensor& System::add_sensor(const ConfigItem& item) { return sensor(add("sensor", "", item)); }
+Sink& System::add_sink(const ConfigItem& item) { return sink(add("sink", "", item)); }
+void System::add_bus(const std::string& name, const ConfigItem& item) { add("bus", name, item); }
+
+void System::remove(std::string_view kind, std::string_view name) {
+  const Parts::Part& part = parts_.part_named(kind, name);
+  for (const auto& other : parts_.made_) {
+    for (const PartUse& use : other->plan.uses) {
+      if (use.kind != kind || use.name != name || other.get() == &part) continue;
+      throw SetupError({Errc::busy, "cannot remove the " + part.plan.object(), config_detail::place_of(use.item),
+                        other->plan.object() + " uses it", "remove that first"});
+    }
+  }
+  neighbours_.reset();
+  parts_.remove(kind, name);
+}
+
+}  // namespace rtdata

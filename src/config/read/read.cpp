@@ -1,0 +1,204 @@
+#include "rtdata/config/read.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "config/read/limits_text.hpp"
+#include "config/read/mistakes.hpp"
+#include "data/permissions.hpp"
+#include "loop/support/name.hpp"
+#include "rtdata/config/secret.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::config_detail {
+namespace {
+
+bool out_of_range(const ConfigItem& item, const std::string& value, const std::string& range, Problems& problems) {
+  problems.add(item.problem("out-of-range", value + " is out of range: " + range));
+  return false;
+}
+
+bool within(double value, const ParameterRules& rules) {
+  return !(rules.has_least && value < rules.least) && !(rules.has_most && value > rules.most);
+}
+
+std::string range_of(const ParameterRules& rules, ParameterType::Kind kind) {
+  return range_text(rules.has_least ? std::optional(rules.least) : std::nullopt,
+                    rules.has_most ? std::optional(rules.most) : std::nullopt, kind, rules.unit);
+}
+
+std::string listed(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text;
+}
+
+}  // namespace
+
+namespace {
+
+/// Why the text is not what it stands for; empty: it is.
+std::string mistake_in(std::string_view text, TextIs is) {
+  switch (is) {
+    case TextIs::permissions:
+      return detail::permissions_of(text) ? "" : detail::permissions_rule;
+    case TextIs::anything:
+    case TextIs::recorded:
+    case TextIs::unit:  // one that is no UCUM is a warning
+      return "";
+    case TextIs::name:
+      return detail::is_name(text) ? "" : detail::name_rule;
+    case TextIs::field: {
+      const auto is_good = [](char c) {
+        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_';
+      };
+      const bool starts_well = !(text.front() >= '0' && text.front() <= '9');
+      return starts_well && std::all_of(text.begin(), text.end(), is_good)
+                 ? ""
+                 : "a field name has letters, digits and underscores and starts with no digit";
+    }
+    case TextIs::topic:
+      if (!is_topic_name(text)) return topic_advice(text);
+      return text.starts_with("$") ? "topics that begin with $ are the library's own" : "";
+    case TextIs::topic_pattern:
+      return is_topic_pattern(text) ? ""
+                                    : "\"" + std::string(text) +
+                                          "\" is no topic or pattern: levels joined by /, + for one level, # at the "
+                                          "end for all below";
+    case TextIs::device:
+    case TextIs::output_file:
+      if (text.find('\0') != std::string_view::npos) return "a path has no NUL byte";
+      return text.size() < 4096 ? "" : "a path has less than 4096 bytes";
+  }
+  return "";
+}
+
+bool is_recorded(TextIs is) {
+  switch (is) {
+    case TextIs::recorded:
+    case TextIs::name:
+    case TextIs::field:
+    case TextIs::topic:
+    case TextIs::topic_pattern:
+    case TextIs::unit:
+      return true;
+    default:
+      return false;
+  }
+}
+
+bool is_name_of_something(TextIs is) {
+  return is == TextIs::name || is == TextIs::field || is == TextIs::topic || is == TextIs::topic_pattern;
+}
+
+}  // namespace
+
+bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems) {
+  if (is_secret_reference(item)) {
+    if (rules.text == TextIs::permissions) {
+      problems.add(item.problem("not-a-secret", "permissions are no secret: write them as they are"));
+      return false;
+    }
+    if (is_recorded(rules.text)) {
+      problems.add(item.problem("not-a-secret", "recordings hold this text: write it as it is"));
+      return false;
+    }
+    if (!resolve_secret(item, out, problems)) return false;
+  } else if (!ConfigValue<std::string>::read(item, out, problems)) {
+    return false;
+  }
+  std::string mistake;
+  if (!out.empty()) {
+    mistake = mistake_in(out, rules.text);
+  } else if (rules.text == TextIs::topic_pattern || rules.text == TextIs::permissions) {
+    mistake = mistake_in(out, rules.text);
+  } else if (rules.required) {
+    mistake = rules.text == TextIs::output_file ? "the path is empty; name a file"
+              : rules.text == TextIs::name      ? detail::name_rule
+                                                : "it is empty, and must not be";
+  }
+  if (mistake.empty()) return true;
+  problems.add(item.problem(is_name_of_something(rules.text) ? "bad-name" : "bad-value", std::move(mistake)));
+  return false;
+}
+
+bool check_number(const ConfigItem& item, double value, const ParameterRules& rules, Problems& problems) {
+  if (rules.not_zero && value == 0) {
+    problems.add(item.problem("out-of-range", "it must not be 0"));
+    return false;
+  }
+  if (within(value, rules)) return true;
+  std::string text = item.number_text();
+  if (!rules.unit.empty()) text.append(" ").append(rules.unit);
+  return out_of_range(item, text, range_of(rules, ParameterType::Kind::number), problems);
+}
+
+bool check_duration(const ConfigItem& item, Duration value, const ParameterRules& rules, Problems& problems) {
+  if (value < Duration::zero() && !rules.negative)
+    return out_of_range(item, to_string(value), "it must not be negative", problems);
+  if (within(static_cast<double>(value.count()), rules)) return true;
+  return out_of_range(item, *item.as_string(), range_of(rules, ParameterType::Kind::duration), problems);
+}
+
+bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules, Problems& problems) {
+  // A rate is kept as its period in ns: the limits are compared as such, so that both ends belong to the range.
+  ParameterRules rounded = rules;
+  if (rules.has_least && rules.least > 0) rounded.least = Rate::hertz(rules.least).hertz();
+  if (rules.has_most && rules.most > 0) rounded.most = Rate::hertz(rules.most).hertz();
+  if (within(value.hertz(), rounded)) return true;
+  return out_of_range(item, *item.as_string(), range_of(rules, ParameterType::Kind::rate), problems);
+}
+
+int choose(const ConfigItem& item, const std::vector<std::string>& names, Problems& problems) {
+  const std::string* text = item.as_string();
+  if (text == nullptr) {
+    problems.add(item.problem("wrong-type", "expected one of " + listed(names) + ", got " + item.describe()));
+    return -1;
+  }
+  const auto found = std::find(names.begin(), names.end(), *text);
+  if (found != names.end()) return static_cast<int>(found - names.begin());
+  problems.add(item.problem("unknown-choice", "expected one of " + listed(names) + ", got " + item.describe(),
+                            nearest_name(*text, names)));
+  return -1;
+}
+
+bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, UnknownKeys unknown, Problems& problems) {
+  const std::vector<std::string> present = item.keys();
+  const auto is_present = [&](std::string_view key) {
+    return std::find(present.begin(), present.end(), key) != present.end();
+  };
+  std::vector<std::string> names;
+  std::vector<std::string> absent;
+  for (const KnownKey& entry : known) {
+    names.emplace_back(entry.key);
+    if (!is_present(entry.key)) absent.emplace_back(entry.key);
+  }
+  std::sort(names.begin(), names.end());
+
+  bool good = true;
+  std::vector<std::string> meant;  // absent keys that are there, but misspelt: told once, not as missing too
+  for (const ConfigChild& child : item.children()) {
+    if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
+    std::string suggestion = nearest_name(child.key, absent);
+    if (!suggestion.empty()) meant.push_back(suggestion);
+    if (suggestion.empty()) suggestion = nearest_name(child.key, names);
+    std::string message = "unknown key";
+    if (suggestion.empty() && !names.empty()) message += "; known here are " + listed(names);
+    Problem problem = child.item.problem("unknown-key", std::move(message), std::move(suggestion));
+    problem.place = child.item.key_place();
+    problems.add(std::move(problem));
+    good = false;
+  }
+  for (const KnownKey& entry : known) {
+    if (!entry.required || is_present(entry.key) || std::find(meant.begin(), meant.end(), entry.key) != meant.end())
+      continue;
+    std::string message = "\"";
+    message.append(entry.key).append("\" is missing");
+    if (!entry.doc.empty()) message.append(": ").append(entry.doc);
+    problems.add(item.problem("missing-key", std::move(message)));
+    good = false;
+  }
+  return good;
+}
+
+}  // namespace rtdata::config_detail

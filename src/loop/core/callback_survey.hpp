@@ -1,0 +1,35 @@
+// What the callbacks of a tier took, gathered while it runs.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "loop/support/latch.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::detail {
+
+class Node;
+class Nodes;
+
+/// The loop goes through its objects on its own thread, a few in a turn, so that it is not held. Any thread may ask for a
+/// survey (`Nodes::begin_survey`) and wait for it; a loop that hangs never finishes it.
+class CallbackSurvey {
+ public:
+  static constexpr std::size_t most_in_turn = 16;
+
+  bool is_done() const noexcept { return done_.is_set(); }
+  bool wait(Duration at_most) const noexcept { return done_.wait(at_most); }
+  /// Those that were called, in the order in which they were made. Once it is done.
+  const std::vector<CallbackStatus>& callbacks() const noexcept { return callbacks_; }
+
+ private:
+  friend class Nodes;
+  Node* next_ = nullptr;  // moved on by the loop when that node goes
+  std::vector<CallbackStatus> callbacks_;
+  Latch done_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,249 @@
+// The core of a Loop: runs its members, one subject each, turn by turn, and knows which thread it runs on.
+#pragma once
+
+#include <atomic>
+#include <exception>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <thread>
+
+#include "loop/core/blame.hpp"
+#include "loop/core/deadlines.hpp"
+#include "loop/core/deliveries.hpp"
+#include "loop/core/lanes.hpp"
+#include "loop/core/nodes.hpp"
+#include "loop/core/posts.hpp"
+#include "loop/core/schedule.hpp"
+#include "loop/core/uv_handles.hpp"
+#include "loop/support/cycle_clock.hpp"
+#include "loop/support/handler.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::detail {
+
+class Latch;
+class RuntimeCore;
+class VirtualThreads;
+
+class LoopCore {
+ public:
+  enum class Time { real, manual };
+  LoopCore(Loop& face, RuntimeCore& runtime, Loop::Config config, uv_loop_t* host, Time time);
+  LoopCore(const LoopCore&) = delete;
+  LoopCore& operator=(const LoopCore&) = delete;
+  ~LoopCore();
+
+  Loop& face;
+  RuntimeCore& runtime;
+  const Loop::Config config;
+
+ private:
+  ManualClock* const manual_;
+  const std::unique_ptr<VirtualThreads> own_threads_;  // of a main loop in virtual time
+  VirtualThreads* const threads_;
+  const bool reads_kernel_clock_;  // neither a manual clock nor an injected one
+  CycleClock cycle_clock_;
+
+ public:
+  UvHandles uv;
+  Deadlines deadlines{*this};
+  Deliveries deliveries{*this};
+  Posts posts{*this};
+  Lanes lanes{*this};
+  Nodes nodes{*this, threads_};
+  Blame blame{*this, config.hold_limit};
+  Handler<ErrorReport> on_error;
+
+  MonotonicTime now() noexcept;
+  /// The same to some 100 ns, for one after the other of thousands (cycle_clock.hpp).
+  MonotonicTime quick_now() noexcept { return reads_kernel_clock_ ? cycle_clock_.now() : now(); }
+  bool is_manual() const noexcept { return manual_ != nullptr; }
+  ManualClock* manual_clock() noexcept { return manual_; }
+  /// Those of a manual loop and its tiers; null in real time.
+  VirtualThreads* virtual_threads() const noexcept { return threads_; }
+  /// Whether it is set, waited for at most so long; in the loop's time.
+  bool wait_for(const Latch& latch, Duration at_most) noexcept;
+  bool is_attached() const noexcept { return uv.is_attached(); }
+  Schedule& schedule() noexcept { return schedule_; }
+
+  // Running
+  void run();
+  void run_for(Duration duration);
+  void poll();
+  void advance(Duration duration);
+  /// Any thread.
+  void request_stop() noexcept;
+  void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
+  /// Between the begin and the end of running. False of an attached loop, which never runs itself.
+  bool is_running() const noexcept { return is_running_; }
+  /// `run` does not return while there is a reference, as with uv_ref.
+  void ref() noexcept;
+  void unref() noexcept;
+
+  // The steps of a turn, which the handles of libuv call, too
+  /// Fires all deadlines that are due now. Within a callback of a deadline: nothing.
+  void run_due();
+  void turn_ended() noexcept;
+  /// Other threads have sent something.
+  void woken();
+  void clock_was_set();
+  void deliver_all() { deliveries.deliver(Deliveries::Budget::none); }
+  /// The instant at which schedules begin that are started in this turn.
+  MonotonicTime turn_start() noexcept;
+  /// Makes sure that a turn comes in which waiting schedules begin: an attached loop does not know when it will be run.
+  void wake_for_waiting() noexcept {
+    if (is_attached()) uv.forbid_sleep();
+  }
+
+  /// Any thread.
+  void post(Callback<void()> function) { posts.add(std::move(function)); }
+  /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here.
+  void call_there(Callback<void()> function);
+
+  // Threads
+  /// A tier's loop belongs to its thread, also between two runs.
+  void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
+  /// Released: a thread that sees the loop unbound sees all that the tier's thread did.
+  void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_release); }
+  bool is_bound_to_this_thread() const noexcept {
+    return bound_to_.load(std::memory_order_acquire) == std::this_thread::get_id();
+  }
+  bool runs_elsewhere() const noexcept {
+    const std::thread::id thread = bound_to_.load(std::memory_order_acquire);
+    return thread != std::thread::id{} && thread != std::this_thread::get_id();
+  }
+  void assert_thread() const noexcept;
+  /// SetupError (busy) on another thread than that which runs the loop. An attached loop does not know which that is.
+  void check_thread(const char* what, std::string_view object) const {
+    if (is_run_by_another_thread()) [[unlikely]]
+      refuse_thread(what, object);
+  }
+  /// Also true on a thread of one of the runtime's lanes: these go on while the loop does not run.
+  bool is_run_by_another_thread() const noexcept {
+    const void* running = thread_.load(std::memory_order_relaxed);
+    return running != nullptr ? running != this_thread() : lane_of() == &runtime;
+  }
+  /// The runtime whose lane this thread is; null on all others.
+  static const void*& lane_of() noexcept {
+#ifdef __GLIBC__
+    [[gnu::tls_model("initial-exec")]]
+#endif
+    static thread_local const void* own = nullptr;
+    return own;
+  }
+  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only its
+  /// own thread may use.
+  class OffLimits {
+   public:
+    explicit OffLimits(LoopCore& core) noexcept : core_(core), before_(core.thread_.exchange(this)) {}
+    OffLimits(const OffLimits&) = delete;
+    OffLimits& operator=(const OffLimits&) = delete;
+    ~OffLimits() { core_.thread_.store(before_, std::memory_order_relaxed); }
+
+   private:
+    LoopCore& core_;
+    const void* const before_;
+  };
+
+  // Calls of code that may throw
+  /// Calls user code: an exception is reported under the name and goes no further.
+  template <class Function>
+  void call_user(std::string_view name, Function&& function) noexcept {
+    const Calling calling(runtime);
+    try {
+      function();
+    } catch (const std::exception& e) {
+      report_exception(name, e.what());
+    } catch (...) {
+      report_exception(name, "an exception that is no std::exception");
+    }
+  }
+  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same way.
+  template <class Function>
+  bool call_own(std::string_view name, Function&& function) noexcept {
+    bool has_ended = false;
+    call_user(name, [&] {
+      function();
+      has_ended = true;
+    });
+    return has_ended;
+  }
+  void report_exception(std::string_view name, const char* what) noexcept;
+  /// Brackets user code that is called outside of deadlines and deliveries: in it the loop is not run, nor destroyed.
+  class Calling {
+   public:
+    explicit Calling(RuntimeCore& of) noexcept;
+    Calling(const Calling&) = delete;
+    Calling& operator=(const Calling&) = delete;
+    ~Calling();
+
+   private:
+    RuntimeCore& runtime_;
+  };
+  /// A callback of a deadline or a delivery is on the stack.
+  bool is_in_callback() const noexcept { return deadlines.is_firing() || deliveries.is_delivering(); }
+  /// User code is on the stack, called by this loop or by an object on it, which goes on after it.
+  bool is_in_user_code() const noexcept;
+
+  // The end
+  /// Ends the program, having said why, when the loop may not be destroyed now.
+  void check_may_end() const noexcept;
+  bool is_ending() const noexcept { return is_ending_; }
+  void begin_ending() noexcept { is_ending_ = true; }
+  /// SetupError (busy) while it is being destroyed.
+  void check_not_ending(const char* what) const;
+  /// Closes all objects on it. From here on errors do not reach the user's handler.
+  void close_nodes() noexcept;
+  /// Closes, in the next turn, a handle that was closed on a thread where it may not be, and reports it.
+  void dispose_later(Node& node) noexcept;
+
+ private:
+  /// Brackets the time in which this thread runs the loop. SetupError when it runs already.
+  class Running {
+   public:
+    Running(LoopCore& core, const char* what);
+    Running(const Running&) = delete;
+    Running& operator=(const Running&) = delete;
+    ~Running();
+
+   private:
+    LoopCore& core_;
+  };
+  [[noreturn, gnu::cold]] void refuse_thread(const char* what, std::string_view object) const;
+  bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
+  /// Runs what other threads have sent: posted functions until `end`. True: some are left.
+  bool take_sent(MonotonicTime end);
+  void take_news();
+  MonotonicTime end_of_budget() noexcept { return later(now(), config.delivery_budget); }
+  /// One turn of libuv's, without waiting.
+  void look_at_io();
+  // In virtual time
+  void begin_instant() noexcept;
+  /// The end of time: until another loop sends something. False: nothing ever happens.
+  bool advance_to(MonotonicTime target);
+  bool has_running_tiers() const noexcept;
+  void settle();
+
+  Schedule schedule_{*this};
+  bool is_running_ = false;
+  bool is_ending_ = false;
+  MonotonicTime turn_start_{};
+  bool turn_is_open_ = false;
+  std::size_t refs_ = 0;
+  int turns_ = 0;  // of a manual loop at this instant
+  std::atomic<bool> stop_requested_{false};
+  /// Another value on each thread; unlike std::this_thread::get_id without a call.
+  static const void* this_thread() noexcept {
+#ifdef __GLIBC__  // others may refuse to load a library with it later than at the start
+    [[gnu::tls_model("initial-exec")]]
+#endif
+    static thread_local char own;
+    return &own;
+  }
+  std::atomic<const void*> thread_{nullptr};  // that runs the loop
+  std::atomic<std::thread::id> bound_to_{};
+};
+
+}  // namespace rtdata::detail

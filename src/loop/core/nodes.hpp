@@ -1,0 +1,60 @@
+// The objects on a loop: their list, the one whose callback runs, and what their callbacks took.
+#pragma once
+
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "loop/support/priority_mutex.hpp"
+#include "rtdata/loop/callback_times.hpp"
+#include "rtdata/loop/handle.hpp"
+
+namespace rtdata::detail {
+
+class CallbackSurvey;
+class LoopCore;
+class VirtualThreads;
+
+class Nodes {
+ public:
+  Nodes(LoopCore& loop, VirtualThreads* threads) noexcept : loop_(loop), threads_(threads) {}
+
+  // The loop's thread
+  void link(Node& node) noexcept;
+  void unlink(Node& node) noexcept;
+  void close_all() noexcept;
+  /// A callback of the node begins; null: one that has no name.
+  void begins(const Node* node) noexcept {
+    doing_.store(node, std::memory_order_release);
+    if (threads_ != nullptr) [[unlikely]]
+      preempt();
+  }
+  /// Changes a name that `doing` may be reading.
+  void rename(std::string& name, std::string to) noexcept {
+    const std::lock_guard lock(doing_mutex_);
+    name.swap(to);
+  }
+  std::vector<CallbackStatus> callbacks() const;
+
+  // Any thread
+  /// The name of the callback that began last; empty when that is not known.
+  std::string doing() const;
+  std::shared_ptr<CallbackSurvey> begin_survey();
+
+ private:
+  void go_on(const std::shared_ptr<CallbackSurvey>& survey);
+
+  /// In virtual time another loop may run first.
+  void preempt() noexcept;
+
+  LoopCore& loop_;
+  VirtualThreads* const threads_;  // null in real time
+  Node* first_ = nullptr;
+  std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
+  std::atomic<const Node*> doing_{nullptr};
+  mutable PriorityMutex doing_mutex_;  // a node that `doing` reads is not destroyed
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,204 @@
+// Running a loop: in real time, in steps, in virtual time; and calls that other threads wait for.
+#include <sys/prctl.h>
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/core/virtual_threads.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/support/latch.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::detail {
+
+void LoopCore::call_there(Callback<void()> function) {
+  Latch is_done;
+  std::exception_ptr thrown;
+  post([&] {
+    try {
+      function();
+    } catch (...) {
+      thrown = std::current_exception();
+    }
+    runtime.send_now();
+    is_done.set();
+  });
+  if (!wait_for(is_done, std::chrono::seconds{1})) {
+    const std::string at = nodes.doing();
+    runtime.main().log(LogLevel::warning, "loop " + config.name,
+                       "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
+    while (!wait_for(is_done, std::chrono::milliseconds{100})) {
+      if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
+    }
+  }
+  if (thrown) std::rethrow_exception(thrown);
+}
+
+void LoopCore::request_stop() noexcept {
+  if (is_attached()) return;
+  stop_requested_.store(true, std::memory_order_relaxed);
+  uv.wake().send();
+}
+
+LoopCore::Running::Running(LoopCore& core, const char* what) : core_(core) {
+  core.check_thread(what, "");
+  core.check_not_ending(what);
+  if (core.is_in_user_code()) {
+    throw SetupError({Errc::busy, what, "loop " + core.config.name, "this is one of its callbacks",
+                      "return from the callback; use stop(), post() or drain() there"});
+  }
+  core.is_running_ = true;
+  core.thread_.store(this_thread(), std::memory_order_relaxed);
+}
+
+LoopCore::Running::~Running() {
+  core_.is_running_ = false;
+  core_.thread_.store(nullptr, std::memory_order_relaxed);
+}
+
+void LoopCore::run() {
+  if (is_attached()) {
+    throw SetupError({Errc::bad_argument, "cannot run", "loop " + config.name,
+                      "it is attached to the program's own loop", "run that one: uv_run(loop, UV_RUN_DEFAULT)"});
+  }
+  const Running running(*this, "cannot run");
+  runtime.start_tiers();
+  if (manual_ != nullptr) {
+    begin_instant();
+    if (!is_stopping()) settle();
+    while (!is_stopping() && refs_ > 0 && (deadlines.next_due() || has_running_tiers())) {
+      if (!advance_to(deadlines.next_due().value_or(MonotonicTime::max()))) break;
+    }
+  } else {
+    const int slack = config.timer_slack.count() > 0 ? ::prctl(PR_GET_TIMERSLACK) : -1;
+    if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
+    if (!is_stopping()) run_due();
+    while (!is_stopping()) {
+      take_sent(end_of_budget());  // libuv does not look at them when nothing else keeps the loop alive
+      if (!is_stopping()) uv_run(uv.loop(), UV_RUN_DEFAULT);
+      if (!posts.has_some()) break;
+    }
+    if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(slack));
+  }
+  forget_stop();
+}
+
+void LoopCore::run_for(Duration duration) {
+  if (manual_ != nullptr) {
+    advance(duration);
+    return;
+  }
+  const MonotonicTime end = later(now(), duration);
+  bool is_over = false;
+  Timer timer(face, [this, &is_over] {
+    is_over = true;
+    request_stop();
+  });
+  timer.start_at(end);
+  run();
+  if (!is_over) return;  // stopped before
+  const Running running(*this, "cannot run");
+  run_due();
+  deliver_all();
+}
+
+void LoopCore::poll() {
+  if (is_attached()) {
+    check_thread("cannot poll", "");
+    check_not_ending("cannot poll");
+    if (is_in_user_code()) {
+      throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
+                        "return from the callback; what is due follows by itself"});
+    }
+    run_due();
+    deliver_all();
+    return;
+  }
+  const Running running(*this, "cannot poll");
+  if (manual_ != nullptr) {
+    begin_instant();
+    settle();
+    return;
+  }
+  run_due();
+  take_sent(MonotonicTime::max());
+  look_at_io();
+  deliver_all();
+}
+
+void LoopCore::advance(Duration duration) {
+  if (manual_ == nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot advance", "loop " + config.name, "it runs in real time",
+                      "make it with rtdata::Loop::Manual{}"});
+  }
+  const Running running(*this, "cannot advance");
+  const MonotonicTime target = later(now(), duration);
+  begin_instant();
+  if (!is_stopping()) settle();
+  for (bool is_there = false; !is_there && !is_stopping();) {
+    const MonotonicTime next = std::min(deadlines.next_due().value_or(MonotonicTime::max()), target);
+    const bool is_last = !deadlines.next_due() || *deadlines.next_due() > target;
+    if (!advance_to(next)) break;
+    is_there = is_last && now() >= target;
+  }
+  // What tiers do at the very end, and what comes of it here; not for ever, when each time something does.
+  constexpr int most_rounds = 100;
+  for (int round = 0; round < most_rounds && has_running_tiers() && !is_stopping(); ++round) {
+    threads_->wait_for_others();
+    if (!uv.wake().is_sent()) break;
+    settle();
+  }
+  forget_stop();
+}
+
+void LoopCore::begin_instant() noexcept {
+  deliveries.begin_instant();
+  turns_ = 0;
+}
+
+bool LoopCore::has_running_tiers() const noexcept { return threads_ != nullptr && threads_->has_others(); }
+
+bool LoopCore::wait_for(const Latch& latch, Duration at_most) noexcept {
+  if (threads_ == nullptr) return latch.wait(at_most);
+  threads_->wait(later(now(), at_most), [&] { return latch.is_set(); });
+  return latch.is_set();
+}
+
+bool LoopCore::advance_to(MonotonicTime target) {
+  // A chain at one instant (a timer of zero that starts itself) would stop the time for ever.
+  constexpr int most_turns = 1000;
+  constexpr Duration turn = std::chrono::microseconds{1};
+  const MonotonicTime from = now();
+  if (target > from && has_running_tiers()) {
+    if (!threads_->wait_for_news(target, [this] { return uv.wake().is_sent() || is_stopping(); })) return false;
+  } else if (target > from) {
+    manual_->pass(target - from);
+  } else if (++turns_ > most_turns) {
+    manual_->pass(turn);
+  }
+  if (now() > from) begin_instant();
+  settle();
+  return true;
+}
+
+void LoopCore::look_at_io() {
+  ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
+  uv_run(uv.loop(), UV_RUN_NOWAIT);
+  unref();
+}
+
+void LoopCore::settle() {
+  // As in real time, deadlines come before deliveries, also when a handler took so long that one came due.
+  bool is_some_left = false;
+  do {
+    call_own("clock", [&] { runtime.clock_log.look(); });
+    run_due();
+    is_some_left = take_sent(end_of_budget());
+    look_at_io();
+    if (deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later) is_some_left = true;
+  } while (is_some_left && !is_stopping());
+}
+
+}  // namespace rtdata::detail

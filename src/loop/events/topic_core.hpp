@@ -1,0 +1,157 @@
+// What lies behind a topic: its taps (sinks), its ring, its links (subscriptions).
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "loop/core/deliveries.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::detail {
+
+class Channel;
+class LoopCore;
+class OriginCore;
+class RuntimeCore;
+
+/// A sink's attachment to a topic. Takes its copy when an event is published.
+class Tap {
+ public:
+  virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
+  /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
+  virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
+  /// To be called before anything of this origin comes: what it needs is set aside, and nothing else asks for memory.
+  /// Throws; may be called again.
+  virtual void expect(OriginCore& origin) = 0;
+  /// Something has become of a tick, or of the schedule, that no event tells of.
+  virtual void note_change(OriginCore& origin) noexcept = 0;
+
+ protected:
+  ~Tap() = default;
+};
+
+class TopicCore final : public DeliveryQueue {
+ public:
+  TopicCore(RuntimeCore& runtime, std::string name, PayloadType type);
+  ~TopicCore();
+  TopicCore(const TopicCore&) = delete;
+  TopicCore& operator=(const TopicCore&) = delete;
+
+  const std::string name;
+  const PayloadType type;
+  const std::size_t payload_offset;  ///< from an event's start
+
+  /// Gives the event its sequence and a time after the origin's last, copies it to every tap and into the ring. `payload`
+  /// is moved from when its type is not trivially copyable.
+  void publish(OriginCore& origin, Time time, void* payload);
+
+  /// One published on another loop, as its bridge brings it.
+  struct Arrival {
+    Time time;
+    std::uint64_t sequence;
+    // the payload
+  };
+  /// Arrivals of one origin that lie one `stride` after the other.
+  void receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride);
+  /// See Tap::miss.
+  void miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence);
+
+  /// Errors: description-differs.
+  Result<void> link(SubscriptionNode& node);
+  void unlink(SubscriptionNode& node) noexcept;
+  void add_tap(Tap& tap);
+  void expect(OriginCore& origin) {
+    for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->expect(origin);
+  }
+  void remove_tap(Tap& tap) noexcept {
+    std::erase(taps_, &tap);
+    followers_changed();
+  }
+  void tell_taps_of_change(OriginCore& origin) noexcept {
+    for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
+  }
+  // Channels to and from the topic of this name on other loops.
+  void add_channel_out(Channel& channel) {
+    channels_out_.push_back(&channel);
+    followers_changed();
+  }
+  void add_channel_in(Channel& channel) {
+    channels_in_.push_back(&channel);
+    followers_changed();
+  }
+  void remove_channel(Channel& channel) noexcept {
+    std::erase(channels_out_, &channel);
+    std::erase(channels_in_, &channel);
+    followers_changed();
+  }
+  /// To be called when who takes its events is, or may be, another. Other loops are told whether anybody here wants theirs.
+  void followers_changed() noexcept;
+  /// To be called when the origin's passage over a channel is made.
+  void find_way(OriginCore& origin) noexcept;
+  /// Queued deliveries of this origin will not happen.
+  void cancel(const OriginCore& origin) noexcept;
+  /// To every link.
+  MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) override;
+  RuntimeCore& runtime() const noexcept { return runtime_; }
+  /// The loop is gone: what is queued is cancelled.
+  void abandon() noexcept;
+
+  const SubscriptionNode* first_subscriber() const noexcept { return links_.empty() ? nullptr : links_.front().node; }
+  SubscriptionCounts subscription_counts() const noexcept;
+  SubscriptionCounts counts_of(const SubscriptionNode& node) const noexcept;
+  std::vector<OriginCore*>& origins() noexcept { return origins_; }
+  const std::vector<OriginCore*>& origins() const noexcept { return origins_; }
+
+  std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once that was told
+  OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
+
+ private:
+  struct Link {
+    SubscriptionNode* node;  // null: to be swept
+    std::shared_ptr<const void> field_map;
+    std::uint64_t from;  // ring position at subscription
+    std::uint64_t next;  // ring position of the next event to deliver
+    std::uint64_t dropped_before;
+    std::uint64_t delivered = 0;
+    std::uint64_t cancelled = 0;
+  };
+  void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
+  void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
+  /// False: dropped, since one is being moved.
+  bool move_payload(const OriginCore& origin, std::byte* to, void* payload);
+  void make_ring(std::size_t capacity);
+  std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
+  SubscriptionCounts counts_of(const Link& link) const noexcept;
+  void retire(Link& link) noexcept;
+  /// To what the slowest handler took for its events of a group.
+  void adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept;
+  /// Destroys what is queued up to this position.
+  void drop_slots(std::uint64_t last) noexcept;
+
+  RuntimeCore& runtime_;
+  const bool is_short_;  // bytes to copy, and few
+  enum class Followers : std::uint8_t { none, handlers, one_channel, several };
+  Followers followers_ = Followers::none;  // what events go to; several: sinks, or more than one of these
+  std::vector<Tap*> taps_;
+  std::vector<Channel*> channels_out_;
+  std::vector<Channel*> channels_in_;
+  std::vector<Link> links_;
+  std::vector<OriginCore*> origins_;
+  std::byte* slots_ = nullptr;
+  std::vector<std::uint8_t> is_cancelled_;  // by slot; holds for events before `cancelled_until_`
+  std::uint64_t cancelled_until_ = 0;
+  std::size_t stride_ = 0;
+  std::size_t mask_ = 0;
+  std::uint64_t dropped_ = 0;
+  std::uint64_t group_ = 1;                      // events per group, adapted to what handlers take
+  const SubscriptionNode* slow_last_ = nullptr;  // took too long for the last group; compared only, it may be gone
+  const SubscriptionNode* delivering_ = nullptr;
+  bool needs_sweep_ = false;
+  bool is_moving_cancelled_ = false;
+  const OriginCore* moving_ = nullptr;  // whose payload is being moved into the ring
+  SubscriptionCounts retired_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,51 @@
+#include "rtdata/loop/clock.hpp"
+
+#include <sys/timex.h>
+
+#include <algorithm>
+#include <ctime>
+
+#include "loop/core/virtual_threads.hpp"
+#include "loop/support/deadline.hpp"
+#include "loop/support/first_line.hpp"
+
+namespace rtdata {
+namespace {
+
+Duration read_clock(clockid_t id) noexcept {
+  timespec spec;
+  ::clock_gettime(id, &spec);
+  return std::chrono::seconds{spec.tv_sec} + Duration{spec.tv_nsec};
+}
+
+}  // namespace
+
+MonotonicTime SystemClock::monotonic() noexcept { return MonotonicTime{read_clock(CLOCK_MONOTONIC)}; }
+Time SystemClock::realtime() noexcept { return Time{read_clock(CLOCK_REALTIME)}; }
+
+std::string SystemClock::boot_id() { return detail::first_line("/proc/sys/kernel/random/boot_id"); }
+
+std::optional<Duration> SystemClock::accuracy() noexcept {
+  constexpr Duration least = std::chrono::milliseconds{1};  // some tell the kernel 0 and mean "set just now"
+  timex now{};                                              // modes 0: only reads
+  if (::adjtimex(&now) < 0 || (now.status & STA_UNSYNC) != 0) return std::nullopt;
+  return std::max<Duration>(least, std::chrono::microseconds{std::max(now.maxerror, now.esterror)});
+}
+
+std::string ManualClock::boot_id() {
+  if (boot_id_.empty()) boot_id_ = "manual " + detail::first_line("/proc/sys/kernel/random/uuid");
+  return boot_id_;
+}
+
+void ManualClock::pass(Duration duration) noexcept {
+  if (duration.count() <= 0) return;
+  if (threads_ != nullptr) return threads_->sleep(duration);
+  move(duration);
+}
+
+void ManualClock::move(Duration duration) noexcept {
+  monotonic_ = detail::later(monotonic_, duration);
+  realtime_ = detail::later(realtime_, duration);
+}
+
+}  // namespace rtdata

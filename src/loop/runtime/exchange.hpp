@@ -1,0 +1,80 @@
+// The exchange of a runtime with those of other loops: what they announce, what it wants of them, what is known of tiers.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "loop/support/priority_mutex.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::detail {
+
+class Bridge;
+class Channel;
+struct Passage;
+class RuntimeCore;
+class TopicCore;
+
+/// A bridge announces each topic and origin to the receiving side before it sends anything of it.
+struct Announcement {
+  Bridge* bridge;
+  Channel* channel;  ///< of a topic; null: its payload cannot cross
+  Passage* passage;  ///< of one of its origins; null: the topic itself
+  std::string name;
+  PayloadType type;
+};
+
+/// Thread: the loop's, but for `announce` and `forget`.
+class Exchange {
+ public:
+  explicit Exchange(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
+
+  // Any thread
+  /// The loop takes announcements in this order, so that of the loops which held a name one after the other the last one
+  /// comes last.
+  void announce(Announcement announcement);
+  void forget(const Bridge& of);
+
+  void take_announcements();
+  /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
+  void report_cut_off(TopicCore& topic);
+
+  /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot know
+  /// of tiers that do not answer in time; empty: nothing.
+  std::string catch_up(Duration at_most);
+  /// The main loop's: what is not known now of tiers that a drain has given up, and that have not come out since; empty:
+  /// all is known.
+  std::string unknown() const;
+
+  /// While one lives, other loops send events of these topics, whether or not anything here takes them: all that they
+  /// publish after `catch_up` is there for a sink that attaches later.
+  class Interest {
+   public:
+    Interest(RuntimeCore& runtime, const std::vector<std::string>& patterns);
+    Interest(const Interest&) = delete;
+    Interest& operator=(const Interest&) = delete;
+    ~Interest();
+
+   private:
+    RuntimeCore& runtime_;
+    const std::vector<std::string>& patterns_;
+  };
+  bool is_wanted(std::string_view topic) const noexcept;
+
+  std::uint64_t takeovers = 0;      ///< of names by a loop from another, announced so far
+  std::uint64_t lost = 0;           ///< events of topics that cannot be what they are elsewhere; which was reported
+  bool tiers_were_balanced = true;  ///< those that have ended
+  bool tiers_had_loss = false;      ///< the same
+
+ private:
+  RuntimeCore& runtime_;
+  std::vector<const std::vector<std::string>*> wanted_;
+  PriorityMutex announced_mutex_;
+  std::vector<Announcement> announced_;
+  std::atomic<bool> has_announced_{false};
+};
+
+}  // namespace rtdata::detail

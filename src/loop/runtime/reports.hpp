@@ -1,0 +1,111 @@
+// The reports of a runtime: log lines, errors met at run time and changes of health, the repeats of each joined.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "data/hidden.hpp"
+#include "loop/support/deadline.hpp"
+#include "loop/support/handler.hpp"
+#include "loop/support/repeats.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata::detail {
+
+class Listener;
+class LoopCore;
+class RuntimeCore;
+
+/// Thread: the loop's.
+class Reports {
+ public:
+  Reports(RuntimeCore& runtime, std::vector<std::string> secrets_) : secrets(std::move(secrets_)), runtime_(runtime) {}
+
+  Handler<LogRecord> on_log;
+  std::vector<std::string> secrets;                     ///< texts that no report shows
+  std::unordered_map<std::string, std::string> places;  ///< in the configuration, by the object's name in reports
+
+  /// The text without the secrets.
+  std::string hide(std::string text) const { return hidden(std::move(text), secrets); }
+  std::string place_of(const std::string& object) const {
+    const auto found = places.find(object);
+    return found != places.end() ? found->second : std::string();
+  }
+
+  /// Throws nothing, also when the program's handler does. Equal lines of one object are joined when there are many.
+  void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
+  /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
+  /// the same object within a second are joined, or within a minute when it had 16 of them.
+  void report(LoopCore* loop, std::string_view object, const Error& error);
+  /// A change of health: to the recordings, and to the topic `$rtdata/health`.
+  void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
+
+  /// A report may run user code, which may close or destroy anything. Code that iterates keeps the report, and its caller
+  /// makes it afterwards by `report_kept`.
+  void keep(LoopCore* loop, std::string object, Error error) {
+    kept_.push_back({nullptr, loop, std::move(object), std::move(error)});
+  }
+  /// The same of a call of the listener's `on_refusal`, if it still listens then.
+  void keep_refusal(Listener& listener, Error error) { kept_.push_back({&listener, nullptr, {}, std::move(error)}); }
+  void report_kept() {
+    if (!kept_.empty()) [[unlikely]]
+      report_all_kept();
+  }
+
+  enum class Repeated { due, all };
+  /// Reports what was held back to be joined, as far as it is time, or all of it.
+  void flush(Repeated which) noexcept;
+  /// `flush` of those due is called at this instant, or earlier.
+  void flush_at(MonotonicTime due) noexcept;
+
+  /// On a tier: the main loop calls the function. More than 1000 that it has not taken yet are dropped, counted and logged.
+  void post_to_main(Callback<void()> function);
+
+  // The runtime's loop begins and ends
+  void attach(LoopCore& loop);
+  void detach(LoopCore& loop) noexcept;
+
+ private:
+  struct Kept {
+    Listener* listener;  // whose refusal it is; null: a report
+    LoopCore* loop;
+    std::string object;
+    Error error;
+  };
+  struct ObjectError {
+    std::string object;
+    Error error;
+  };
+  struct LogLine {
+    LogLevel level{};
+    std::string object, text, error_id;
+  };
+  struct Flusher final : Deadline {
+    explicit Flusher(Reports& reports_) : reports(reports_) {}
+    void fire(MonotonicTime now) override;
+    Reports& reports;
+  };
+  void report_all_kept();
+  void write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept;
+  void write(const Joined<HealthChange>& joined) noexcept;
+  void write(const Joined<LogLine>& joined) noexcept;
+
+  RuntimeCore& runtime_;
+  Repeats<ObjectError> errors_{std::chrono::seconds{1}};
+  Repeats<LogLine> lines_{Duration{0}};
+  Repeats<HealthChange> changes_{Duration{0}};
+  Flusher flusher_{*this};
+  std::vector<Kept> kept_;
+  // The main loop's, counted by tiers
+  std::atomic<std::uint32_t> under_way_{0};  // sent by `post_to_main` and not taken
+  std::atomic<std::uint64_t> dropped_{0};
+};
+
+}  // namespace rtdata::detail

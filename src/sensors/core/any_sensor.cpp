@@ -1,0 +1,72 @@
+// The verbs of every sensor's handle.
+#include <utility>
+
+#include "rtdata/sensors/sensor.hpp"
+#include "sensors/core/source_node.hpp"
+
+namespace rtdata {
+namespace {
+
+/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
+template <class Returned, class Function>
+Returned with(detail::Node* node, Returned otherwise, const Function& function) {
+  if (node == nullptr || !node->is_open()) return otherwise;
+  auto& source = static_cast<detail::SourceNode&>(*node);
+  if (!source.loop()->runs_elsewhere()) return function(source);
+  source.loop()->call_there([&] {
+    if (source.is_open()) otherwise = function(source);
+  });
+  return otherwise;
+}
+
+template <class Function>
+void with(detail::Node* node, const Function& function) {
+  with(node, 0, [&](detail::SourceNode& source) {
+    function(source);
+    return 0;
+  });
+}
+
+/// For what is refused where the loop may not be used.
+template <class Function>
+void change(detail::Node* node, const char* what, const Function& function) {
+  with(node, [&](detail::SourceNode& source) {
+    source.loop()->check_thread(what, source.origin().name);
+    function(source);
+  });
+}
+
+}  // namespace
+
+void AnySensor::start() {
+  change(node(), "cannot start sensor", [](auto& source) { source.start(); });
+}
+void AnySensor::stop() {
+  change(node(), "cannot stop sensor", [](auto& source) { source.stop(); });
+}
+bool AnySensor::is_running() const noexcept {
+  return with(node(), false, [](const auto& source) { return source.is_running(); });
+}
+void AnySensor::set_rate(Rate rate) {
+  change(node(), "cannot change sensor", [&](auto& source) { source.set_rate(rate); });
+}
+Rate AnySensor::rate() const noexcept {
+  return with(node(), Rate{}, [](const auto& source) { return source.rate(); });
+}
+SensorCounts AnySensor::counts() const noexcept {
+  return with(node(), SensorCounts{}, [](const auto& source) { return source.counts(); });
+}
+Health AnySensor::health() const noexcept {
+  return with(node(), Health::ok, [](const auto& source) { return source.health(); });
+}
+SensorStatus AnySensor::status() const {
+  return with(node(), SensorStatus{}, [](const auto& source) { return detail::status_of(source); });
+}
+CallbackTimes AnySensor::times() const noexcept {
+  return with(node(), CallbackTimes{}, [](const auto& source) { return source.callback_times(); });
+}
+void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
+  change(node(), "cannot set on_error of sensor", [&](auto& source) { source.set_on_error(std::move(handler)); });
+}
+
+}  // namespace rtdata

@@ -1,0 +1,156 @@
+#include "rtdata/sensors/feed.hpp"
+
+#include <cstring>
+
+#include "sensors/core/source_node.hpp"
+
+namespace rtdata {
+namespace detail {
+
+class FeedNode final : public SourceNode {
+ public:
+  FeedNode(LoopCore& loop, const FeedConfig& config, PayloadType type)
+      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed) {}
+
+  void start() override { is_running_ = is_open(); }
+  void stop() override {
+    is_running_ = false;
+    origin_.end_absence(loop()->now());
+    origin_.close_gap();
+    origin_.topic.cancel(origin_);
+  }
+  void stop_schedule(MonotonicTime end) override {
+    origin_.end_absence(end);
+    origin_.close_gap();
+  }
+  bool is_reading() const noexcept override { return false; }
+  void set_rate(Rate) override {
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled",
+                      "set the rate at its source"});
+  }
+  Rate rate() const noexcept override { return {}; }
+  bool is_running() const noexcept override { return is_running_; }
+
+  void publish(void* payload) { publish(payload, loop()->runtime.event_time(loop()->now())); }
+  void publish(void* payload, Time time) {
+    if (health() != Health::ok) return publish_after_failure(payload, time);
+    count_and_publish(payload, time);
+  }
+  void fail(const Error& error) {
+    if (!is_running_) return;
+    ++origin_.counts.received;
+    ++origin_.counts.unreadable;
+    complain(error, health() == Health::faulted ? Health::faulted : Health::degraded);
+  }
+  void fail_size(std::size_t given) {
+    fail({Errc::bad_data, "cannot publish", object_name(),
+          "it was given " + std::to_string(given) + " bytes, its payload has " + std::to_string(payload_size()),
+          "give it bytes as its description lays them out"});
+  }
+  void fault(const Error& error) {
+    if (is_running_) origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
+    complain(error, Health::faulted);
+  }
+  void complain(const Error& error, Health health) {
+    Call call(*this);
+    report(error);
+    if (is_open()) set_health(health, &error);
+  }
+  void repeated() {
+    if (!is_running_) return;
+    ++origin_.counts.received;
+    ++origin_.counts.repeated;
+  }
+  void lost(std::uint64_t count) {
+    if (is_running_) origin_.counts.lost += count;
+  }
+  void set_numbered() { origin_.counts.lost_is_known = true; }
+  void check_thread() const { loop()->check_thread("cannot feed", origin_.name); }
+  std::size_t payload_size() const noexcept { return origin_.topic.type.size; }
+
+ private:
+  void count_and_publish(void* payload, Time time) {
+    ++origin_.counts.received;
+    ++origin_.counts.published;
+    origin_.topic.publish(origin_, time, payload);
+  }
+  /// Apart, so that the usual way needs no call.
+  [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
+    origin_.end_absence(loop()->now());
+    count_and_publish(payload, time);
+    set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
+  }
+  void on_close() noexcept override {
+    stop();
+    leave();
+  }
+  bool is_running_ = true;
+};
+
+Node* make_feed(Loop& loop, FeedConfig config, PayloadType type) {
+  return new FeedNode(loop.core(), config, std::move(type));
+}
+
+namespace {
+
+/// Null when it is closed.
+FeedNode* feed(Node* node) {
+  if (node == nullptr || !node->is_open()) return nullptr;
+  auto* const feed = static_cast<FeedNode*>(node);
+  feed->check_thread();
+  return feed;
+}
+
+}  // namespace
+
+void feed_publish(Node* node, const void* payload) {
+  FeedNode* const to = feed(node);
+  if (to != nullptr && to->is_running()) to->publish(const_cast<void*>(payload));
+}
+
+void feed_publish(Node* node, const void* payload, Time time) {
+  FeedNode* const to = feed(node);
+  if (to != nullptr && to->is_running()) to->publish(const_cast<void*>(payload), time);
+}
+
+}  // namespace detail
+
+namespace {
+
+using detail::feed;
+
+/// What has another size is no payload of this feed: unreadable.
+bool has_size(detail::Node* node, std::span<const std::byte> payload) {
+  detail::FeedNode* to = feed(node);
+  if (to == nullptr || payload.size() == to->payload_size()) return to != nullptr;
+  to->fail_size(payload.size());
+  return false;
+}
+
+}  // namespace
+
+AnyFeed::AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description)
+    : AnySensor(detail::make_feed(loop, std::move(config), detail::described_type(std::move(description)))) {}
+void AnyFeed::publish_bytes(std::span<const std::byte> payload) {
+  if (has_size(node(), payload)) detail::feed_publish(node(), payload.data());
+}
+void AnyFeed::publish_bytes(std::span<const std::byte> payload, Time time) {
+  if (has_size(node(), payload)) detail::feed_publish(node(), payload.data(), time);
+}
+void AnyFeed::fail(const Error& error) {
+  if (auto* f = feed(node())) f->fail(error);
+}
+void AnyFeed::fault(const Error& error) {
+  if (auto* f = feed(node())) f->fault(error);
+}
+void AnyFeed::repeated() {
+  if (auto* f = feed(node())) f->repeated();
+}
+void AnyFeed::lost(std::uint64_t count) {
+  if (auto* f = feed(node())) f->lost(count);
+}
+void AnyFeed::set_numbered() {
+  if (auto* f = feed(node())) f->set_numbered();
+}
+
+}  // namespace rtdata

@@ -1,0 +1,45 @@
+// What a read hands over: samples, of which each is counted and published.
+#include <utility>
+
+#include "sensors/core/sensor_node.hpp"
+
+namespace rtdata::detail {
+
+void SamplePort::publish(void* payload, Time time) {
+  if (sensor_ == nullptr) return;  // stopped by its own sampling function
+  is_usable_ = true;
+  if (std::exchange(has_sample_, true) || time != time_) sensor_->is_not_one_a_read();
+  const bool is_of_read = sensor_->origin().counts.is_one_a_read;
+  const Time row = sensor_->publish(payload, time, due_);
+  if (is_of_read) pushed_ = span_between(time, row);
+}
+
+void SamplePort::repeated() noexcept {
+  if (sensor_ == nullptr) return;
+  is_usable_ = true;
+  if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
+  sensor_->count_repeated();
+}
+
+Sampled SamplePort::unreadable(Error error) {
+  if (sensor_ != nullptr) {
+    if (std::exchange(has_sample_, true)) sensor_->is_not_one_a_read();
+    sensor_->count_unreadable();
+  }
+  return fail(std::move(error));
+}
+
+Time SensorNode::publish(void* payload, Time time, MonotonicTime due) {
+  ++origin_.counts.received;
+  ++origin_.counts.published;
+  try {
+    origin_.topic.publish(origin_, time, payload);
+    origin_.count_lateness(due);
+  } catch (...) {  // published, and dropped for those who subscribe
+    origin_.count_lateness(due);
+    report(thrown("moving its payload threw"));
+  }
+  return origin_.last_time;
+}
+
+}  // namespace rtdata::detail

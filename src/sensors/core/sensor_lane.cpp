@@ -1,0 +1,243 @@
+// The side of a sensor whose device may block: it is opened, read and closed on its lane.
+#include <utility>
+
+#include "loop/support/no_thread.hpp"
+#include "sensors/core/sensor_node.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr std::string_view still_reading = "still reading";
+constexpr std::string_view stopped = "stopped";
+
+/// Closes what a transaction holds, after the transaction itself when that is under way.
+class Closing final : public LaneJob {
+ public:
+  explicit Closing(std::shared_ptr<Transaction> transaction) noexcept : transaction_(std::move(transaction)) {}
+  void run() noexcept override { transaction_->give_back(); }
+  void done(Outcome) override {}
+
+ private:
+  std::shared_ptr<Transaction> transaction_;
+};
+
+}  // namespace
+
+void Transaction::run() noexcept {
+  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
+  began_ = loop_ != nullptr ? loop_->now() : std::chrono::steady_clock::now();
+  is_under_way_.store(true, std::memory_order_relaxed);
+  transact();
+  is_under_way_.store(false, std::memory_order_release);
+}
+
+void Transaction::give_back() noexcept {
+  if (!is_under_way_.load(std::memory_order_acquire)) close();
+}
+
+void Transaction::done(Outcome outcome) {
+  if (owner_ != nullptr) owner_->transaction_done(*this, outcome);
+}
+
+// ---- opening
+
+bool SensorNode::is_starting() const noexcept {
+  return lane_side_ != nullptr && lane_side_->opening != nullptr && lane_side_->is_for_start;
+}
+
+void SensorNode::start_on_lane() {
+  std::optional<Error> refusal;
+  lane_side_->is_for_start = true;
+  if (settings().is_required) lane_side_->refusal = &refusal;
+  const Result<void> submitted = submit_opening();
+  if (!submitted && settings().is_required) refusal = submitted.error();
+  if (lane_side_->opening == nullptr && !refusal) started(submitted);
+  // Nobody is held by a loop that does not run. Whether an attached one does is not known.
+  const bool is_set_up = !loop()->is_running() && !loop()->is_attached();
+  if (is_starting() && (is_set_up || settings().is_required)) wait_for_start();
+  lane_side_->refusal = nullptr;
+  if (is_starting() && settings().is_required) {
+    cancel_opening();
+    refusal = lane_side_->device->given_up_error();
+  }
+  if (refusal) throw SetupError(*refusal);
+}
+
+void SensorNode::wait_for_start() {
+  Lane& lane = *lane_side_->lane;
+  const MonotonicTime end = later(loop()->now(), lane_side_->device->give_up_after());
+  while (is_starting()) {  // others may be in front of it
+    const Duration left = span_between(loop()->now(), end);
+    if (left <= Duration{0}) return;
+    lane.wait(left);
+    if (!is_open()) return;
+  }
+}
+
+Result<void> SensorNode::submit_opening() {
+  LaneSide& side = *lane_side_;
+  side.lane = nullptr;  // what is opened may be another physical device than before
+  side.transaction = nullptr;
+  try {
+    side.opening = side.device->make_opening();
+    if (side.opening == nullptr) return {};
+    side.opening->owner_ = this;
+    side.opening->loop_ = loop()->is_manual() ? loop() : nullptr;
+    side.lane = &loop()->lanes.of(side.device->lane_key(), side.device->give_up_after());
+    if (side.lane->submit(side.opening)) return {};
+  } catch (...) {
+    side.opening = nullptr;
+    return thrown("open() threw");
+  }
+  side.opening = nullptr;
+  return told([this] { return cannot_submit(); });
+}
+
+void SensorNode::opening_done(Transaction& opening, LaneJob::Outcome outcome) {
+  LaneSide& side = *lane_side_;
+  const std::shared_ptr<Transaction> done = std::move(side.opening);
+  side.opening = nullptr;
+  Result<void> opened;
+  if (outcome != LaneJob::Outcome::finished) {
+    opened = told([&] {
+      return outcome == LaneJob::Outcome::given_up
+                 ? side.device->given_up_error()
+                 : Error{Errc::closed, "opening was cancelled", object_name(), "its lane was closed", ""};
+    });
+  } else {
+    const LoopCore::Calling user_code(loop()->runtime);
+    side.opening = done;  // under way still: what the device does to the sensor ends it
+    try {
+      opened = side.device->opened(opening);
+    } catch (...) {
+      opened = thrown("open() threw");
+    }
+    if (side.opening != done) return;  // stopped meanwhile, which has counted the tick
+    side.opening = nullptr;
+  }
+  if (side.is_for_start) {
+    side.is_for_start = false;
+    if (!opened && side.refusal != nullptr) {
+      *side.refusal = opened.error();
+      return;
+    }
+    return started(opened);
+  }
+  device_is_open_ = static_cast<bool>(opened);
+  if (opened) return submit_read();
+  fail_in_flight(opened.error());
+}
+
+void SensorNode::cancel_opening() noexcept {
+  if (lane_side_ == nullptr || lane_side_->opening == nullptr) return;
+  const auto opening = std::exchange(lane_side_->opening, nullptr);
+  opening->owner_ = nullptr;
+  opening->is_unwanted_.store(true, std::memory_order_relaxed);
+  if (!std::exchange(lane_side_->is_for_start, false)) origin_.fail_read(stopped, lane_side_->due);
+}
+
+// ---- reading
+
+void SensorNode::tick_on_lane(const Tick& tick) {
+  LaneSide& side = *lane_side_;
+  if (origin_.counts.in_flight != 0) {
+    if (side.opening != nullptr) return origin_.fail_tick(settings().fault, tick.due);
+    return origin_.miss(1, still_reading, tick.due);
+  }
+  if ((!device_is_open_ || health() == Health::faulted) && tick.now < settings().retry_at)
+    return origin_.fail_tick(settings().fault, tick.due);
+  side.due = tick.due;
+  side.late_after = origin_.late_after;
+  origin_.begin_read();
+  if (device_is_open_) return submit_read();
+  side.is_for_start = false;
+  if (const Result<void> submitted = submit_opening(); !submitted) return fail_in_flight(submitted.error());
+  if (side.opening != nullptr) return;
+  device_is_open_ = true;
+  submit_read();
+}
+
+Error SensorNode::cannot_submit() const {
+  const LaneSide& side = *lane_side_;
+  if (side.lane->lacks_thread()) return no_thread("cannot read", object_name());
+  return side.lane->is_stuck()
+             ? side.device->given_up_error()
+             : Error{Errc::busy, "cannot read", object_name(),
+                     "its lane is full of reads of sensors that share the device", "lower their rates"};
+}
+
+void SensorNode::fail_in_flight(const Error& error) {
+  origin_.fail_read(error.id(), lane_side_->due);
+  failed(error, loop()->now());
+}
+
+void SensorNode::submit_read() {
+  LaneSide& side = *lane_side_;
+  if (side.transaction == nullptr) {
+    try {
+      side.transaction = side.device->make_transaction();
+    } catch (...) {
+      return fail_in_flight(thrown("preparing to read threw"));
+    }
+    side.transaction->owner_ = this;
+    side.transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
+  }
+  try {
+    if (side.lane == nullptr) side.lane = &loop()->lanes.of(side.device->lane_key(), side.device->give_up_after());
+    if (side.lane->submit(side.transaction)) return;
+  } catch (...) {
+    return fail_in_flight(thrown("handing its read to a lane threw"));
+  }
+  fail_in_flight(told([this] { return cannot_submit(); }));
+}
+
+void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
+  Call call(*this);
+  loop()->nodes.begins(this);
+  if (lane_side_->opening.get() == &transaction) return opening_done(transaction, outcome);
+  LaneDevice& device = *lane_side_->device;
+  const MonotonicTime due = lane_side_->due;
+  const Duration late_after = lane_side_->late_after;
+  if (outcome != LaneJob::Outcome::finished) {
+    const Error error = told([&] {
+      return outcome == LaneJob::Outcome::given_up
+                 ? device.given_up_error()
+                 : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
+    });
+    lane_side_->transaction = nullptr;
+    return fail_in_flight(error);
+  }
+  SamplePort port(*this, due, loop()->runtime.event_time(transaction.began_), nullptr);
+  Sampled sampled;
+  try {
+    sampled = device.decode(transaction, port);
+  } catch (...) {
+    sampled = port.fail(thrown("decoding threw"));
+  }
+  if (lane_side_->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
+  if (has_failed(sampled, port)) return fail_in_flight(*port.error_);
+  origin_.end_read(transaction.began_ - due + port.pushed_ > late_after);
+  took(sampled, port);
+}
+
+// ---- closing
+
+void SensorNode::cancel_transaction() noexcept {
+  if (lane_side_ == nullptr || lane_side_->transaction == nullptr || origin_.counts.in_flight == 0) return;
+  const auto transaction = lane_side_->transaction;
+  origin_.fail_read(stopped, lane_side_->due);
+  transaction->owner_ = nullptr;
+  transaction->is_unwanted_.store(true, std::memory_order_relaxed);
+}
+
+void SensorNode::close_on_lane() noexcept {
+  const auto transaction = std::exchange(lane_side_->transaction, nullptr);
+  Lane* const lane = lane_side_->lane;
+  if (transaction == nullptr || lane == nullptr) return;
+  try {
+    lane->submit(std::make_shared<Closing>(transaction));
+  } catch (...) {  // no memory: its destructor closes
+  }
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,158 @@
+// A scheduled sensor: one member of a rate group, one device, one origin.
+#pragma once
+
+#include <memory>
+
+#include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sensors/transaction.hpp"
+#include "sensors/core/source_node.hpp"
+
+namespace rtdata::detail {
+
+class SensorNode final : public SourceNode, public RateMember {
+ public:
+  SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<SensorDevice> device);
+  SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device);
+  ~SensorNode() override;
+
+  void start() override;
+  void stop() override;
+  void set_rate(Rate rate) override;
+  Rate rate() const noexcept override { return Rate::from_period(period()); }
+  bool is_running() const noexcept override { return is_scheduled() || is_starting(); }
+  CallbackTimes callback_times() const noexcept override { return times; }
+  void stop_schedule(MonotonicTime end) override;
+  bool is_reading() const noexcept override { return origin_.counts.in_flight != 0; }
+  void count_read_begun() noexcept override;
+  static bool is_late(const SamplePort& port) noexcept;
+  std::optional<SensorLoad> load() const override;
+
+  void tick(const Tick& tick) override;
+  void prefetch() const noexcept override;
+  MonotonicTime not_before() const noexcept override { return origin_.free_from(); }
+  void schedule_began() override;
+  std::string blame_name() const override { return object_name(); }
+  std::string callback_name() const override { return object_name(); }
+  bool tell_times(CallbackStatus& status) const override;
+  void held(Duration took) override;
+  void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
+  void opening_done(Transaction& opening, LaneJob::Outcome outcome);
+  /// Returns the time of its row.
+  Time publish(void* payload, Time time, MonotonicTime due);
+  void is_not_one_a_read() noexcept { origin_.counts.is_one_a_read = false; }
+  void count_repeated() noexcept {
+    ++origin_.counts.received;
+    ++origin_.counts.repeated;
+  }
+  void count_unreadable() noexcept {
+    ++origin_.counts.received;
+    ++origin_.counts.unreadable;
+  }
+
+ private:
+  void on_close() noexcept override;
+  void drop_callbacks() noexcept override;
+  /// Opens the device again, or reads it again, when its time has come. False: the tick at which it may not is counted.
+  bool make_ready(const Tick& tick);
+  Result<void> open_device() noexcept;
+  /// `on`: the loop, also when the sensor is closed already.
+  void close_device(LoopCore& on) noexcept;
+  /// What start() does once it is known whether the device is open.
+  void started(const Result<void>& opened);
+  void set_settings(const SensorConfig& config);
+  /// The error of the exception that is being handled.
+  Error thrown(const char* what) const noexcept;
+  /// What `make` gives, or an error that there is no memory for it.
+  template <class Make>
+  Error told(const Make& make) const noexcept {
+    try {
+      return make();
+    } catch (...) {
+      return thrown("reading threw");
+    }
+  }
+  void begin_schedule();
+  void change_period(Duration period);
+  enum class EndOf { activity, rate };
+  /// Counts what the schedule still owes, the read under way too, and takes it off the loop.
+  void end_schedule(EndOf what);
+  void read_inline(const Tick& tick);
+
+  // Of a device on a lane (sensor_lane.cpp).
+  void start_on_lane();
+  /// Waits until the opening that start() has begun is done, but no longer than the device's limit.
+  void wait_for_start();
+  bool is_starting() const noexcept;
+  /// Gives the lane an opening, or opens at once what needs none. Errors: neither is possible.
+  Result<void> submit_opening();
+  void tick_on_lane(const Tick& tick);
+  /// Reads for the tick that is in flight.
+  void submit_read();
+  Error cannot_submit() const;
+  /// The read, or the opening, that the lane was given for a tick has failed.
+  void fail_in_flight(const Error& error);
+  /// The device is closed on its lane, after what is under way there.
+  void close_on_lane() noexcept;
+  void cancel_opening() noexcept;
+  /// Whether a read that was told to be well, or not, is to be counted as failed.
+  static bool has_failed(Sampled sampled, const SamplePort& port) noexcept {
+    return (sampled == Sampled::failed || port.error_) && !port.is_usable_;
+  }
+  /// Afterwards, of one that has not failed.
+  void took(Sampled sampled, const SamplePort& port);
+  void recovered();
+  /// A read on the loop, or the opening before it, has failed.
+  void fail(const SamplePort& port, const Error& error, const Tick& tick);
+  void failed(const Error& error, MonotonicTime now);
+  /// A part of what was read was no use.
+  void complain(const Error& error);
+  void cancel_transaction() noexcept;
+
+  /// A device that is read on a lane.
+  struct LaneSide {
+    explicit LaneSide(std::unique_ptr<LaneDevice> device_) : device(std::move(device_)) {}
+    std::unique_ptr<LaneDevice> device;
+    Lane* lane = nullptr;                      // the loop's; found when the device is opened
+    std::shared_ptr<Transaction> opening;      // under way
+    bool is_for_start = false;                 // of the opening: begun by start(), not by a tick
+    std::optional<Error>* refusal = nullptr;   // where start() wants the error of the opening; null: it is told
+    std::shared_ptr<Transaction> transaction;  // under way, or for the next read
+    MonotonicTime due{};                       // of the tick in flight
+    Duration late_after{0};                    // of the schedule of that tick
+  };
+  /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when first
+  /// needed, since there may be thousands of sensors.
+  struct Rare {
+    Duration late_after{-1};  // negative: by the rule
+    std::optional<Duration> read_time;
+    Duration retry_first = SensorConfig{}.retry_first;
+    Duration retry_longest = SensorConfig{}.retry_longest;
+    unsigned faulted_after = SensorConfig{}.faulted_after;
+    bool is_required = false;
+    OnOverrun on_overrun = OnOverrun::warn;
+    Duration wanted_period{0};  // slowed down from it; 0: it was not
+    Duration retry_delay{0};
+    MonotonicTime retry_at{};
+    std::string_view fault;  // id of the error that opened the gap under way
+  };
+  Rare& rare();
+  const Rare& settings() const noexcept;
+
+  bool device_is_open_ = false;
+  unsigned failures_ = 0;                 // in a row
+  std::unique_ptr<SensorDevice> device_;  // null: it is on a lane
+  std::unique_ptr<LaneSide> lane_side_;   // null: read inline
+  SamplePort* port_ = nullptr;            // of the read on the stack
+  std::unique_ptr<Rare> rare_;
+};
+
+inline void SensorNode::took(Sampled sampled, const SamplePort& port) {
+  if ((sampled == Sampled::nothing_new) == port.has_sample_) is_not_one_a_read();
+  if (sampled == Sampled::nothing_new) count_repeated();
+  if (port.error_) [[unlikely]]
+    return complain(*port.error_);
+  if (health() != Health::ok) [[unlikely]]
+    recovered();
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,69 @@
+// What scheduled sensors and feeds share: an origin, health, errors.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/support/handler.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::detail {
+
+/// The type of a payload that has a description and no C++ type.
+PayloadType described_type(std::shared_ptr<const Description> description);
+
+class SourceNode : public SensorEntry {
+ public:
+  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
+             OriginCore::Supply supply);
+
+  virtual void start() = 0;
+  virtual void set_rate(Rate rate) = 0;
+  virtual Rate rate() const noexcept = 0;
+  virtual bool is_running() const noexcept = 0;
+  virtual CallbackTimes callback_times() const noexcept { return {}; }
+  const OriginCore& origin() const noexcept override { return origin_; }
+  Duration schedule_period() const noexcept override { return rate().period(); }
+  bool is_active() const noexcept override { return is_running(); }
+  Health health() const noexcept override { return health_; }
+  std::string_view reason() const noexcept override {
+    return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view();
+  }
+
+  const SensorCounts& counts() const noexcept { return origin_.counts; }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error.set(std::move(handler)); }
+
+ protected:
+  ~SourceNode() override = default;
+  std::string object_name() const { return "sensor " + origin_.name; }
+  /// Hands the error to the sensor's own handler, or to the loop's.
+  void report(const Error& error) noexcept;
+  void set_health(Health health, const Error* reason);
+  /// To be called from a derived class's on_close.
+  void leave() noexcept;
+  void drop_callbacks() noexcept override {
+    if (rare_ != nullptr) rare_->on_error.reset();
+  }
+
+ private:
+  Health health_ = Health::ok;
+
+ protected:
+  OriginCore& origin_;
+
+ private:
+  /// What most sensors never need; made at its first use, since there may be thousands of them.
+  struct Rare {
+    Handler<ErrorReport> on_error;
+    std::string reason;  // why it is not ok
+  };
+  Rare& rare() {
+    if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
+    return *rare_;
+  }
+  std::unique_ptr<Rare> rare_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,86 @@
+#include "sensors/core/sysfs_file.hpp"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <sys/vfs.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstdlib>
+#include <memory>
+#include <utility>
+
+namespace rtdata::detail {
+namespace {
+
+constexpr long sysfs_magic = 0x62656572;
+
+ssize_t read_at_start(int fd, char* to, std::size_t room) noexcept {
+  const ssize_t got = ::pread(fd, to, room, 0);
+  return got < 0 && errno == ESPIPE ? ::read(fd, to, room) : got;
+}
+
+}  // namespace
+
+void SysfsFile::close() noexcept {
+  if (fd_ >= 0) ::close(fd_);
+  fd_ = -1;
+}
+
+void SysfsFile::read() noexcept {
+  error_number_ = 0;
+  size_ = 0;
+  if (fd_ < 0) {
+    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY);
+    if (fd_ < 0) {
+      error_number_ = errno;
+      return;
+    }
+    struct statfs where {};
+    keeps_open_ = ::fstatfs(fd_, &where) == 0 && where.f_type == sysfs_magic;
+  }
+  ssize_t got = 0;
+  do {
+    got = read_at_start(fd_, buffer_.data(), buffer_.size());
+  } while (got < 0 && errno == EINTR);
+  if (got < 0) {
+    error_number_ = errno;
+  } else {
+    size_ = static_cast<std::size_t>(got);
+  }
+  if (got < 0 || !keeps_open_) close();
+}
+
+void FindFile::transact() noexcept try {
+  path_ = find_();
+  if (!path_) return;
+  if (auto readable = check_readable(*path_, what_, advice_); !readable) path_ = std::move(readable).error();
+} catch (...) {
+  path_ = Error{Errc::io_failed, what_, "", "no memory", ""};
+}
+
+Result<void> check_readable(const std::string& path, const char* what, const std::string& advice) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) return system_error(errno, what, path, advice);
+  if (S_ISDIR(status.st_mode)) return system_error(EISDIR, what, path, advice);
+  if (::faccessat(AT_FDCWD, path.c_str(), R_OK, AT_EACCESS) != 0) {
+    return system_error(errno, what, path, "`ls -l` shows who may read it; run as such a user, or add a udev rule");
+  }
+  return {};
+}
+
+std::string physical_device_of(const std::string& path) {
+  const std::unique_ptr<char, decltype(&std::free)> real(::realpath(path.c_str(), nullptr), &std::free);
+  const std::string resolved = real != nullptr ? real.get() : path;
+  if (!resolved.starts_with("/sys/")) return resolved;
+  return resolved.substr(0, resolved.rfind('/'));
+}
+
+std::string_view trimmed(std::string_view text) noexcept {
+  constexpr std::string_view blanks = " \t\r\n";
+  const auto first = text.find_first_not_of(blanks);
+  if (first == std::string_view::npos) return {};
+  return text.substr(first, text.find_last_not_of(blanks) - first + 1);
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,360 @@
+#include "rtdata/sensors/host.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <functional>
+#include <iterator>
+#include <optional>
+#include <type_traits>
+#include <utility>
+
+#include "sensors/core/sysfs_file.hpp"
+#include "sensors/host/host_text.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_read = "cannot read this computer's counters";
+constexpr const char* not_here = "this machine or its kernel has none; `rtdata types host` lists what there is";
+
+/// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
+class ProcFile {
+ public:
+  explicit ProcFile(std::string path) : path_(std::move(path)), buffer_(4096) {}
+  ProcFile(ProcFile&& other) noexcept
+      : path_(std::move(other.path_)), fd_(std::exchange(other.fd_, -1)), buffer_(std::move(other.buffer_)) {}
+  ProcFile& operator=(ProcFile&&) = delete;
+  ~ProcFile() { close(); }
+
+  Result<void> open() {
+    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+    if (fd_ < 0) return system_error(errno, cannot_read, path_, not_here);
+    return {};
+  }
+  void close() noexcept {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = -1;
+  }
+  /// Valid until the next read. What is longer than a megabyte is an error.
+  Result<std::string_view> read() {
+    constexpr std::size_t most = 1 << 20;
+    std::size_t size = 0;
+    for (;;) {
+      const ssize_t got = ::pread(fd_, buffer_.data() + size, buffer_.size() - size, static_cast<off_t>(size));
+      if (got < 0 && errno == EINTR) continue;
+      if (got < 0) return system_error(errno, cannot_read, path_, not_here);
+      size += static_cast<std::size_t>(got);
+      // A short text comes whole; a long one in pieces, until nothing more comes.
+      if (got == 0 || size < 1024) return std::string_view(buffer_.data(), size);
+      if (size < buffer_.size()) continue;
+      if (size == most) return Error{Errc::does_not_fit, cannot_read, path_, "it is longer than a megabyte", ""};
+      buffer_.resize(2 * size);
+    }
+  }
+
+ private:
+  std::string path_;
+  int fd_ = -1;
+  std::vector<char> buffer_;
+};
+
+/// A text that came and is not as expected is unreadable; a counter that is not there has failed.
+template <class T>
+Reading<T> sorted_out(Reading<T> reading) {
+  if (Error* error = reading.error(); error != nullptr && error->code == Errc::bad_data)
+    return Unreadable{std::move(*error)};
+  return reading;
+}
+
+/// Reads inline and parses.
+template <class T>
+struct ProcDevice {
+  ProcFile file;
+  std::function<Reading<T>(std::string_view)> parse;
+  Duration held;
+
+  Duration read_time() const noexcept { return held; }
+  Result<void> open() { return file.open(); }
+  void close() noexcept { file.close(); }
+  Reading<T> read() {
+    const Result<std::string_view> text = file.read();
+    return text ? sorted_out(parse(*text)) : Reading<T>(text.error());
+  }
+};
+
+struct CpuDevice {
+  ProcFile file;
+  std::string device;
+  Duration held;
+  std::optional<detail::CpuTicks> before = {};
+
+  Duration read_time() const noexcept { return held; }
+  Result<void> open() {
+    before.reset();
+    return file.open();
+  }
+  void close() noexcept { file.close(); }
+  Reading<HostCpu> read() {
+    const Result<std::string_view> text = file.read();
+    if (!text) return text.error();
+    const Result<detail::CpuTicks> now = detail::parse_cpu(*text, device);
+    if (!now) return sorted_out(Reading<HostCpu>(now.error()));
+    const auto last = std::exchange(before, *now);
+    return last ? detail::cpu_shares(*last, *now) : Reading<HostCpu>(nothing_new);
+  }
+};
+
+/// One number of /sys, on the device's lane. `T` has one double.
+template <class T>
+class SysDevice final : public detail::LaneDevice {
+ public:
+  using Find = detail::FindFile::Find;
+  SysDevice(Find find, double factor, HostConfig config)
+      : find_(std::move(find)), factor_(factor), config_(std::move(config)) {}
+
+  std::shared_ptr<detail::Transaction> make_opening() override {
+    return std::make_shared<detail::FindFile>(find_, cannot_read, not_here);
+  }
+  Result<void> opened(detail::Transaction& opening) override {
+    const auto& path = static_cast<detail::FindFile&>(opening).path();
+    if (!path) return path.error();
+    path_ = *path;
+    return {};
+  }
+  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(path_); }
+  std::string lane_key() const override { return read_time().lane; }
+  Duration give_up_after() const override { return config_.timeout; }
+  ReadTime read_time() const override { return rtdata::read_time(config_); }
+  Error given_up_error() const override {
+    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(config_.timeout),
+            "look at the chip; `timeout` sets how long to wait"};
+  }
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
+    const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
+    if (file.error_number() != 0) return port.fail(system_error(file.error_number(), cannot_read, path_, not_here));
+    Result<std::int64_t> number = detail::parse_number(file.text());
+    if (!number) {
+      Error error = std::move(number).error();
+      error.where = path_;
+      return port.unreadable(std::move(error));
+    }
+    T payload{static_cast<double>(*number) * factor_};
+    port.publish(&payload);
+    return detail::Sampled::value;
+  }
+
+ private:
+  Find find_;
+  double factor_;
+  HostConfig config_;
+  std::string path_;
+};
+
+/// The names in a directory, in the order of their numbers; none when it is not there.
+std::vector<std::string> names_in(const std::string& directory) {
+  std::vector<std::string> names;
+  if (DIR* open = ::opendir(directory.c_str())) {
+    while (const dirent* entry = ::readdir(open)) {
+      if (entry->d_name[0] != '.') names.emplace_back(entry->d_name);
+    }
+    ::closedir(open);
+  }
+  std::sort(names.begin(), names.end(), [](const std::string& a, const std::string& b) {
+    return a.size() != b.size() ? a.size() < b.size() : a < b;
+  });
+  return names;
+}
+
+std::string first_line_of(const std::string& path) {
+  detail::SysfsFile file(path);
+  file.read();
+  return std::string(detail::trimmed(file.error_number() == 0 ? file.text() : ""));
+}
+
+std::vector<HostSensorInfo> thermometers(const std::string& root) {
+  std::vector<HostSensorInfo> found;
+  const std::string zones = root + "/sys/class/thermal/";
+  for (const std::string& zone : names_in(zones)) {
+    if (zone.starts_with("thermal_zone"))
+      found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type")});
+  }
+  const std::string chips = root + "/sys/class/hwmon/";
+  for (const std::string& chip : names_in(chips)) {
+    for (const std::string& file : names_in(chips + chip)) {
+      if (!file.starts_with("temp") || !file.ends_with("_input")) continue;
+      const std::string input = file.substr(0, file.size() - 6);
+      const std::string label = first_line_of(chips + chip + "/" + input + "_label");
+      found.push_back({HostQuantity::temperature, chip + "/" + input,
+                       first_line_of(chips + chip + "/name") + (label.empty() ? "" : " " + label)});
+    }
+  }
+  return found;
+}
+
+Result<std::string> thermometer_file(const std::string& root, std::string device) {
+  if (device.empty()) {
+    const auto all = thermometers(root);
+    if (all.empty()) {
+      return Error{Errc::not_found, "cannot read a temperature",
+                   root + "/sys/class/thermal, " + root + "/sys/class/hwmon", "this machine shows none",
+                   "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
+    }
+    device = all.front().device;
+  }
+  if (device.find('/') == std::string::npos) return root + "/sys/class/thermal/" + device + "/temp";
+  return root + "/sys/class/hwmon/" + device + "_input";
+}
+
+std::string frequency_file(const std::string& root, const std::string& device) {
+  return root + "/sys/devices/system/cpu/" + (device.empty() ? "cpu0" : device) + "/cpufreq/scaling_cur_freq";
+}
+
+template <class T, class Device>
+detail::Node* inline_sensor(Loop& loop, SensorConfig sensor, Device device) {
+  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
+                             std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)));
+}
+
+Reading<HostProcess> process_times(std::string_view schedstat) {
+  Result<HostProcess> process = detail::parse_process(schedstat);
+  struct timespec now {};
+  if (process && ::clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now) == 0) {
+    process->cpu_time = static_cast<std::uint64_t>(now.tv_sec) * 1000000000u + static_cast<std::uint64_t>(now.tv_nsec);
+  }
+  return process;
+}
+
+constexpr const char* no_device = "it does not say which device";
+
+/// All there is to know of a quantity.
+struct Quantity {
+  HostQuantity what;
+  const std::shared_ptr<const Description>& (*description)();
+  detail::Node* (*make)(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config);
+  const char* proc_file;  // read inline; null: it is a file of /sys, and read on a lane
+  Duration on_loop;       // for how long a read of the former may hold the loop
+  /// The latter, or the folder in which it is looked for.
+  std::string (*sys_file)(const HostConfig& config) = nullptr;
+  const char* device_advice = nullptr;  // null: it needs no device
+};
+
+/// `parse` is given the text of the file and, if it wants, the device.
+template <class T, auto parse>
+detail::Node* make_proc(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  const auto read = [device = config.device](std::string_view text) -> Reading<T> {
+    if constexpr (std::is_invocable_v<decltype(parse), std::string_view, std::string_view>) {
+      return parse(text, device);
+    } else {
+      return parse(text);
+    }
+  };
+  return inline_sensor<T>(loop, std::move(sensor),
+                          ProcDevice<T>{ProcFile(config.root + "/proc/" + self.proc_file), read, self.on_loop});
+}
+
+detail::Node* make_cpu(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return inline_sensor<HostCpu>(
+      loop, std::move(sensor),
+      CpuDevice{ProcFile(config.root + "/proc/" + self.proc_file), config.device, self.on_loop});
+}
+
+template <class T>
+detail::Node* make_sys(Loop& loop, SensorConfig sensor, const HostConfig& config, detail::FindFile::Find find,
+                       double factor) {
+  return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
+                             std::make_unique<SysDevice<T>>(std::move(find), factor, config));
+}
+
+detail::Node* make_temperature(const Quantity&, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return make_sys<HostTemperature>(
+      loop, std::move(sensor), config,
+      [root = config.root, device = config.device] { return thermometer_file(root, device); }, 1e-3);
+}
+
+std::string place_of_thermometer(const HostConfig& config) {
+  return config.device.empty() ? config.root + "/sys/class/thermal/" : *thermometer_file(config.root, config.device);
+}
+
+detail::Node* make_frequency(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return make_sys<HostFrequency>(
+      loop, std::move(sensor), config, [path = self.sys_file(config)] { return Result<std::string>(path); }, 1e3);
+}
+
+std::string frequency_file_of(const HostConfig& config) { return frequency_file(config.root, config.device); }
+
+const Quantity& quantity(HostQuantity what) {
+  using namespace std::chrono_literals;
+  using enum HostQuantity;
+  static constexpr Quantity all[] = {
+      {cpu, description_of<HostCpu>, make_cpu, "stat", 200us},
+      {load, description_of<HostLoad>, make_proc<HostLoad, detail::parse_load>, "loadavg", 50us},
+      {memory, description_of<HostMemory>, make_proc<HostMemory, detail::parse_memory>, "meminfo", 100us},
+      {disk, description_of<HostDisk>, make_proc<HostDisk, detail::parse_disk>, "diskstats", 100us, nullptr,
+       "set `device`, such as sda; /proc/diskstats lists them"},
+      {network, description_of<HostNetwork>, make_proc<HostNetwork, detail::parse_network>, "net/dev", 100us, nullptr,
+       "set `device`, such as eth0; /proc/net/dev lists them"},
+      {scheduler, description_of<HostScheduler>, make_proc<HostScheduler, detail::parse_scheduler>, "stat", 200us},
+      {process, description_of<HostProcess>, make_proc<HostProcess, process_times>, "thread-self/schedstat", 50us},
+      {temperature, description_of<HostTemperature>, make_temperature, nullptr, 0us, place_of_thermometer},
+      {frequency, description_of<HostFrequency>, make_frequency, nullptr, 0us, frequency_file_of},
+  };
+  return *std::find_if(std::begin(all), std::end(all), [what](const Quantity& one) { return one.what == what; });
+}
+
+/// What to do about a device that is missing; null: it is not.
+const char* advice_on_missing_device(const HostConfig& config) {
+  return config.device.empty() ? quantity(config.what).device_advice : nullptr;
+}
+
+}  // namespace
+
+void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems) {
+  const char* const advice = advice_on_missing_device(config);
+  if (advice == nullptr) return;
+  const ConfigItem* device = item.find("device");
+  problems.add((device != nullptr ? *device : item).problem("bad-value", std::string(no_device) + "; " + advice));
+}
+
+ReadTime read_time(const HostConfig& config) {
+  const Quantity& one = quantity(config.what);
+  if (one.proc_file != nullptr) return {.on_loop = one.on_loop};
+  // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
+  return {.on_loop = detail::lane_read_on_loop,
+          .on_lane = std::chrono::milliseconds{10},
+          .lane = detail::physical_device_of(one.sys_file(config))};
+}
+
+std::shared_ptr<const Description> host_description(HostQuantity what) { return quantity(what).description(); }
+
+HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
+  if (const char* const advice = advice_on_missing_device(config); advice != nullptr) {
+    throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device, advice});
+  }
+  const Quantity& one = quantity(config.what);
+  *this = HostSensor(one.make(one, loop, std::move(sensor), config));
+}
+
+std::vector<HostSensorInfo> available_host_sensors(const std::string& root) {
+  std::vector<HostSensorInfo> found;
+  const auto has = [&](const char* file) { return ::access((root + "/proc/" + file).c_str(), R_OK) == 0; };
+  if (has("stat")) found.push_back({HostQuantity::cpu, "", ""});
+  if (has("loadavg")) found.push_back({HostQuantity::load, "", ""});
+  if (has("meminfo")) found.push_back({HostQuantity::memory, "", ""});
+  if (has("stat")) found.push_back({HostQuantity::scheduler, "", ""});
+  if (has("thread-self/schedstat")) found.push_back({HostQuantity::process, "", ""});
+  for (const std::string& disk : names_in(root + "/sys/block")) {
+    if (!disk.starts_with("loop") && !disk.starts_with("ram")) found.push_back({HostQuantity::disk, disk, ""});
+  }
+  for (const std::string& interface : names_in(root + "/sys/class/net"))
+    found.push_back({HostQuantity::network, interface, ""});
+  for (HostSensorInfo& info : thermometers(root)) found.push_back(std::move(info));
+  if (::access(frequency_file(root, "").c_str(), R_OK) == 0) found.push_back({HostQuantity::frequency, "cpu0", ""});
+  return found;
+}
+
+}  // namespace rtdata

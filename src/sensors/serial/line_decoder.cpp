@@ -1,0 +1,409 @@
+#include "sensors/serial/line_decoder.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "data/character.hpp"
+#include "data/number_text.hpp"
+#include "data/utf8.hpp"
+#include "sensors/core/sysfs_file.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* bad_line = "cannot use a line";
+constexpr const char* check_fields = "check `fields` and the line's settings";
+
+Error refused(std::string where, std::string why, std::string advice) {
+  return {Errc::bad_argument, "cannot use these fields", std::move(where), std::move(why), std::move(advice)};
+}
+
+bool is_integer_kind(Kind kind) noexcept { return kind >= Kind::i8 && kind <= Kind::u64; }
+
+}  // namespace
+
+Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields) {
+  DescriptionBuilder builder("line");
+  std::size_t kept = 0;
+  for (const LineField& field : fields) {
+    if (field.name.empty()) continue;
+    ++kept;
+    if (field.type == Kind::enumeration || field.type == Kind::record) {
+      return refused("field " + field.name, "a line holds no " + std::string(name_of(field.type)),
+                     "choose another `type`");
+    }
+    if (field.scale == 0)
+      return refused("field " + field.name, "a scale of 0 makes all of it 0", "set another `scale`");
+    if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
+      return refused("field " + field.name, "only a float or double can be scaled", "make its `type` double");
+    }
+    using Presence = DescriptionBuilder::Presence;
+    const Presence presence = field.optional ? Presence::optional : Presence::always;
+    if (field.type == Kind::text) {
+      if (field.length < 1 || field.length > 65535)
+        return refused("field " + field.name, "a length of 0", "set `length`");
+      builder.text(field.name, field.length, presence);
+    } else {
+      builder.field(field.name, field.type, field.unit, presence);
+    }
+  }
+  if (kept == 0) return refused("", "no field has a name", "list what is in a line in `fields`");
+  auto made = builder.build();
+  if (made && (*made)->size() > max_payload_size) return refused("", "they need more than 4 KiB", "shorten the texts");
+  return made;
+}
+
+namespace detail {
+namespace {
+
+template <class T>
+std::errc parse_into(std::string_view text, std::byte* to, double scale) noexcept {
+  T number{};
+  if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
+  if constexpr (std::is_floating_point_v<T>) {
+    if (scale != 1) number = static_cast<T>(static_cast<double>(number) * scale);
+  }
+  std::memcpy(to, &number, sizeof number);
+  return {};
+}
+
+std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double scale) noexcept {
+  switch (kind) {
+    case Kind::i8:
+      return parse_into<std::int8_t>(text, to, scale);
+    case Kind::i16:
+      return parse_into<std::int16_t>(text, to, scale);
+    case Kind::i32:
+      return parse_into<std::int32_t>(text, to, scale);
+    case Kind::i64:
+      return parse_into<std::int64_t>(text, to, scale);
+    case Kind::u8:
+      return parse_into<std::uint8_t>(text, to, scale);
+    case Kind::u16:
+      return parse_into<std::uint16_t>(text, to, scale);
+    case Kind::u32:
+      return parse_into<std::uint32_t>(text, to, scale);
+    case Kind::u64:
+      return parse_into<std::uint64_t>(text, to, scale);
+    case Kind::f32:
+      return parse_into<float>(text, to, scale);
+    default:
+      return parse_into<double>(text, to, scale);
+  }
+}
+
+/// What could begin a number of CSV, so that no line with one in its first column is taken for a comment.
+bool begins_a_number(std::string_view text) noexcept {
+  if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
+  return text.find_first_not_of("0123456789.") == std::string_view::npos &&
+         std::count(text.begin(), text.end(), '.') <= 1;
+}
+
+void check_marks(const SerialConfig& config) {
+  const auto refuse = [](const char* key, std::string why, const char* advice) {
+    throw SetupError(refused(key, std::move(why), advice));
+  };
+  constexpr std::string_view ends("\n\r\0", 3);
+  const std::string& comment = config.comment;
+  const bool is_csv = config.format == LineFormat::csv;
+  if (comment.find_first_of(ends) != std::string::npos)
+    refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
+  if (!comment.empty() && comment.find_first_not_of(" \t") == std::string::npos)
+    refuse("comment", "lines of data may begin with a blank", "such as \"#\", or \"\" for none");
+  if (!is_csv) {
+    if (comment.starts_with('{')) refuse("comment", "each object begins with {", "such as \"#\", or \"\" for none");
+    return;
+  }
+  if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
+    refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
+  if (std::string_view("0123456789+-.eE").find(config.separator) != std::string_view::npos)
+    refuse("separator", "numbers hold it", "such as \",\" or \";\"");
+  if (comment.empty()) return;
+  if (comment.front() == config.separator)
+    refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
+  if (comment.front() == '"' || begins_a_number(comment))
+    refuse("comment", "lines of data may begin with it", "such as \"#\", or \"\" for none");
+}
+
+std::string shown(std::string_view text) {
+  std::string shown = "\"";
+  for (const char c : text.substr(0, 40)) shown += c >= ' ' && c < 127 ? c : '?';
+  return shown + (text.size() > 40 ? "...\"" : "\"");
+}
+
+}  // namespace
+
+LineDecoder::LineDecoder(const SerialConfig& config)
+    : fields_(config.fields),
+      description_(line_description(config.fields).or_throw()),
+      format_(config.format),
+      separator_(config.separator),
+      comment_(config.comment),
+      payload_((description_->size() + sizeof(std::max_align_t) - 1) / sizeof(std::max_align_t)),
+      seen_(fields_.size()) {
+  check_marks(config);
+  cell_.reserve(config.max_line);
+  for (LineField& field : fields_) {
+    leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
+    if (field.key.empty()) field.key = field.name;
+    if (format_ == LineFormat::json && field.key.empty()) {
+      throw SetupError(
+          refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
+    }
+  }
+  if (config.sequence_field.empty()) return;
+  sequence_ = description_->find(config.sequence_field);
+  if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
+    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is no integer among the fields",
+                             "name one of `fields` whose type is an integer"));
+  }
+  if (sequence_->optional != nullptr) {
+    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is optional",
+                             "remove its `optional`: each line has a number"));
+  }
+}
+
+bool LineDecoder::is_skipped(std::string_view line) const noexcept {
+  return trimmed(line).empty() || (!comment_.empty() && line.starts_with(comment_));
+}
+
+Result<void> LineDecoder::decode(std::string_view line) {
+  std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
+  return format_ == LineFormat::csv ? decode_csv(line) : decode_json(line);
+}
+
+Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const {
+  const std::string& name = fields_[index].name;
+  return {code, bad_line, name.empty() ? "column " + std::to_string(index + 1) : "field " + name, std::move(why),
+          check_fields};
+}
+
+Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
+  const Leaf* leaf = leaves_[index];
+  if (leaf == nullptr) return {};
+  if (auto done = put_value(index, *leaf, text); !done) return done;
+  if (leaf->optional != nullptr) payload()[leaf->offset + leaf->optional->value_size] = std::byte{1};
+  return {};
+}
+
+Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text) {
+  const Leaf* leaf = &leaf_of_it;
+  std::byte* to = payload() + leaf->offset;
+  switch (leaf->kind) {
+    case Kind::text: {
+      const std::size_t capacity = leaf->size - text_length_bytes;
+      if (text.size() > capacity) {
+        return failure(Errc::does_not_fit, index,
+                       shown(text) + " is longer than " + std::to_string(capacity) + " bytes");
+      }
+      to[0] = static_cast<std::byte>(text.size() & 0xff);
+      to[1] = static_cast<std::byte>(text.size() >> 8);
+      std::memcpy(to + text_length_bytes, text.data(), text.size());
+      return {};
+    }
+    case Kind::character: {
+      const auto c = character_of(text);
+      if (!c) return failure(Errc::bad_data, index, shown(text) + " is not one character");
+      *to = static_cast<std::byte>(*c);
+      return {};
+    }
+    case Kind::boolean: {
+      bool flag = false;
+      if (!read_boolean(text, flag)) {
+        return failure(Errc::bad_data, index, shown(text) + " is none of true, false, 1 and 0");
+      }
+      *to = static_cast<std::byte>(flag);
+      return {};
+    }
+    default: {
+      const std::errc status = parse_number(leaf->kind, text, to, fields_[index].scale);
+      if (status == std::errc{}) return {};
+      if (status == std::errc::result_out_of_range) {
+        return failure(Errc::out_of_range, index,
+                       shown(text) + " does not fit into " + std::string(name_of(leaf->kind)));
+      }
+      return failure(Errc::not_a_number, index, shown(text) + " is no " + std::string(name_of(leaf->kind)));
+    }
+  }
+}
+
+Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::string_view& rest) {
+  const auto first = rest.find_first_not_of(' ');
+  const bool is_quoted = first != std::string_view::npos && rest[first] == '"';
+  std::size_t end = is_quoted ? first + 1 : rest.find(separator_);
+  if (is_quoted) {  // a separator in it belongs to it, and a quote is written twice
+    cell_.clear();
+    for (;; ++end) {
+      const auto quote = rest.find('"', end);
+      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote does not end");
+      cell_.append(rest.substr(end, quote - end));
+      end = quote + 1;
+      if (end >= rest.size() || rest[end] != '"') break;
+      cell_ += '"';
+    }
+    const std::size_t after = end;
+    end = rest.find(separator_, after);
+    if (const auto more = trimmed(rest.substr(after, end - after)); !more.empty())
+      return failure(Errc::bad_data, index, shown(more) + " follows its quotes");
+  }
+  const std::string_view text = is_quoted ? std::string_view(cell_) : trimmed(rest.substr(0, end));
+  if (end == std::string_view::npos) {
+    rest = {};
+  } else {
+    rest.remove_prefix(end + 1);
+    if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
+  }
+  return Column{text, is_quoted};
+}
+
+Result<void> LineDecoder::decode_csv(std::string_view line) {
+  const auto count_error = [&](std::string_view what) {
+    return Error{Errc::bad_data, bad_line, shown(line),
+                 "it has " + std::string(what) + " than the " + std::to_string(fields_.size()) + " columns expected",
+                 check_fields};
+  };
+  std::string_view rest = separator_ == ' ' ? trimmed(line) : line;
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    const bool has_more = rest.data() != nullptr;
+    if (!has_more) return count_error("fewer");
+    const Result<Column> column = next_column(i, rest);
+    if (!column) return column.error();
+    const bool is_absent = fields_[i].optional && column->text.empty() && !column->is_quoted;
+    if (is_absent) continue;
+    if (Result<void> done = put(i, column->text); !done) return done;
+  }
+  if (rest.data() != nullptr) return count_error("more");
+  return {};
+}
+
+/// Follows the parser through one object, and takes the values whose path is a field's key.
+class LineDecoder::JsonHandler {
+ public:
+  using number_integer_t = nlohmann::json::number_integer_t;
+  using number_unsigned_t = nlohmann::json::number_unsigned_t;
+  using number_float_t = nlohmann::json::number_float_t;
+  using string_t = nlohmann::json::string_t;
+  using binary_t = nlohmann::json::binary_t;
+  explicit JsonHandler(LineDecoder& decoder) : decoder_(decoder) {}
+
+  bool null() { return take(Form::null, "null"); }
+  bool boolean(bool is_true) { return take(Form::boolean, is_true ? "true" : "false"); }
+  // The parser takes a 0 without a sign for an unsigned number.
+  bool number_integer(number_integer_t number) { return number == 0 ? take(Form::number, "-0") : take_number(number); }
+  bool number_unsigned(number_unsigned_t number) { return take_number(number); }
+  bool number_float(number_float_t, const string_t& text) { return take(Form::number, text); }
+  bool string(string_t& text) { return take(Form::string, text); }
+  bool binary(binary_t&) { return false; }
+  bool start_object(std::size_t) {
+    if (arrays_ != 0) return true;
+    if (!starts_.empty()) path_ += '.';
+    starts_.push_back(path_.size());
+    return true;
+  }
+  bool key(string_t& name) {
+    if (arrays_ != 0) return true;
+    path_.resize(starts_.back());
+    path_ += name;
+    return true;
+  }
+  bool end_object() {
+    if (arrays_ == 0) starts_.pop_back();
+    return true;
+  }
+  // What is in arrays is not looked at; a line that is an array is no object.
+  bool start_array(std::size_t) {
+    ++arrays_;
+    return !starts_.empty();
+  }
+  bool end_array() {
+    --arrays_;
+    return true;
+  }
+  bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
+    error_ = Error{Errc::bad_data, bad_line, "", "it is no JSON from byte " + std::to_string(position) + " on",
+                   check_fields};
+    return false;
+  }
+  Error take_error() {
+    return error_ ? std::move(*error_) : Error{Errc::bad_data, bad_line, "", "it is no JSON object", check_fields};
+  }
+
+ private:
+  enum class Form { number, boolean, string, null };
+  bool take(Form form, std::string_view text);
+  template <class T>
+  bool take_number(T number) {
+    char text[24];
+    const auto end = std::to_chars(text, text + sizeof text, number).ptr;
+    return take(Form::number, {text, static_cast<std::size_t>(end - text)});
+  }
+
+  LineDecoder& decoder_;
+  std::string path_;                 // of the key last seen
+  std::vector<std::size_t> starts_;  // where in it the key of each open object starts
+  std::size_t arrays_ = 0;           // open ones
+  std::optional<Error> error_;
+};
+
+bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
+  if (arrays_ != 0) return true;
+  if (starts_.empty()) return false;
+  for (std::size_t i = 0; i < decoder_.fields_.size(); ++i) {
+    if (decoder_.fields_[i].key != path_) continue;
+    const Kind kind = decoder_.fields_[i].type;
+    const bool is_textual = kind == Kind::text || kind == Kind::character;
+    if (decoder_.seen_[i]) {
+      error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
+    } else if (form == Form::null && decoder_.fields_[i].optional) {
+      // absent, as it is from the beginning
+    } else if (form == Form::null || is_textual != (form == Form::string) ||
+               (kind != Kind::boolean && form == Form::boolean)) {
+      error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
+                                shown(text) + " is no " + std::string(name_of(kind)));
+    } else if (Result<void> done = decoder_.put(i, text); !done) {
+      error_ = std::move(done).error();
+    }
+    if (error_) return false;
+    decoder_.seen_[i] = true;
+  }
+  return true;
+}
+
+Result<void> LineDecoder::decode_json(std::string_view line) {
+  std::fill(seen_.begin(), seen_.end(), false);
+  JsonHandler handler(*this);
+  if (!nlohmann::json::sax_parse(line.begin(), line.end(), &handler)) {
+    Error error = handler.take_error();
+    if (error.where.empty()) error.where = shown(line);
+    return error;
+  }
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    if (!seen_[i] && !fields_[i].optional)
+      return failure(Errc::bad_data, i, "the line has no \"" + fields_[i].key + "\"");
+  }
+  return {};
+}
+
+LineDecoder::Step LineDecoder::step() noexcept {
+  if (sequence_ == nullptr) return {};
+  const unsigned bits = 8 * static_cast<unsigned>(sequence_->size);
+  const std::uint64_t all = bits == 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << bits) - 1;
+  std::uint64_t number = 0;
+  std::memcpy(&number, payload() + sequence_->offset,
+              sequence_->size);  // the machines we run on put the low byte first
+  const std::optional<std::uint64_t> last = std::exchange(last_, number);
+  if (!last) return {};
+  const std::uint64_t forward = (number - *last) & all;
+  if (forward == 0) return {true, 0};
+  const bool is_signed = sequence_->kind <= Kind::i64;
+  const bool has_grown = is_signed ? forward <= all / 2 : number > *last;
+  // A number that goes back has wrapped when that is a small step, else the device has started again.
+  if (!has_grown && forward > all / 16) return {};
+  return {false, forward - 1};
+}
+
+}  // namespace detail
+}  // namespace rtdata

@@ -1,0 +1,318 @@
+#include "rtdata/sensors/serial_line.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include "data/utf8.hpp"
+#include "io/tty.hpp"
+#include "loop/support/retry.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "sensors/core/source_node.hpp"
+#include "sensors/serial/line_decoder.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+// Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
+constexpr std::size_t most_read = 1024;
+// So many bytes without the end of a line are none of a device that sends lines at this speed.
+constexpr std::size_t least_unended = 4096;
+
+}  // namespace
+
+class SerialLineNode final : public SourceNode {
+ public:
+  SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config, std::unique_ptr<LineDecoder> decoder)
+      : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description()), OriginCore::Supply::feed),
+        config_(std::move(config)),
+        decoder_(std::move(decoder)),
+        retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }),
+        silence_(loop.face, [this] { look_for_silence(); }) {
+    line_.reserve(config_.max_line + most_read);
+    origin_.counts.lost_is_known = decoder_->has_sequence();
+  }
+
+  void start() override {
+    if (!is_open() || is_running_) return;
+    Result<int> fd = open_tty(config_.device, config_.serial);
+    if (!fd && config_.required) throw SetupError(std::move(fd).error());
+    is_running_ = true;
+    backoff_.reset();
+    decoder_->forget_sequence();
+    unusable_lines_ = 0;
+    take(std::move(fd));
+  }
+  void stop() override {
+    if (is_open()) tell_unended();
+    if (is_open()) end();
+  }
+  void stop_schedule(MonotonicTime end) override {
+    tell_unended();
+    if (!is_open()) return;
+    retry_.stop();
+    drop_device();
+    origin_.end_absence(end);
+    origin_.close_gap();
+  }
+  bool is_reading() const noexcept override { return false; }
+  std::optional<SensorLoad> load() const override {
+    return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
+  }
+  void set_rate(Rate) override {
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes",
+                      "set the rate in the device"});
+  }
+  Rate rate() const noexcept override { return {}; }
+  bool is_running() const noexcept override { return is_running_; }
+  CallbackTimes callback_times() const noexcept override { return {}; }
+
+ private:
+  void end() noexcept {
+    is_running_ = false;
+    retry_.stop();
+    drop_device();
+    origin_.end_absence(loop()->now());
+    origin_.close_gap();
+    origin_.topic.cancel(origin_);
+  }
+  void take(Result<int> fd) {
+    if (fd) {
+      use(*fd);
+    } else {
+      lose_device(fd.error());
+    }
+  }
+  void use(int fd) {
+    fd_ = fd;
+    ++openings_;
+    line_.clear();
+    is_overlong_ = false;
+    unended_ = 0;
+    is_unended_told_ = false;
+    heard_at_ = loop()->now();
+    is_silent_ = false;
+    origin_.end_absence(heard_at_);
+    if (config_.silence > Duration{0}) silence_.start(config_.silence);
+    is_first_ = config_.first_line == FirstLine::discard;
+    is_beginning_ = true;
+    lines_to_skip_ = config_.skip_lines;
+    watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
+                     [this](const FdEvent& event) { on_ready(event); });
+  }
+  void drop_device() noexcept {
+    silence_.stop();
+    watch_.close();  // before the descriptor
+    if (fd_ >= 0) close_tty(fd_);
+    fd_ = -1;
+  }
+  /// Faulted, and tried again later.
+  void lose_device(const Error& error) {
+    drop_device();
+    if (std::exchange(is_silent_, false)) origin_.end_absence(loop()->now());
+    origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
+    retry_.start(
+        backoff_.next(config_.retry_first, std::max(config_.retry_longest, config_.retry_first), origin_.name));
+    Call call(*this);
+    report(error);
+    if (is_open() && is_running_) set_health(Health::faulted, &error);
+  }
+
+  void on_ready(const FdEvent& event) {
+    Call call(*this);
+    const std::size_t before = line_.size();
+    line_.resize(before + most_read);
+    const ssize_t got = ::read(fd_, line_.data() + before, most_read);
+    const int error_number = got < 0 ? errno : 0;
+    line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+    if (got > 0) {
+      heard_at_ = loop()->now();
+      time_ = loop()->runtime.event_time(heard_at_);
+      if (std::exchange(is_silent_, false)) {
+        origin_.end_absence(heard_at_);
+        silence_.start(config_.silence);
+      }
+      take_lines(before);
+    } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
+      constexpr const char* what = "lost the serial line";
+      constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
+      lose_device(got == 0 || error_number == EIO || error_number == EAGAIN
+                      ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
+                      : system_error(error_number, what, config_.device, advice));
+    }
+  }
+
+  /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
+  void take_lines(std::size_t from) {
+    std::size_t begin = 0;
+    const std::size_t last_end = line_.rfind('\n');  // those before `from` were taken
+    if (last_end == std::string::npos) {
+      unended_ += line_.size() - from;
+    } else {
+      unended_ = line_.size() - last_end - 1;
+      is_unended_told_ = false;
+    }
+    // A callback may stop the sensor, and start it again.
+    const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+    while (is_same()) {
+      const auto end = line_.find('\n', std::max(begin, from));
+      if (end == std::string::npos) break;
+      std::string_view line(line_.data() + begin, end - begin);
+      begin = end + 1;
+      if (std::exchange(is_beginning_, false) && line.starts_with(byte_order_mark))
+        line.remove_prefix(byte_order_mark.size());
+      if (std::exchange(is_first_, false)) {
+        is_overlong_ = false;
+      } else if (!std::exchange(is_overlong_, false)) {
+        take_line(line);
+      }
+    }
+    if (!is_same()) return;
+    line_.erase(0, begin);
+    if (line_.size() > config_.max_line) {
+      line_.clear();
+      if (!is_first_ && !std::exchange(is_overlong_, true)) {
+        is_unended_told_ = lines_to_skip_ == 0;
+        fail_overlong();
+        if (!is_same()) return;
+      }
+    }
+    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_told_, true)) {
+      fail_unended();
+    }
+  }
+  void fail_unended() {
+    fail({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
+          "check `baud_rate`, and that the device ends its lines"});
+  }
+  /// At the end: bytes came, and never a line of which anything could be made.
+  void tell_unended() {
+    if (!is_running_ || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
+    if (!std::exchange(is_unended_told_, true)) fail_unended();
+  }
+
+  void look_for_silence() {
+    const MonotonicTime due = heard_at_ + config_.silence;
+    if (loop()->now() < due) return silence_.start(due - loop()->now());
+    is_silent_ = true;
+    const Error error{Errc::timed_out, "nothing comes", config_.device,
+                      "it has been silent for " + to_string(config_.silence),
+                      "look at the device; `silence` sets how long it may be silent"};
+    origin_.begin_absence(Gap::Kind::silent, "silent", heard_at_);
+    Call call(*this);
+    report(error);
+    if (is_open() && is_running_) set_health(Health::degraded, &error);
+  }
+
+  void take_line(std::string_view line) {
+    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    if (lines_to_skip_ != 0) {
+      --lines_to_skip_;
+      return;
+    }
+    if (line.size() > config_.max_line) return fail_overlong();
+    if (decoder_->is_skipped(line)) return;
+    const Result<void> decoded = decoder_->decode(line);
+    if (!decoded) return fail(decoded.error());
+    backoff_.reset();
+    ++origin_.counts.received;
+    const LineDecoder::Step step = decoder_->step();
+    // Of the numbers that are left out, those of lines which came and could not be used are not lost.
+    origin_.counts.lost += step.lost - std::min(step.lost, std::exchange(unusable_lines_, 0));
+    if (step.is_repeated) {
+      ++origin_.counts.repeated;
+    } else {
+      ++origin_.counts.published;
+      origin_.topic.publish(origin_, time_, decoder_->payload());
+    }
+    if (health() != Health::ok) set_health(Health::ok, nullptr);
+  }
+
+  void fail_overlong() {
+    if (lines_to_skip_ != 0) {
+      --lines_to_skip_;
+      return;
+    }
+    fail({Errc::does_not_fit, "cannot use a line", config_.device,
+          "it is longer than " + std::to_string(config_.max_line) + " bytes",
+          "check `baud_rate`; `max_line` sets how long a line may be"});
+  }
+
+  void fail(const Error& error) {
+    ++origin_.counts.received;
+    ++origin_.counts.unreadable;
+    ++unusable_lines_;
+    report(error);
+    if (is_open() && is_running_) set_health(Health::degraded, &error);
+  }
+
+  void on_close() noexcept override {
+    end();
+    retry_.close();
+    silence_.close();
+    leave();
+  }
+
+  const SerialConfig config_;
+  std::unique_ptr<LineDecoder> decoder_;
+  Timer retry_;
+  Timer silence_;
+  FdWatch watch_;
+  int fd_ = -1;
+  std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
+  Time time_{};       // of the last read
+  Backoff backoff_;
+  unsigned openings_ = 0;
+  std::size_t unended_ = 0;       // bytes since the last end of a line
+  bool is_unended_told_ = false;  // that there are too many
+  MonotonicTime heard_at_{};      // when something came last, or it was opened
+  bool is_silent_ = false;        // for too long
+  unsigned lines_to_skip_ = 0;
+  std::uint64_t unusable_lines_ = 0;  // since the last good one
+  bool is_first_ = true;              // nothing but the rest of a line may have come yet
+  bool is_beginning_ = true;          // no line has come yet
+  bool is_overlong_ = false;          // the rest of the line is thrown away
+  bool is_running_ = false;
+};
+
+}  // namespace detail
+
+void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  try {
+    const detail::LineDecoder decoder(config);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    const bool is_of_key = e.where == "sequence_field" || e.where == "separator" || e.where == "comment";
+    const std::string key = is_of_key ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
+}
+
+ReadTime read_time(const SerialConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
+
+SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig config) {
+  const auto refuse = [&](const char* why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot use this serial line", "sensor " + feed.name, why, advice});
+  };
+  if (config.device.empty())
+    refuse("it has no device", "set `device`, such as /dev/ttyUSB0; `ls /dev/serial/by-id` lists them");
+  if (config.max_line == 0) refuse("max_line is 0", "such as 4096");
+  if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
+  if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
+  const bool starts = config.start;
+  auto decoder = std::make_unique<detail::LineDecoder>(config);
+  auto* node = new detail::SerialLineNode(loop.core(), feed, std::move(config), std::move(decoder));
+  SerialLineSensor made(node);
+  if (starts) node->start();
+  *this = std::move(made);
+}
+
+}  // namespace rtdata

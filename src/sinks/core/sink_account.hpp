@@ -1,0 +1,60 @@
+// What a sink records of the runtime: the events of its topics, and the account of who published them. Loop's thread.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "sinks/core/sink_notes.hpp"
+#include "sinks/core/sink_queue.hpp"
+#include "sinks/core/sink_tap.hpp"
+
+namespace rtdata::detail {
+
+class SinkAccount {
+ public:
+  explicit SinkAccount(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
+
+  /// Takes the events of a topic from now on. Errors: the writer's.
+  Result<void> add_topic(TopicCore& topic, SinkNode& sink);
+  /// Counts its events as refused from now on.
+  void refuse_topic(TopicCore& topic, SinkNode& sink) { add_tap(topic, sink, SinkTap::Takes::none); }
+  /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
+  void move_counts(LoopCore& loop) noexcept;
+  /// Takes none any more.
+  void end() noexcept;
+
+  /// Tells of the gaps under way; of another loop, they close there.
+  void close_gaps() noexcept;
+
+  void add(OriginCore& origin, const Gap& gap);
+  void add(OriginCore& origin, const Segment& segment);
+  SinkNotes notes;  ///< what else is to be told
+
+  /// A part of it, or all, of the origins that changed since the last one.
+  enum class Part { first, next, last };  // the last one is of all origins, in one go
+  struct Told {
+    bool is_something = false;  ///< handed over to the queue
+    bool has_more = false;      ///< another part follows
+  };
+  /// Whether `tell` may be called: not while too many are on their way. There is always room for the last one.
+  bool has_room() const noexcept { return queue_->has_account(); }
+  /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what is not known, and why; empty: nothing.
+  /// Throws when there is no memory, with nothing changed.
+  Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
+
+ private:
+  void add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes);
+  SinkTap* find_tap(const OriginCore& origin) const;
+
+  const std::shared_ptr<SinkQueue> queue_;
+  std::vector<std::unique_ptr<SinkTap>> taps_;
+  std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
+  std::uint64_t accounts_ = 0;  // handed over
+  std::size_t next_topic_ = 0;  // where the next part begins
+  std::size_t next_origin_ = 0;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,140 @@
+// How a sink ends: drained by its loop, or closed by its owner.
+#include <algorithm>
+
+#include "loop/support/deadline.hpp"
+#include "sinks/core/sink_node.hpp"
+
+namespace rtdata::detail {
+
+void SinkNode::drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) {
+  if (!is_open() || !is_attached()) return done(0);
+  drained_.push_back(std::move(done));
+  if (drained_.size() > 1) return;
+  Call call(*this);
+  deadline_.start_at(deadline);
+  begin_closing(deadline);
+}
+
+void SinkNode::begin_closing(MonotonicTime deadline) {
+  RuntimeCore& runtime = loop()->runtime;
+  if (life_ != Life::attached) return;
+  runtime.reports.flush(Reports::Repeated::all);
+  if (life_ != Life::attached) return;  // a user's handler has closed this sink
+  // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
+  // runs between here and the last account. Storing needs time, too.
+  std::string unknown = runtime.exchange.unknown();
+  note([&] {
+    if (unknown.empty())
+      unknown = runtime.exchange.catch_up(std::max(span_between(loop()->now(), deadline), Duration{0}) / 2);
+    if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
+  });
+  life_ = Life::closing;
+  account_.end();
+  note([&] {
+    if (!account_.notes.has_end()) account_.notes.add(runtime.clock_log.read("end"));
+  });
+  account_.close_gaps();
+  is_between_parts_ = false;
+  early_at_.reset();
+  account_timer_.stop();
+  queue_->hand_over();
+  tell(SinkAccount::Part::last);
+  queue_->keep_own_counts();
+  if (is_scheduled()) loop()->schedule().remove(*this);
+  if (is_waiting()) {  // one try at once, then the delays begin anew
+    stop_waiting();
+    backoff_.reset();
+  }
+  start_work();
+}
+
+void SinkNode::finish_drain() {
+  if (drained_.empty()) return;
+  Call call(*this);
+  auto done = std::move(drained_);
+  drained_.clear();
+  deadline_.stop();
+  const std::uint64_t lost = leave();
+  for (auto& tell_end : done) tell_end(lost);
+}
+
+std::uint64_t SinkNode::leave() noexcept {
+  if (!is_attached()) return 0;
+  const bool is_closed = std::exchange(life_, Life::left) == Life::closed;
+  stop_waiting();
+  work_timer_.stop();
+  queue_->abandon();
+  RuntimeCore& runtime = loop()->runtime;
+  runtime.detach(*this);
+  try {
+    last_ = status();
+  } catch (...) {  // no memory for texts
+    last_.emplace();
+    last_->health = health_;
+    last_->counts = queue_->counts();
+  }
+  const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
+  last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
+  SinkStatus end;
+  end.health = health_;
+  end.counts = last_->counts;
+  note([&] {
+    last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
+    end = *last_;
+  });
+  runtime.closed_sinks.push_back(std::move(end));  // there is room for it
+  note([&] {
+    const std::string why = reason_.empty() ? "" : " (" + reason_ + ")";
+    if (lost > 0) {
+      runtime.report(loop(), object_name(),
+                     {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
+                      "they could not be stored before the deadline" + why,
+                      "look at the storage; of a recording, the next start writes down what was lost"});
+    } else if (!is_closed) {
+      runtime.report(loop(), object_name(),
+                     {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,
+                      "the next start seals the recording"});
+    }
+  });
+  runtime.reports.flush(Reports::Repeated::all);  // of closing; nobody may come later to tell of them
+  return lost;
+}
+
+void SinkNode::on_close() noexcept {
+  std::uint64_t lost = 0;
+  if (is_attached()) {
+    const MonotonicTime end = later(loop()->now(), config_.close_deadline);
+    begin_closing(end);
+    while (life_ == Life::closing && loop()->now() < end) {
+      if (!is_at_work()) {
+        const bool is_retry = is_waiting();
+        stop_waiting();
+        if (is_retry) pause_before_storing(std::min(backoff_.last(), end - loop()->now()));
+        start_work();
+        if (!is_at_work()) break;  // the system gives no thread
+      }
+      lane_->wait(end - loop()->now());
+    }
+    lost = leave();
+  }
+  account_.end();
+  loop()->runtime.detach(*this);
+  if (is_scheduled()) loop()->schedule().remove(*this);
+  job_->sink = nullptr;
+  if (is_at_work()) lane_->leave_behind();
+  lane_ = nullptr;
+  for (Timer* timer : {&work_timer_, &account_timer_, &deadline_}) timer->close();
+  auto done = std::move(drained_);
+  drained_.clear();
+  for (auto& tell_end : done) tell_end(lost);
+}
+
+void SinkNode::pause_before_storing(Duration duration) {
+  if (loop()->is_manual()) {
+    loop()->manual_clock()->pass(duration);
+  } else {
+    job_->turn.pause = duration;
+  }
+}
+
+}  // namespace rtdata::detail

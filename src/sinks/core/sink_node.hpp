@@ -1,0 +1,206 @@
+// What lies behind a Sink: takes events and the account of who published them on the loop, and has a lane store them.
+// Loop's thread, but for the job's `run`.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/support/handler.hpp"
+#include "loop/support/retry.hpp"
+#include "rtdata/loop/lane.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/sink.hpp"
+#include "sinks/core/sink_account.hpp"
+#include "sinks/core/sink_queue.hpp"
+
+namespace rtdata::detail {
+
+class SinkNode final : public Node, public Recorder, public RateMember {
+ public:
+  SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer);
+
+  /// Takes the topics that there are, and begins to open a writer that is opened at set-up; while the loop does not run,
+  /// waits for that. Throws SetupError.
+  void attach();
+
+  // ---- Recorder
+  Result<void> on_topic(TopicCore& topic) override;
+  void on_refusal(const Error& error) override;
+  void on_gap(OriginCore& origin, const Gap& gap) override;
+  void on_segment(OriginCore& origin, const Segment& segment) override;
+  void on_clock(const ClockPair& pair) override;
+  void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override;
+  void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
+  SinkStatus status() const override;
+  void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override;
+
+  // ---- batches by time
+  void tick(const Tick&) override;
+  std::string blame_name() const override { return object_name(); }
+  bool tell_times(CallbackStatus& status) const override;
+
+  // ---- what the taps tell
+  enum class Hand { rows, rows_and_account };
+  /// Hands over to the lane what is queued, now or as soon as it is free.
+  void hand_over(Hand what);
+  /// Puts the lane to work, unless it is or waits for a retry.
+  void start_work();
+  /// An origin that no account knows yet: it is told soon, as schedules that change are, so that a kill in the first
+  /// second leaves them too.
+  void account_is_due();
+
+  Handler<ErrorReport> on_error_;
+  const std::string& name() const noexcept { return config_.name; }
+  SinkCounts counts() const noexcept { return last_ ? last_->counts : queue_->counts(); }
+  Health health() const noexcept { return health_; }
+
+ private:
+  /// Of the sink, in this order.
+  enum class Life {
+    made,      // not on the runtime yet, or could not be opened
+    attached,  // takes events
+    closing,   // takes none any more; what is left is stored
+    closed,    // the writer is closed
+    left,      // off the runtime: the last counts hold
+  };
+  /// Of the lane.
+  enum class Work {
+    idle,
+    opening,
+    storing,
+    waiting,             // for the retry after an error
+    waiting_for_thread,  // the same, after the system gave none
+  };
+  /// A turn of work. Shared with the lane's thread, which may be left behind with it.
+  class Job final : public LaneJob {
+   public:
+    explicit Job(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
+    void run() noexcept override {
+      came_of_it = queue_->work(turn);
+      turn.pause = Duration{0};
+    }
+    void done(Outcome outcome) override {
+      if (sink != nullptr) sink->work_done(outcome);
+    }
+    SinkNode* sink = nullptr;  // null once the sink is gone
+    // The lane's from submission until `done`.
+    SinkTurn turn;
+    SinkTurnResult came_of_it;
+
+   private:
+    const std::shared_ptr<SinkQueue> queue_;
+  };
+
+  ~SinkNode() override = default;
+  bool is_attached() const noexcept { return life_ >= Life::attached && life_ <= Life::closed; }
+  bool is_closing() const noexcept { return life_ >= Life::closing; }
+  bool is_at_work() const noexcept { return work_ == Work::opening || work_ == Work::storing; }
+  bool is_waiting() const noexcept { return work_ == Work::waiting || work_ == Work::waiting_for_thread; }
+  std::string object_name() const { return "sink " + config_.name; }
+  Result<void> take_topic(TopicCore& topic);
+
+  /// What is to be told needs memory: when there is none, the account says that it does not know.
+  template <class Function>
+  void note(Function&& function) noexcept {
+    try {
+      function();
+    } catch (...) {
+      had_no_memory_ = true;
+    }
+  }
+
+  // ---- health and reports: sink_node.cpp
+  /// What will not get better: the first reason stays.
+  void fault_for_good(const std::string& reason) noexcept;
+  void set_reason(const Error& error) noexcept;
+  void tell_health();
+  void report(const Error& error, std::uint64_t count) noexcept;
+
+  // ---- the account: sink_accounting.cpp
+  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
+  bool is_account_worth_it() const noexcept;
+  /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
+  /// was handed over.
+  bool begin_account();
+  /// Hands over a part of the account, or all. False: there is nothing to be told; or no memory, then it is due again.
+  bool tell(SinkAccount::Part part) noexcept;
+  void account_timer_fired();
+  /// Starts it for what is next, if anything.
+  void set_account_timer();
+
+  // ---- storing: sink_storing.cpp
+  void wait_for_opening();
+  SinkTurn::Task next_task() const noexcept;
+  bool is_sync_due() const noexcept;
+  /// Waits longer after each failure before the lane is put to work again.
+  void retry_later(Work why);
+  void stop_waiting();
+  void work_timer_fired();
+  void work_done(LaneJob::Outcome outcome);
+  /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
+  void go_on_after(const SinkTurnResult& turn);
+  /// Tells what came of it. Handlers may do anything to this sink, its closing included.
+  void tell_of(const SinkTurnResult& turn, Health before);
+  Error no_thread() const;
+
+  // ---- closing: sink_closing.cpp
+  /// Takes no event from here on, and hands over what is left.
+  void begin_closing(MonotonicTime deadline);
+  void finish_drain();
+  /// Takes the sink off the runtime, counting what was not stored as refused.
+  std::uint64_t leave() noexcept;
+  void on_close() noexcept override;
+  /// The lane waits, so that the deadline ends that too.
+  void pause_before_storing(Duration duration);
+  void drop_callbacks() noexcept override { on_error_.reset(); }
+
+  const SinkConfig config_;
+  const std::shared_ptr<SinkQueue> queue_;
+  SinkAccount account_;
+  const std::shared_ptr<Job> job_;
+  std::unique_ptr<Lane> lane_;
+  Life life_ = Life::made;
+  Work work_ = Work::idle;
+  Timer work_timer_;  // while the lane waits: tries again; while it opens: tells that this takes long
+  Timer account_timer_;
+  Timer deadline_;  // of a drain
+
+  // storing
+  bool is_to_open_;                              // in a turn of its own, before anything is stored
+  bool is_setting_up_ = false;                   // the constructor waits for that
+  std::optional<Error> set_up_error_;            // it throws this
+  Backoff backoff_;                              // of retries
+  bool is_due_ = false;                          // rows are to be handed over as soon as the lane is free
+  std::optional<MonotonicTime> unsynced_since_;  // the first storing since the writer was told to sync
+
+  // account
+  bool is_between_parts_ = false;          // of an account
+  std::optional<MonotonicTime> early_at_;  // when the account of what is new is to be told
+  bool is_account_due_ = false;
+  bool is_last_told_ = false;     // the last account
+  MonotonicTime account_at_{};    // when the last one was begun
+  MonotonicTime next_early_{};    // not before then
+  std::uint64_t slots_told_ = 0;  // that the last one had
+  std::string unknown_;           // what the last one does not know
+  bool had_no_memory_ = false;    // for something that belongs into the next
+
+  // health
+  Health health_ = Health::ok;
+  Health told_health_ = Health::ok;  // as published
+  std::string reason_;
+  std::string fault_;     // for good: it wants a topic that it cannot take
+  bool is_told_ = false;  // the last error, by the one before it
+
+  // the end
+  std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain
+  std::optional<SinkStatus> last_;                      // once it has left the runtime
+};
+
+}  // namespace rtdata::detail

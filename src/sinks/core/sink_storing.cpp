@@ -1,0 +1,192 @@
+// How a sink's lane is put to work: opened, given what is queued, tried again after a failure.
+#include <algorithm>
+
+#include "loop/support/deadline.hpp"
+#include "loop/support/no_thread.hpp"
+#include "sinks/core/sink_node.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr Duration long_opening = std::chrono::seconds{5};
+constexpr Duration tiers_wait_at_most = std::chrono::milliseconds{5};
+constexpr const char* opening_reason = "opening, which takes long; events wait in the queue";
+
+}  // namespace
+
+void SinkNode::hand_over(Hand what) {
+  if (is_closing()) return;
+  bool has_rows = false;
+  if (work_ != Work::idle) {  // the chunk goes on filling
+    is_due_ = true;
+  } else {
+    has_rows = queue_->hand_over();
+  }
+  const bool has_account = what == Hand::rows_and_account;
+  if (is_waiting()) {
+    is_account_due_ = is_account_due_ || has_account;
+  } else if ((has_account && begin_account()) || has_rows) {
+    start_work();
+  }
+}
+
+bool SinkNode::is_sync_due() const noexcept {
+  const Duration time = queue_->pace().sync_time;
+  return time.count() > 0 && unsynced_since_ && span_between(*unsynced_since_, loop()->now()) >= time;
+}
+
+SinkTurn::Task SinkNode::next_task() const noexcept {
+  if (is_to_open_) return SinkTurn::Task::open;
+  if (is_closing()) return SinkTurn::Task::store_and_close;
+  return is_sync_due() ? SinkTurn::Task::store_and_sync : SinkTurn::Task::store;
+}
+
+void SinkNode::start_work() {
+  if (work_ != Work::idle || !is_attached() || life_ == Life::closed) return;
+  if (!is_to_open_ && !unsynced_since_) unsynced_since_ = loop()->now();
+  if (is_closing() && !is_last_told_) {
+    tell(SinkAccount::Part::last);
+    if (!is_last_told_) return retry_later(Work::waiting);
+  }
+  job_->turn.task = next_task();
+  work_ = is_to_open_ ? Work::opening : Work::storing;
+  Work why = Work::waiting;
+  try {
+    if (lane_->submit(job_)) {
+      if (work_ == Work::opening) work_timer_.start(long_opening);
+      return;
+    }
+    why = Work::waiting_for_thread;  // told by the timer, since this may be within a publish
+    health_ = Health::faulted;
+    set_reason(no_thread());
+  } catch (...) {  // no memory for the lane: as after an error
+  }
+  retry_later(why);
+}
+
+void SinkNode::wait_for_opening() {
+  is_setting_up_ = true;
+  const MonotonicTime begin = loop()->now();
+  bool is_told = false;
+  while (work_ == Work::opening) {
+    lane_->wait(loop()->is_manual() ? Duration::max() : tiers_wait_at_most);
+    loop()->runtime.receive();  // what tiers publish meanwhile must not fill their rings
+    if (work_ != Work::opening || is_told || span_between(begin, loop()->now()) < long_opening) continue;
+    is_told = true;
+    loop()->runtime.log(LogLevel::info, object_name(), "opening, which takes long");
+  }
+  is_setting_up_ = false;
+  if (!set_up_error_) return;
+  life_ = Life::made;
+  throw SetupError(std::move(*set_up_error_));
+}
+
+void SinkNode::retry_later(Work why) {
+  work_ = why;
+  work_timer_.start(backoff_.next(config_.retry_first, config_.retry_longest, config_.name));
+}
+
+void SinkNode::stop_waiting() {
+  if (!is_waiting()) return;
+  work_ = Work::idle;
+  work_timer_.stop();
+}
+
+void SinkNode::work_timer_fired() {
+  Call call(*this);
+  if (work_ == Work::opening) {
+    if (health_ == Health::ok) {
+      health_ = Health::degraded;
+      note([&] { reason_ = opening_reason; });
+    }
+    return tell_health();
+  }
+  if (std::exchange(work_, Work::idle) == Work::waiting_for_thread) report(no_thread(), 1);
+  tell_health();
+  if (is_open()) start_work();
+}
+
+Error SinkNode::no_thread() const {
+  Error error = detail::no_thread("cannot store", config_.name);
+  error.advice += "; events wait in the queue";
+  return error;
+}
+
+void SinkNode::work_done(LaneJob::Outcome outcome) {
+  Call call(*this);
+  if (std::exchange(work_, Work::idle) == Work::opening) work_timer_.stop();
+  if (outcome == LaneJob::Outcome::finished && is_attached()) {  // else too late: counted as lost
+    const SinkTurnResult turn = std::exchange(job_->came_of_it, {});
+    if (is_setting_up_ && !turn.result) {
+      set_up_error_ = turn.result.error();
+      return;
+    }
+    if (turn.has_opened()) {
+      is_to_open_ = false;
+      if (turn.result && life_ == Life::attached) account_.move_counts(*loop());
+    }
+    const Health before = health_;
+    go_on_after(turn);
+    tell_of(turn, before);
+    if (is_open() && turn.has_closed()) finish_drain();
+  }
+  tell_health();  // at the end, since this sink may take the event itself
+}
+
+void SinkNode::go_on_after(const SinkTurnResult& turn) {
+  if (!turn.topic_fault.empty()) fault_for_good(turn.topic_fault);
+  if (!turn.result) {
+    health_ = Health::faulted;
+    is_told_ = false;
+    note([&] {
+      std::string reason = loop()->runtime.hide(turn.result.error().text());
+      is_told_ = is_closing() && reason == reason_;
+      reason_ = std::move(reason);
+    });
+    if (!turn.has_ended) return retry_later(Work::waiting);
+  } else if (turn.has_ended) {
+    // stays faulted
+  } else if (!fault_.empty()) {
+    fault_for_good({});
+  } else {
+    health_ = Health::ok;
+    reason_.clear();
+  }
+  backoff_.reset();
+  if (turn.has_synced() || turn.has_ended) unsynced_since_.reset();
+  if (turn.has_closed()) {
+    life_ = Life::closed;
+  } else if (is_closing()) {
+    start_work();
+  } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
+    is_due_ = false;
+    queue_->hand_over();
+    if (is_account_due_) begin_account();
+    start_work();
+  }
+}
+
+void SinkNode::tell_of(const SinkTurnResult& turn, Health before) {
+  const auto log = [&](LogLevel level, const std::string& text) {
+    note([&] { loop()->runtime.log(level, object_name(), text); });
+  };
+  for (const std::string& remark : turn.remarks) {
+    if (is_open()) log(LogLevel::warning, remark);
+  }
+  if (!is_open()) return;
+  if (const auto error = queue_->take_set_up_error()) report(*error, 1);
+  if (!is_open()) return;
+  if (turn.refused != 0 && !turn.has_ended) {
+    note([&] {
+      Error error = turn.refusal;
+      if (turn.refused > 1) error.where += " (the first of " + std::to_string(turn.refused) + ")";
+      report(error, turn.refused);
+    });
+  }
+  if (is_open() && turn.warning) report(*turn.warning, 1);
+  // While it closes, it is tried often: what fails as before is told with what could not be stored, at the end.
+  if (is_open() && !turn.result && !is_told_) report(turn.result.error(), 1);
+  if (is_open() && turn.result && before != Health::ok && health_ == Health::ok) log(LogLevel::info, "ok again");
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,88 @@
+// Where a sink takes the events of one topic: each is copied into its queue when it is published.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "loop/events/origin_core.hpp"
+#include "loop/events/topic_core.hpp"
+#include "sinks/core/sink_queue.hpp"
+
+namespace rtdata::detail {
+
+class SinkNode;
+
+class SinkTap final : public Tap {
+ public:
+  /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused.
+  enum class Takes { all, none };
+  /// `number`: of the topic within the sink.
+  SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
+
+  void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) override;
+  void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
+  void expect(OriginCore& origin) override;
+  void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
+  /// A gap of it has closed. `accounts`: how many have been handed over.
+  void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
+  /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is stored.
+  void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
+  /// The queue has moved the counts of all slots: they, and what is kept, go on there.
+  void move_counts() noexcept;
+  /// What is kept of an origin is changed no more.
+  void end() noexcept { is_ended_ = true; }
+
+  TopicCore& topic() const noexcept { return topic_; }
+  std::uint32_t slot_of(const OriginCore& origin) const noexcept { return places_[origin.index].slot; }
+  /// The origin's account as it is now, with the segment under way as if it ended at `until`.
+  OriginAccount account_of(const OriginCore& origin, MonotonicTime until) const noexcept;
+  /// Whether anything of it came, or may come, here.
+  bool knows(const OriginCore& origin) const noexcept {
+    return origin.index < places_.size() && places_[origin.index].live != nullptr;
+  }
+  /// The part of a segment that came due since this was attached; `scheduled` 0: none.
+  Segment since_attached(const OriginCore& origin, Segment segment) const noexcept;
+  /// Notes that it is handed over. False: it says what the one before said.
+  bool is_news(const OriginCore& origin, const OriginAccount& account);
+
+ private:
+  /// What is touched for each event of an origin.
+  struct Place {
+    LiveCounts* live = nullptr;  // null: it has no slot yet
+    SlotStored* stored = nullptr;
+    std::uint64_t first_sequence = 0;
+    std::uint64_t last_sequence = 0;
+    std::uint64_t course = 0;  // of its counts at the last event
+    std::uint32_t slot = 0;
+  };
+  /// What an origin had counted when this was attached.
+  struct Before {
+    SensorCounts counts;
+    Segment segment;  // under way
+  };
+  /// Gaps that have closed, as one, since the first of them may be in no account that is stored.
+  struct Closed {
+    Gap gap;
+    std::uint64_t accounts = 0;  // that were handed over when the last of them closed
+    bool is_any = false;
+  };
+  enum class Now { at_an_event, between_events };
+  void keep(const OriginCore& origin, Now now) noexcept;
+
+  SinkNode& sink_;
+  const std::shared_ptr<SinkQueue> queue_;
+  TopicCore& topic_;
+  const std::uint32_t number_;
+  const Takes takes_;
+  const std::size_t payload_bytes_;
+  const std::size_t record_bytes_;
+  std::vector<Place> places_;             // by the origin's index within the topic, as the next
+  std::vector<OriginAccount> accounted_;  // as last handed over
+  std::vector<Before> before_;            // of those that were there
+  std::vector<Closed> closed_;
+  std::vector<Segment> ended_;  // the last one, while none is under way
+  bool is_ended_ = false;
+};
+
+}  // namespace rtdata::detail
