@@ -161,12 +161,11 @@ void LoopCore::refuse_thread(const char* what, std::string_view object) const {
 // ---- its end
 
 void LoopCore::check_may_end() const noexcept {
+  const bool is_called_by_it = is_in_user_code();
+  const std::string user = is_called_by_it ? "" : runtime.user_of_loop();
+  if (!is_called_by_it && user.empty()) return;
   std::string why = "this is one of its callbacks, or of a sink on it, or another thread than that which runs it";
-  if (!is_in_user_code()) {
-    why = runtime.user_of_loop();
-    if (why.empty()) return;
-    why += " still uses it";
-  }
+  if (!is_called_by_it) why = user + " still uses it";
   end_program({Errc::busy, "a loop is destroyed too early", "loop " + config.name, std::move(why),
                "use stop(), and destroy it where run() has returned, after its tiers"});
 }
