@@ -3,11 +3,13 @@
 /// A registry is an object, not a global: a program fills one and hands it on. `Product` is what its factories make,
 /// `Context` what they are given beside the configuration.
 ///
-///     TypeRegistry<SensorHandle, Loop&> sensors("sensor");
-///     sensors.add<AnalogConfig>("analog", "an analog sensor behind a converter of the kernel",
-///                               [](Loop& loop, const AnalogConfig& config) { return make_analog(loop, config); });
-///     sensors.check(item, problems);                     // every mistake of the item, nothing is made
-///     SensorHandle handle = sensors.create(item, loop);  // throws ConfigError with every mistake
+///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
+///     pumps.add<GearPumpConfig>("gear", "a gear pump with a step motor",
+///                               [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
+///     pumps.check(item, problems);            // every mistake of the item, nothing is made
+///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
+///
+/// The registry of all kinds of parts that a configuration knows is `Registry` (config/parts.hpp), which is made of these.
 ///
 /// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
 /// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.

@@ -1,6 +1,6 @@
 /// Clock: where a runtime gets its time from. The machine's, or one that a test injects.
 ///
-/// Thread: called from the loop's thread only.
+/// Thread: called from the thread of each loop, tiers too: several at a time.
 #pragma once
 
 #include <optional>
@@ -22,7 +22,7 @@ class Clock {
   virtual MonotonicTime monotonic() noexcept = 0;
   /// The time of day. May jump in either direction.
   virtual Time realtime() noexcept = 0;
-  /// Names the time during which `monotonic` counts from one start: the machine's boot id.
+  /// Changes whenever `monotonic` begins anew: the machine's boot id.
   virtual std::string boot_id() = 0;
   /// How far `realtime` may be from UTC; none: not known, since nobody keeps it right.
   virtual std::optional<Duration> accuracy() noexcept { return std::nullopt; }

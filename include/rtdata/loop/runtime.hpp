@@ -1,4 +1,4 @@
-/// Runtime: what spans loops: topics, the ledger, the clock, the run, the log.
+/// Runtime: what a loop has beside its turns: topics, the ledger, the clock, the run, the log, and the exchange with others.
 ///
 /// A Loop makes a private one unless it is given one; one loop at a time uses it. Nothing is global to the process.
 ///

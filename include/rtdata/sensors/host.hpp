@@ -3,8 +3,9 @@
 ///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz}, {.what = HostQuantity::cpu});
 ///     auto s = loop.topic<rtdata::HostCpu>("host/cpu").subscribe(loop, [](const auto& e) { use(e->busy); });
 ///
-/// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity or
-/// device that it does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`.
+/// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity that it
+/// does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`. A disk, network or
+/// processor of another name is found missing by the first read, which fails.
 ///
 /// Files of /proc stay open and are read inline: a read costs microseconds (`process` the least: fit for 1 kHz and more,
 /// and it always changes). Files of /sys may ask a slow chip: they are read on a lane, and given up after `timeout`.

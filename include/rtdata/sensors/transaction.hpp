@@ -9,7 +9,8 @@
 /// loop. Only while the loop does not run yet (and is not attached), or when the sensor is `required`, does starting wait
 /// for the opening, so that a program knows at its start which devices are missing.
 ///
-/// Owner: the sensor and the lane. Thread: `transact` the lane's, all else the loop's.
+/// Owner: the sensor and the lane. Thread: `run`, `transact` and `close`: the lane's; the destructor: either; all else
+/// the loop's.
 #pragma once
 
 #include <atomic>
@@ -55,7 +56,8 @@ class LaneDevice {
   virtual std::shared_ptr<Transaction> make_transaction() = 0;
   /// Makes the payload of a finished transaction.
   virtual Sampled decode(Transaction& transaction, SamplePort& port) = 0;
-  /// Sensors of one physical device have one key, and so one lane. Asked for before each opening; must not block.
+  /// Sensors of one physical device have one key, and so one lane. Asked for before each opening, or before the
+  /// first read when there is nothing to open; must not block.
   virtual std::string lane_key() const = 0;
   /// A transaction that takes longer is given up.
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
