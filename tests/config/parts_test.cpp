@@ -8,6 +8,7 @@
 
 #include "app/process.hpp"
 #include "config/test_types.hpp"
+#include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 
 using namespace rtdata;
@@ -316,6 +317,21 @@ TEST_SUITE("config") {
     CHECK(add_sink(R"({"type": "discard", "path": ")" + file + "\"}") == "");
     system.remove_sensor("a");
     CHECK(add_sensor(R"({"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x/a"})") == "");
+  }
+
+  TEST_CASE("US-7 a sensor that is added must go into a file together with those that are in it") {
+    const Registry registry = standard_registry();
+    const test::Folder folder;
+    Loop loop{Loop::Manual{}};
+    System system(loop, registry,
+                  parse_config(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}],
+                                   "sinks": [{"type": "file", "format": "csv", "path": ")" +
+                                   folder.path() + "/x.csv\"}]}",
+                               "f.json"));
+    const char* const other = R"({"name": "b", "type": "host", "quantity": "load", "rate": "1 Hz"})";
+    CHECK(refusal([&] { system.add_sensor(item(other)); }).find("cannot record topic b") != std::string::npos);
+    loop.advance(3s);
+    CHECK(loop.runtime().sinks()[0].counts.all_dropped() == 0);
   }
 
   TEST_CASE("US-7 a sensor that is added is compared with those that were added before it") {

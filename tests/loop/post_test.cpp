@@ -67,6 +67,32 @@ TEST_SUITE("loop") {
     CHECK(longest <= 6);  // a period, and what ran when the tick came due
   }
 
+  TEST_CASE("what was posted before the end runs in it, though the loop was stopped; what is too late is reported") {
+    for (const int takes : {1, 100}) {
+      CAPTURE(takes);
+      Loop loop(Loop::Manual{}, {.delivery_budget = 2ms, .hold_limit = 1s});
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+      int run = 0;
+      for (int i = 0; i < 100; ++i) {
+        loop.post([&] {
+          loop.manual_clock().pass(std::chrono::milliseconds{takes});
+          if (++run == 5) loop.stop();
+        });
+      }
+      loop.run();
+      CHECK(run < 100);
+      CHECK(loop.close(2s) == 0);
+      if (takes == 1) {
+        CHECK(run == 100);
+        CHECK(errors.empty());
+      } else {
+        REQUIRE(errors.size() == 1);
+        CHECK(errors[0].find(" posted functions did not run before the end") != std::string::npos);
+      }
+    }
+  }
+
   TEST_CASE("in real time, posted functions that one turn has left run in the next, before newer ones") {
     Loop loop({.delivery_budget = 1us});
     std::vector<int> order;

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <memory>
 #include <semaphore>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -29,6 +30,7 @@ struct Seen {
   std::atomic<int> failing{0};  // so many openings fail
   std::atomic<std::thread::id> opened_on{}, closed_on{};
   std::binary_semaphore may_open{0};
+  bool cannot_begin = false;
   std::atomic<bool> waits{false};  // for the semaphore, in the opening
 };
 
@@ -55,7 +57,10 @@ struct SlowDevice final : detail::LaneDevice {
     }
     std::shared_ptr<Seen> seen;
   };
-  std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Open>(seen); }
+  std::shared_ptr<detail::Transaction> make_opening() override {
+    if (seen->cannot_begin) throw std::runtime_error("not today");
+    return std::make_shared<Open>(seen);
+  }
   Result<void> opened(detail::Transaction& opening) override {
     if (!static_cast<Open&>(opening).is_there)
       return Error{Errc::not_found, "cannot open", "slow", "it is not there", ""};
@@ -198,6 +203,18 @@ TEST_SUITE("sensors") {
     bench.slow.stop();
     CHECK(bench.slow.counts().balances());
     bench.check_fast();
+  }
+
+  TEST_CASE("US-8 a sensor is closed by the one who is told that its opening cannot begin") {
+    Bench bench;
+    bench.slow = SlowSensor(bench.loop, bench.seen);
+    bench.slow.stop();
+    bench.seen->cannot_begin = true;
+    bench.slow.on_error([&](const ErrorReport&) { bench.slow.close(); });
+    bench.slow.start();
+    CHECK_FALSE(bench.slow.is_open());
+    bench.loop.advance(100ms);
+    CHECK(bench.seen->openings == 1);
   }
 
   TEST_CASE("NFR-1 an opening that hangs is given up") {

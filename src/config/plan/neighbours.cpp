@@ -149,13 +149,23 @@ void Neighbours::check_files_of_topics(Problems& problems) {
 void Neighbours::check_stored_topics(Problems& problems) {
   for (Storing& storing : storing_) {
     const StoredTopics& stores = *storing.part->stores;
+    const std::size_t first_new = std::exchange(storing.stored, topic_names_.size());
+    if (!stores.refused_topics) continue;
+    // All of them, since a new topic may be in the way of one that is stored already.
     std::vector<TopicToRecord> wanted;
-    for (; storing.stored < topic_names_.size(); ++storing.stored) {
-      const std::string& topic = topic_names_[storing.stored];
-      if (stores.refused_topics && stores.wants(topic))
-        wanted.push_back({topic, topics_.find(topic)->second->publishes->description.get()});
+    std::size_t known = 0;
+    for (std::size_t i = 0; i < topic_names_.size(); ++i) {
+      const std::string& topic = topic_names_[i];
+      if (!stores.wants(topic)) continue;
+      wanted.push_back({topic, topics_.find(topic)->second->publishes->description.get()});
+      if (i < first_new) ++known;
     }
-    if (wanted.empty()) continue;
+    if (wanted.size() == known) continue;
+    const bool was_refused = known > 0 &&
+                             !stores
+                                  .refused_topics({wanted.begin(), wanted.begin() + static_cast<std::ptrdiff_t>(known)})
+                                  .empty();
+    if (was_refused) continue;  // which was told when those were added
     for (const Error& error : stores.refused_topics(wanted))
       problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
   }

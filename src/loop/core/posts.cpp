@@ -84,6 +84,13 @@ bool Posts::run(MonotonicTime end) {
   return true;
 }
 
+std::uint64_t Posts::run_all(MonotonicTime end) {
+  const std::uint64_t posted = counts().posted;
+  while (run_.load(std::memory_order_relaxed) < posted && loop_.now() < end) run(end);
+  const std::uint64_t run = run_.load(std::memory_order_relaxed);
+  return run < posted ? posted - run : 0;
+}
+
 void Posts::drop() noexcept {
   std::vector<Callback<void()>> unrun;
   {

@@ -29,12 +29,22 @@ class Drain : public std::enable_shared_from_this<Drain> {
       return;
     }
     runtime_.unknown_end.clear();
+    run_posted();
     loop_.core().run_due();
     for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().deadlines.handled_until()); });
     drain_tiers();
   }
 
  private:
+  /// What was posted before the end belongs to the run, also when `stop` came between. Storing needs time, too.
+  void run_posted() {
+    const Duration left = std::max(detail::span_between(loop_.now(), deadline_), Duration{0});
+    const std::uint64_t count = loop_.core().posts.run_all(detail::later(loop_.now(), left / 2));
+    if (count == 0) return;
+    runtime_.report(&loop_.core(), "loop " + loop_.core().config.name,
+                    {Errc::timed_out, std::to_string(count) + " posted functions did not run before the end", "",
+                     "they took too long, or there were too many", "post less, or close with a later deadline"});
+  }
   /// Of those that there are now. A device that is closed may close or destroy any of them.
   template <class Function>
   void for_each_sensor(const Function& function) {

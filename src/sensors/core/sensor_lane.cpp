@@ -51,7 +51,10 @@ void SensorNode::start_on_lane() {
   if (settings().is_required) lane_side_->refusal = &refusal;
   const Result<void> submitted = submit_opening();
   if (!submitted && settings().is_required) refusal = submitted.error();
-  if (lane_side_->opening == nullptr && !refusal) started(submitted);
+  if (lane_side_->opening == nullptr && !refusal) {
+    lane_side_->refusal = nullptr;
+    return started(submitted);  // who is told may close this sensor
+  }
   // Nobody is held by a loop that does not run. Whether an attached one does is not known.
   const bool is_set_up = !loop()->is_running() && !loop()->is_attached();
   if (is_starting() && (is_set_up || settings().is_required)) wait_for_start();

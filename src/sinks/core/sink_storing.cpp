@@ -65,7 +65,14 @@ void SinkNode::start_work() {
 }
 
 void SinkNode::wait_for_opening() {
-  is_setting_up_ = true;
+  struct SettingUp {
+    explicit SettingUp(bool& flag_) noexcept : flag(flag_) { flag = true; }
+    SettingUp(const SettingUp&) = delete;
+    SettingUp& operator=(const SettingUp&) = delete;
+    ~SettingUp() { flag = false; }
+    bool& flag;
+  };
+  std::optional<SettingUp> setting_up(is_setting_up_);  // also ended by an exception, for want of memory
   const MonotonicTime begin = loop()->now();
   bool is_told = false;
   while (work_ == Work::opening) {
@@ -75,7 +82,7 @@ void SinkNode::wait_for_opening() {
     is_told = true;
     loop()->runtime.log(LogLevel::info, object_name(), "opening, which takes long");
   }
-  is_setting_up_ = false;
+  setting_up.reset();
   if (!set_up_error_) return;
   life_ = Life::made;
   throw SetupError(std::move(*set_up_error_));

@@ -255,6 +255,10 @@ void LiveFile::begin_counting() noexcept {
   if (header_ != nullptr) header_->is_counting.store(1, std::memory_order_release);
 }
 
+void LiveFile::pause_counting() noexcept {
+  if (header_ != nullptr) header_->is_counting.store(0, std::memory_order_release);
+}
+
 bool LiveFile::lacks_room() const noexcept {
   return header_ == nullptr || header_->lacks_room.load(std::memory_order_acquire) != 0;
 }

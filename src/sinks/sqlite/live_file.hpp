@@ -137,6 +137,8 @@ class LiveFile {
   /// All that was counted before the file was there is in it, and what follows will be. A kill before that leaves a run of
   /// which it is not known what was published.
   void begin_counting() noexcept;
+  /// As before `begin_counting`.
+  void pause_counting() noexcept;
   /// Some slots have found no place here.
   bool lacks_room() const noexcept;
   /// Whether all that was counted is here: of each slot, from the beginning on.

@@ -299,8 +299,8 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
   if (!fits || is_counting_) return fits;
   const std::lock_guard lock(opening_mutex_);
   has_topics_ = true;
-  // A kill before the loop has heard that the run has begun: without the file, what was published is not known.
-  if (std::exchange(counts_without_topics_, false)) live_.remove();
+  // A kill before the loop has heard that the run has begun: what was published until then is not known.
+  if (std::exchange(counts_without_topics_, false)) live_.pause_counting();
   return fits;
 }
 
