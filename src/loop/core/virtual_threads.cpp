@@ -106,7 +106,7 @@ VirtualThreads::Thread* VirtualThreads::choose_next() noexcept {
       last_ = threads_.size();
       continue;
     }
-    if (seed_ != 0) return runnable_[random_() % runnable_.size()];
+    if (seed_ != 0) return runnable_[static_cast<std::size_t>(random_() % runnable_.size())];
     // One after the other, so that each gets its turn.
     const auto index = [&](Thread* thread) {
       return static_cast<std::size_t>(std::find(threads_.begin(), threads_.end(), thread) - threads_.begin());
