@@ -23,6 +23,7 @@
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sqlite/private_folder.hpp"
@@ -83,15 +84,11 @@ std::string word(const std::string& path, const std::string& query) {
 }
 
 /// Runs in a child, which is killed when it comes to its end. Its status otherwise.
-int killed_in(const std::function<void()>& work) {
-  const pid_t child = ::fork();
-  if (child == 0) {
+int killed_at_end(const std::function<void()>& work) {
+  return status_of([&] {
     work();
     ::raise(SIGKILL);
-  }
-  int status = 0;
-  REQUIRE(::waitpid(child, &status, 0) == child);
-  return status;
+  });
 }
 
 /// Publishes so many events, of which those of the first 10 are committed.
@@ -212,7 +209,7 @@ TEST_SUITE("sinks") {
     record_some({.path = path}, 10);
     constexpr uid_t other = 65534;
     const auto as_other = [&](const std::function<bool()>& work) {
-      const int status = killed_in([&] {
+      const int status = killed_at_end([&] {
         if (::setgid(other) != 0 || ::setuid(other) != 0) ::_exit(2);
         ::_exit(work() ? 0 : 1);
       });
@@ -235,7 +232,7 @@ TEST_SUITE("sinks") {
       }));
     });
     // What another user's killed run has counted stays unknown; that is said, and the recording goes on.
-    CHECK(WIFSIGNALED(killed_in([&] { record_some({.path = path}, 17); })));
+    CHECK(WIFSIGNALED(killed_at_end([&] { record_some({.path = path}, 17); })));
     CHECK(as_other([&] { return log_of(path).at(0).find("is unknown") != std::string::npos; }));
     CHECK(number(path, "SELECT lost IS NULL FROM rtdata_run WHERE state = 'sealed'") == 1);
   }
@@ -245,7 +242,7 @@ TEST_SUITE("sinks") {
     const std::string path = directory / "run.db";
     {
       LiveFolder live;
-      CHECK(WIFSIGNALED(killed_in([&] { record_some({.path = path}, 17); })));
+      CHECK(WIFSIGNALED(killed_at_end([&] { record_some({.path = path}, 17); })));
       REQUIRE(live.files().size() == 1);
       const Variable none("RUNTIME_DIRECTORY", nullptr);
       CHECK(log_of(path).at(0).find("lost 7 events") != std::string::npos);
@@ -259,9 +256,9 @@ TEST_SUITE("sinks") {
     LiveFolder live;
     Directory directory;
     const std::string path = directory / "run.db";
-    CHECK(WIFSIGNALED(killed_in([&] { record_some({.path = path}, 17); })));
+    CHECK(WIFSIGNALED(killed_at_end([&] { record_some({.path = path}, 17); })));
     const std::string uuid = word(path, "SELECT uuid FROM rtdata_run");
-    CHECK(WIFSIGNALED(killed_in([&] { record_some({.path = path}, 12); })));
+    CHECK(WIFSIGNALED(killed_at_end([&] { record_some({.path = path}, 12); })));
     CHECK(number(path, "SELECT lost FROM rtdata_run WHERE uuid = '" + uuid + "'") == 7);
     CHECK(live.files().size() == 1);
     log_of(path);
@@ -291,7 +288,7 @@ TEST_SUITE("sinks") {
     Directory directory;
     for (const char* name : {"gone.db", "stays.db", "away/run.db"}) {
       std::filesystem::create_directories(directory / "away");
-      CHECK(WIFSIGNALED(killed_in([&] { record_some({.path = directory / name}, 17); })));
+      CHECK(WIFSIGNALED(killed_at_end([&] { record_some({.path = directory / name}, 17); })));
     }
     CHECK(live.files().size() == 3);
     std::filesystem::remove(directory / "gone.db");
@@ -334,7 +331,7 @@ TEST_SUITE("sinks") {
       const int sensors = one.second;
       CAPTURE(size);
       const std::string path = directory / ("run" + size + ".db");
-      const int status = killed_in([&] {
+      const int status = killed_at_end([&] {
         if (::unshare(CLONE_NEWNS) != 0 || ::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) != 0 ||
             ::mount("none", "/dev/shm", "tmpfs", 0, ("size=" + size).c_str()) != 0)
           ::_exit(77);

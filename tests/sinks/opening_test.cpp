@@ -17,6 +17,7 @@
 #include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
 
@@ -25,6 +26,7 @@ using namespace rtdata::literals;
 using namespace sinks;
 using namespace std::chrono_literals;
 using recordings::number;
+using recordings::seal;
 using recordings::verified;
 
 namespace {
@@ -101,24 +103,6 @@ struct Adding {
     return Sink(loop, {.name = "script", .close_deadline = close_deadline}, std::make_unique<OpeningWriter>(script));
   }
 };
-
-void killed_in(const std::function<void()>& work) {
-  const pid_t child = ::fork();
-  if (child == 0) {
-    work();
-    ::_exit(1);
-  }
-  int status = 0;
-  REQUIRE(::waitpid(child, &status, 0) == child);
-  REQUIRE(WIFSIGNALED(status));
-}
-
-/// As the next start does.
-void seal(const std::string& path) {
-  Loop loop{Loop::Manual{}};
-  loop.runtime().on_log([](const LogRecord&) {});
-  SqliteSink sink(loop, {.path = path});
-}
 
 std::string remark(const std::string& path) {
   const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
@@ -346,22 +330,28 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("killed after the recording is open, with what was published before it: the seal counts all of it") {
-    Directory directory;
-    const std::string path = directory / "run.db";
-    killed_in([&] {
-      Adding adding;
-      const auto topic = adding.loop.topic<Number>("a");
-      adding.add(1s, [&] { return SqliteSink(adding.loop, {.path = path, .sink = {.batch_time = 500ms}}); });
-      for (int i = 0; i < 5; ++i) topic.publish({1});
-      adding.loop.advance(10s);  // these are stored
-      for (int i = 0; i < 7; ++i) topic.publish({1});
-      ::raise(SIGKILL);
-    });
-    seal(path);
-    CHECK(number(path, "SELECT count(*) FROM a") == 5);
-    CHECK(number(path, "SELECT offered FROM rtdata_ledger WHERE run = 1") == 12);
-    CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 7);
-    CHECK(verified(path).verdict() == Verdict::sealed);
+    for (const bool has_topic_before : {true, false}) {
+      CAPTURE(has_topic_before);
+      Directory directory;
+      const std::string path = directory / "run.db";
+      killed_in([&] {
+        Adding adding;
+        std::optional<Topic<Number>> topic;
+        if (has_topic_before) topic = adding.loop.topic<Number>("a");
+        adding.add(1s, [&] { return SqliteSink(adding.loop, {.path = path, .sink = {.batch_time = 500ms}}); });
+        if (!has_topic_before)
+          topic = adding.loop.topic<Number>("a");  // open on the lane, which the loop has not heard
+        for (int i = 0; i < 5; ++i) topic->publish({1});
+        adding.loop.advance(10s);  // these are stored
+        for (int i = 0; i < 7; ++i) topic->publish({1});
+        ::raise(SIGKILL);
+      });
+      seal(path);
+      CHECK(number(path, "SELECT count(*) FROM a") == 5);
+      CHECK(number(path, "SELECT offered FROM rtdata_ledger WHERE run = 1") == 12);
+      CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 7);
+      CHECK(verified(path).verdict() == Verdict::sealed);
+    }
   }
 
   TEST_CASE(

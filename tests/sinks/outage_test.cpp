@@ -19,6 +19,7 @@
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sensors/pty.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -31,17 +32,6 @@ using recordings::number;
 using recordings::seal;
 
 namespace {
-
-void kill_in_child(const std::function<void()>& work) {
-  const pid_t child = ::fork();
-  if (child == 0) {
-    work();
-    ::_exit(1);
-  }
-  int status = 0;
-  REQUIRE(::waitpid(child, &status, 0) == child);
-  REQUIRE(WIFSIGNALED(status));
-}
 
 /// Nothing in it is approximate but for what the seal says.
 void check_sealed(const std::string& path) {
@@ -93,7 +83,7 @@ TEST_SUITE("sinks") {
       const LiveFolder live;
       Directory directory;
       const std::string path = directory / "run.db";
-      kill_in_child([&] {
+      killed_in([&] {
         Loop loop{Loop::Manual{}};
         loop.on_error([](const ErrorReport&) {});
         loop.runtime().on_log([](const LogRecord&) {});
@@ -125,7 +115,7 @@ TEST_SUITE("sinks") {
     const LiveFolder live;
     Directory directory;
     const std::string path = directory / "run.db";
-    kill_in_child([&] {
+    killed_in([&] {
       Loop loop;
       loop.on_error([](const ErrorReport&) {});
       loop.runtime().on_log([](const LogRecord&) {});
@@ -168,7 +158,7 @@ TEST_SUITE("sinks") {
       const LiveFolder live;
       Directory directory;
       const std::string path = directory / "run.db";
-      kill_in_child([&] {
+      killed_in([&] {
         Loop loop;
         loop.on_error([](const ErrorReport&) {});
         loop.runtime().on_log([](const LogRecord&) {});
@@ -209,7 +199,7 @@ TEST_SUITE("sinks") {
       const LiveFolder live;
       Directory directory;
       const std::string path = directory / "run.db";
-      kill_in_child([&] {
+      killed_in([&] {
         Pty pty(directory / "tty");
         pty.plug_in();
         Loop loop;
@@ -244,7 +234,7 @@ TEST_SUITE("sinks") {
     const LiveFolder live;
     Directory directory;
     const std::string path = directory / "run.db";
-    kill_in_child([&] {
+    killed_in([&] {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, {.path = path});
       Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
@@ -267,7 +257,7 @@ TEST_SUITE("sinks") {
       const LiveFolder live;
       Directory directory;
       const std::string path = directory / "run.db";
-      kill_in_child([&] {
+      killed_in([&] {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path});
         Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 10_Hz}, [] { return Number{1}; });
@@ -310,7 +300,7 @@ TEST_SUITE("sinks") {
     const LiveFolder live;
     Directory directory;
     const std::string path = directory / "run.db";
-    kill_in_child([&] {
+    killed_in([&] {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, {.path = path});
       Sensor<Number> sensor(loop, {.name = "a", .topic = "a", .rate = 100_Hz}, [] { return Number{1}; });
@@ -378,7 +368,7 @@ TEST_SUITE("sinks") {
         failed += one == 1 ? 1 : 0;
         published += one == 0 ? 1 : 0;
       }
-      kill_in_child([&] {
+      killed_in([&] {
         Loop loop{Loop::Manual{}};
         loop.on_error([](const ErrorReport&) {});
         loop.runtime().on_log([](const LogRecord&) {});
@@ -425,7 +415,7 @@ TEST_SUITE("sinks") {
         for (int i = 0; i < rows_before; ++i) topic.publish({1});
         loop.advance(2s);
       }
-      kill_in_child([&] {
+      killed_in([&] {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 1ms}});
         const auto topic = loop.topic<Number>("a");

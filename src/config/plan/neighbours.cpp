@@ -1,6 +1,7 @@
 #include "config/plan/neighbours.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "config/plan/part_reader.hpp"
 #include "config/read/mistakes.hpp"

@@ -65,24 +65,18 @@ void SinkNode::start_work() {
 }
 
 void SinkNode::wait_for_opening() {
-  struct SettingUp {
-    explicit SettingUp(bool& flag_) noexcept : flag(flag_) { flag = true; }
-    SettingUp(const SettingUp&) = delete;
-    SettingUp& operator=(const SettingUp&) = delete;
-    ~SettingUp() { flag = false; }
-    bool& flag;
-  };
-  std::optional<SettingUp> setting_up(is_setting_up_);  // also ended by an exception, for want of memory
+  is_setting_up_ = true;
   const MonotonicTime begin = loop()->now();
   bool is_told = false;
   while (work_ == Work::opening) {
     lane_->wait(loop()->is_manual() ? Duration::max() : tiers_wait_at_most);
-    loop()->runtime.receive();  // what tiers publish meanwhile must not fill their rings
+    loop()->call_own("loop",
+                     [&] { loop()->runtime.receive(); });  // what tiers publish meanwhile must not fill their rings
     if (work_ != Work::opening || is_told || span_between(begin, loop()->now()) < long_opening) continue;
     is_told = true;
-    loop()->runtime.log(LogLevel::info, object_name(), "opening, which takes long");
+    note([&] { loop()->runtime.log(LogLevel::info, object_name(), "opening, which takes long"); });
   }
-  setting_up.reset();
+  is_setting_up_ = false;
   if (!set_up_error_) return;
   life_ = Life::made;
   throw SetupError(std::move(*set_up_error_));
