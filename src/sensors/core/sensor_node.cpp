@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "loop/support/retry.hpp"
-
 namespace rtdata::detail {
 namespace {
 
@@ -67,7 +65,7 @@ void SensorNode::start() {
   Call call(*this);
   failures_ = 0;
   if (rare_ != nullptr) {
-    rare_->retry_delay = Duration{0};
+    rare_->backoff.reset();
     rare_->retry_at = {};
   }
   if (device_is_open_) return begin_schedule();
@@ -328,7 +326,7 @@ void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& ti
 
 void SensorNode::recovered() {
   failures_ = 0;
-  rare().retry_delay = Duration{0};
+  rare().backoff.reset();
   set_health(Health::ok, nullptr);
 }
 
@@ -344,9 +342,7 @@ void SensorNode::failed(const Error& error, MonotonicTime now) {
   state.fault = error.id();
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {
-    state.retry_delay = state.retry_delay.count() == 0 ? state.retry_first
-                                                       : doubled(state.retry_delay, state.retry_longest);
-    state.retry_at = later(now, with_jitter(state.retry_delay, origin_.name, failures_));
+    state.retry_at = later(now, state.backoff.next(state.retry_first, state.retry_longest, origin_.name));
     if (std::exchange(device_is_open_, false)) close_device(*origin_.topic.runtime().own_loop);
   }
   report(error);

@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "loop/support/retry.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sensors/transaction.hpp"
 #include "sensors/core/source_node.hpp"
@@ -131,7 +132,7 @@ class SensorNode final : public SourceNode, public RateMember {
     bool is_required = false;
     OnOverrun on_overrun = OnOverrun::warn;
     Duration wanted_period{0};  // slowed down from it; 0: it was not
-    Duration retry_delay{0};
+    Backoff backoff;
     MonotonicTime retry_at{};
     std::string_view fault;  // id of the error that opened the gap under way
   };
