@@ -46,7 +46,7 @@ int main() {
     program.guest = &guest;
     rtdata::SqliteSink recording(guest, {.path = "embedded.db"});
     rtdata::HostSensor memory(guest, {.name = "memory", .topic = "host/memory", .rate = 20_Hz},
-                              {.what = rtdata::HostQuantity::memory});
+                              {.quantity = rtdata::HostQuantity::memory});
     uv_run(&program.loop, UV_RUN_DEFAULT);
     balances = guest.runtime().balances();
   }

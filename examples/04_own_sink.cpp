@@ -46,7 +46,7 @@ int main() {
   rtdata::Loop loop;
   rtdata::Sink sink(loop, {.name = "lines", .batch_time = 100ms}, std::make_unique<LineProtocol>("lines.txt"));
   rtdata::HostSensor load(loop, {.name = "load", .topic = "host/load", .rate = 20_Hz},
-                          {.what = rtdata::HostQuantity::load});
+                          {.quantity = rtdata::HostQuantity::load});
   loop.run_for(500ms);
   const std::uint64_t lost = loop.close();
   const rtdata::SinkCounts counts = loop.runtime().sinks().at(0).counts;

@@ -9,7 +9,7 @@
 namespace rtdata::detail {
 
 /// In UTF-8.
-inline std::string text_of(char character) {
+inline std::string utf8_of(char character) {
   const auto code = static_cast<unsigned char>(character);
   if (code < 0x80) return {character};
   return {static_cast<char>(0xc0 | code >> 6), static_cast<char>(0x80 | (code & 0x3f))};

@@ -166,14 +166,14 @@ class CsvCodec final : public Codec {
     append_number(row_, event.sequence());
     for (const Leaf& leaf : event.description().leaves()) {
       row_ += ',';
-      const std::byte* from = value_bytes(leaf, event.payload().data());
+      const std::byte* from = find_value(leaf, event.payload().data());
       if (from == nullptr) continue;
       if (leaf.kind == Kind::f64) {
         append_floating<double>(row_, from);
       } else if (leaf.kind == Kind::f32) {
         append_floating<float>(row_, from);
       } else if (leaf.kind == Kind::character) {
-        append_text(detail::text_of(static_cast<char>(*from)), WhenEmpty::quoted);
+        append_text(detail::utf8_of(static_cast<char>(*from)), WhenEmpty::quoted);
       } else if (leaf.kind == Kind::text) {
         append_text(detail::text_at(leaf, from), WhenEmpty::quoted);
       } else {

@@ -189,7 +189,7 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
     case Kind::boolean:
       return put(to, *from != std::byte{0} ? "true" : "false");
     case Kind::character: {
-      return put_string(to, detail::text_of(static_cast<char>(from[0])));
+      return put_string(to, detail::utf8_of(static_cast<char>(from[0])));
     }
     case Kind::text: {
       const auto length = static_cast<std::size_t>(from[0]) | static_cast<std::size_t>(from[1]) << 8;

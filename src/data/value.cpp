@@ -217,14 +217,14 @@ bool is_present(const Leaf& leaf, const std::byte* payload) noexcept {
   return leaf.optional == nullptr || leaf.optional->has_value(payload + leaf.offset);
 }
 
-const std::byte* value_bytes(const Leaf& leaf, const std::byte* payload) noexcept {
+const std::byte* find_value(const Leaf& leaf, const std::byte* payload) noexcept {
   const std::byte* at = payload + leaf.offset;
   if (leaf.optional == nullptr) return at;
   return leaf.optional->has_value(at) ? leaf.optional->value(at) : nullptr;
 }
 
 Value read(const Leaf& leaf, const std::byte* payload) {
-  const std::byte* at = value_bytes(leaf, payload);
+  const std::byte* at = find_value(leaf, payload);
   if (at == nullptr) return std::monostate{};
   switch (leaf.kind) {
     case Kind::boolean:
@@ -273,7 +273,7 @@ std::string to_string(const Value& value) {
   struct Visitor {
     std::string operator()(std::monostate) const { return "absent"; }
     std::string operator()(bool flag) const { return flag ? "true" : "false"; }
-    std::string operator()(char c) const { return detail::text_of(c); }
+    std::string operator()(char c) const { return detail::utf8_of(c); }
     std::string operator()(const std::string& text) const { return text; }
     std::string operator()(double number) const { return digits(number); }
     std::string operator()(std::int64_t number) const { return digits(number); }

@@ -9,7 +9,7 @@
 #include <memory>
 #include <string>
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 #include "rtdata/data/describe.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"

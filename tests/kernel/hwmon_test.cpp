@@ -25,7 +25,7 @@ TEST_SUITE("drivers") {
   TEST_CASE("NFR-3 lm75: the thermometer is listed, and its temperature followed to half a degree") {
     const auto listed = available_host_sensors();
     CHECK(std::any_of(listed.begin(), listed.end(), [](const HostSensorInfo& info) {
-      return info.what == HostQuantity::temperature && info.device == thermometer() && info.name == "lm75";
+      return info.quantity == HostQuantity::temperature && info.device == thermometer() && info.name == "lm75";
     }));
     const std::vector<double> degrees = {25, -55, -0.5, 0, 0.5, 99.5, 125};
     const Chip chip("i2c-48");
@@ -34,7 +34,7 @@ TEST_SUITE("drivers") {
     std::size_t at = 0;
     std::uint64_t strays = 0;
     HostSensor sensor(loop, {.name = "board", .rate = 50_Hz},
-                      {.what = HostQuantity::temperature, .device = thermometer()});
+                      {.quantity = HostQuantity::temperature, .device = thermometer()});
     const auto heard = loop.topic<HostTemperature>("board").subscribe(loop, [&](const Event<HostTemperature>& event) {
       if (event->temperature == degrees[at]) {
         if (++at < degrees.size()) return set(chip, degrees[at]);
@@ -58,7 +58,7 @@ TEST_SUITE("drivers") {
     std::uint64_t before = 0, after = 0;
     std::vector<std::string> errors;
     HostSensor sensor(loop, {.name = "board", .rate = 50_Hz, .faulted_after = 5},
-                      {.what = HostQuantity::temperature, .device = thermometer()});
+                      {.quantity = HostQuantity::temperature, .device = thermometer()});
     sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
     const auto heard = loop.topic<HostTemperature>("board").subscribe(loop, [&](const Event<HostTemperature>& event) {
       CHECK(event->temperature == 21.5);

@@ -92,7 +92,8 @@ TEST_CASE("NFR-4 a loop knows its load from its devices and settings, before it 
   const Feed<Count> fed(loop, {.name = "fed"});
   const AnalogSensor analog(loop, {.name = "analog", .rate = 100_Hz, .phase = 8ms, .read_time = 2ms},
                             {.file = "/sys/none/in_voltage0_raw"});
-  const HostSensor process(loop, {.name = "process", .rate = 100_Hz, .phase = 8ms}, {.what = HostQuantity::process});
+  const HostSensor process(loop, {.name = "process", .rate = 100_Hz, .phase = 8ms},
+                           {.quantity = HostQuantity::process});
   const auto check = [&] {
     const LoopLoad load = loop.load();
     CHECK(load.loop == "main");
@@ -136,13 +137,13 @@ TEST_CASE("NFR-4 a tier's load is its own sensors'") {
 TEST_CASE("NFR-4 what the library brings says how long it takes") {
   using enum HostQuantity;
   for (const HostQuantity what : {cpu, HostQuantity::load, memory, disk, network, scheduler, process}) {
-    const ReadTime time = read_time(HostConfig{.what = what, .device = "x"});
+    const ReadTime time = read_time(HostConfig{.quantity = what, .device = "x"});
     CHECK(time.on_loop.value() > 0us);
     CHECK(time.lane.empty());
   }
   for (const HostQuantity what : {temperature, frequency}) {
     for (const char* device : {"", "cpu0"}) {
-      const ReadTime time = read_time(HostConfig{.what = what, .device = device});
+      const ReadTime time = read_time(HostConfig{.quantity = what, .device = device});
       CHECK(time.on_loop.value() > 0us);
       CHECK(time.on_lane.value() > time.on_loop.value());
       CHECK_FALSE(time.lane.empty());

@@ -110,7 +110,7 @@ TEST_CASE("FW-2 shares of CPU time add up to 100 %, and are made of two reads") 
   Loop loop{Loop::Manual{}};
   std::vector<HostCpu> events;
   auto s = loop.topic<HostCpu>("cpu").subscribe(loop, [&](const Event<HostCpu>& e) { events.push_back(*e); });
-  HostSensor sensor(loop, {.name = "cpu", .rate = 1_Hz}, {.what = HostQuantity::cpu, .root = root.path()});
+  HostSensor sensor(loop, {.name = "cpu", .rate = 1_Hz}, {.quantity = HostQuantity::cpu, .root = root.path()});
   loop.advance(10ms);
   CHECK(events.empty());
   CHECK(sensor.counts().repeated == 1);
@@ -133,16 +133,16 @@ TEST_CASE("FW-2 a quantity that the machine does not have is faulted until it ha
   for (const HostQuantity what :
        {HostQuantity::cpu, HostQuantity::process, HostQuantity::temperature, HostQuantity::frequency}) {
     CHECK_THROWS_AS(
-        HostSensor(loop, {.name = "x", .rate = 1_Hz, .required = true}, {.what = what, .root = root.path()}),
+        HostSensor(loop, {.name = "x", .rate = 1_Hz, .required = true}, {.quantity = what, .root = root.path()}),
         SetupError);
   }
-  CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.what = HostQuantity::disk}), SetupError);
-  CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.what = HostQuantity::network}), SetupError);
+  CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.quantity = HostQuantity::disk}), SetupError);
+  CHECK_THROWS_AS(HostSensor(loop, {.name = "x", .rate = 1_Hz}, {.quantity = HostQuantity::network}), SetupError);
   std::vector<double> values;
   auto s = loop.topic<HostTemperature>("t").subscribe(
       loop, [&](const Event<HostTemperature>& e) { values.push_back(e->temperature); });
   HostSensor sensor(loop, {.name = "t", .rate = 10_Hz, .retry_longest = 100ms},
-                    {.what = HostQuantity::temperature, .root = root.path()});
+                    {.quantity = HostQuantity::temperature, .root = root.path()});
   loop.advance(1s);
   CHECK(sensor.health() == Health::faulted);
   root.file("sys/class/hwmon/hwmon0/name", "coretemp\n");
@@ -171,14 +171,14 @@ TEST_CASE("FW-2 everything that this machine says it has can be read") {
   CHECK(!found.empty());
   for (const HostSensorInfo& info : found) {
     sensors.emplace_back(loop, SensorConfig{.name = "s" + std::to_string(sensors.size()), .rate = 10_Hz},
-                         HostConfig{.what = info.what, .device = info.device});
+                         HostConfig{.quantity = info.quantity, .device = info.device});
   }
   loop.advance(450ms);
   for (std::size_t i = 0; i < sensors.size(); ++i) {
     CAPTURE(found[i].device);
     CHECK(sensors[i].counts().scheduled == 5);
     CHECK(sensors[i].counts().balances());
-    if (found[i].what != HostQuantity::temperature)
+    if (found[i].quantity != HostQuantity::temperature)
       CHECK(sensors[i].counts().taken == 5);  // a chip may answer with an error
   }
   if (!errors.empty()) MESSAGE(errors[0]);
@@ -192,7 +192,7 @@ TEST_CASE("NFR-4 the program's own times change at every read of 1 kHz") {
     times.push_back(e->cpu_time);
     if (times.size() == 50) loop.stop();
   });
-  HostSensor sensor(loop, {.name = "self", .rate = 1_kHz}, {.what = HostQuantity::process});
+  HostSensor sensor(loop, {.name = "self", .rate = 1_kHz}, {.quantity = HostQuantity::process});
   if (sensor.health() != Health::ok) {
     MESSAGE("skipped: this kernel has no schedstat");
     return;
@@ -204,7 +204,7 @@ TEST_CASE("NFR-4 the program's own times change at every read of 1 kHz") {
 TEST_CASE("US-17 every parameter of a host sensor can be set from a file") {
   const auto config = read_config<HostConfig>(
       parse_config(R"({"quantity": "temperature", "device": "thermal_zone0", "root": "/host", "timeout": "2 s"})").root);
-  CHECK(config.what == HostQuantity::temperature);
+  CHECK(config.quantity == HostQuantity::temperature);
   CHECK(config.device == "thermal_zone0");
   CHECK(config.root == "/host");
   CHECK(config.timeout == 2s);

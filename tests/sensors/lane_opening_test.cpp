@@ -61,7 +61,7 @@ struct SlowDevice final : detail::LaneDevice {
     if (seen->cannot_begin) throw std::runtime_error("not today");
     return std::make_shared<Open>(seen);
   }
-  Result<void> opened(detail::Transaction& opening) override {
+  Result<void> take_opening(detail::Transaction& opening) override {
     if (!static_cast<Open&>(opening).is_there)
       return Error{Errc::not_found, "cannot open", "slow", "it is not there", ""};
     ++seen->opened;

@@ -69,7 +69,7 @@ class FakeThermometer final : public FakeFile {
   FakeThermometer() : FakeFile("sys/class/thermal/thermal_zone0/temp", "41000\n") {}
   const char* kind() const override { return "host temperature"; }
   AnySensor make(Loop& loop, bool is_required) override {
-    return HostSensor(loop, common(is_required), {.what = HostQuantity::temperature, .root = directory.path()});
+    return HostSensor(loop, common(is_required), {.quantity = HostQuantity::temperature, .root = directory.path()});
   }
 };
 
@@ -84,7 +84,7 @@ class FakeProc final : public FakeFile {
     ::unlink(path_.c_str());
   }
   AnySensor make(Loop& loop, bool is_required) override {
-    return HostSensor(loop, common(is_required), {.what = HostQuantity::load, .root = directory.path()});
+    return HostSensor(loop, common(is_required), {.quantity = HostQuantity::load, .root = directory.path()});
   }
 };
 

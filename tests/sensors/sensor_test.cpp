@@ -194,7 +194,7 @@ TEST_CASE("US-9 the opening of a lane's device that changes the rate and stops t
       void transact() noexcept override {}
     };
     std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Read>(); }
-    Result<void> opened(detail::Transaction&) override { return opens(); }
+    Result<void> take_opening(detail::Transaction&) override { return opens(); }
     std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<Read>(); }
     detail::Sampled decode(detail::Transaction&, detail::SamplePort& port) override {
       return port.fail({Errc::io_failed, "no answer", "", "", ""});

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

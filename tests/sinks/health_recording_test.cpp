@@ -2,7 +2,7 @@
 
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "loop/virtual_time.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sinks/verify.hpp"

@@ -4,7 +4,7 @@
 #include <functional>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "rtdata/sensors/transaction.hpp"
 #include "sinks/recordings.hpp"
 

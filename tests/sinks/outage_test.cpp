@@ -12,7 +12,7 @@
 #include <random>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"

@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
 

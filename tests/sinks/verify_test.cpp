@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "loop/lane_sensor.hpp"
 #include "sinks/recordings.hpp"
 

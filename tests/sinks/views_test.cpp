@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

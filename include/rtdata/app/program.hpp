@@ -10,7 +10,7 @@
 /// while it runs.
 #pragma once
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 
 namespace rtdata {
 

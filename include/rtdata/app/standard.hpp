@@ -1,7 +1,7 @@
 /// The sensor and sink types that come with the library. Target: rtdata::program.
 #pragma once
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 
 namespace rtdata {
 

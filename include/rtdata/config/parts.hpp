@@ -1,238 +1,151 @@
-/// Registry: the types of sensors, sinks and buses that configurations can name, and what each makes of its item.
+/// Parts: what a configuration names and a system is made of, whatever its kind: tiers, buses, sinks, sensors.
 ///
-///     Registry registry;
-///     registry.add_sensor<AnalogConfig>(
-///         "analog", "a sensor behind a converter of the kernel",
-///         [](const AnalogConfig& config) { return analog_description(config.unit); },
-///         [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
-///           return AnalogSensor(loop, common, config);
-///         });
-///     registry.add_sink<LinesConfig>(
-///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
-///         [](Loop& loop, const LinesConfig& config) {
-///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
-///         });
-///     registry.add_bus<WireConfig>(
-///         "wire", "one wire", [](Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
+/// A `PartPlan` is one part as its item says, checked and not made yet. It knows its name, the parts that it uses and
+/// how it is made. Each part is made after those that it uses and closed before them; otherwise tiers are made first,
+/// then buses, sinks and sensors, and closed in the opposite order. `Parts` are those that are made.
 ///
-/// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
-/// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
-/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that
-/// is not known.
-///
-/// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
-/// type. The part is then there when the factory is called, which takes `const Parts&` as its last argument:
-///
-///     [](Loop& loop, const SensorConfig& common, const ProbeConfig& config, const Parts& parts) {
-///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
-///     }
-///
-/// Owner: the program; nothing is global. Filled by one thread, then read by any.
-/// Errors: adding a type twice throws SetupError (bad_argument).
+/// Plans are values, for any thread. Parts: owner the System, thread that of the main loop; while a part is made on a
+/// tier, that thread may look at them.
 #pragma once
 
-#include <concepts>
 #include <functional>
+#include <map>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <type_traits>
+#include <typeinfo>
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/part.hpp"
-#include "rtdata/config/registry.hpp"
-#include "rtdata/sensors/sensor_parameters.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/load.hpp"
+#include "rtdata/loop/loop.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {
 
-/// A kind of part that a configuration lists: its key in the file and its types.
-struct PartKind {
-  enum class Written {
-    list,     ///< of objects, each with a `name` of its own or one by default
-    by_name,  ///< an object; its keys are the names
-  };
-  std::string name;  ///< "sensor"
-  std::string key;   ///< "sensors"
-  std::string doc;
-  Written written = Written::list;
-  /// A plan is made from the item and, where parts are written by name, their name.
-  TypeRegistry<PartPlan, const std::string&> types;
-};
+class Parts;
 
-namespace config_detail {
-
-/// Which loop an object is made on.
-struct Placement {
-  std::string tier;
-  friend constexpr auto parameters(type_tag<Placement>) {
-    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop",
-                                    TextIs::recorded, names_part("tier")));
-  }
-};
-
-/// A sensor type's own parameters behind those of all sensors, on one level.
-template <class Common, class Own>
-struct Joined {
-  Common common{};
-  Placement placement{};
-  Own own{};
-  friend constexpr auto parameters(type_tag<Joined>) {
-    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement),
-                          include_member(&Joined::own));
-  }
-  friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
-    if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
-  }
-};
-
-template <class C>
-std::optional<SensorLoad> load_of(const SensorConfig& common, const C& config) {
-  SensorLoad load{common.name, common.rate.period(), {}, {}};
-  if (common.start) load.phase = common.phase;
-  if constexpr (requires { ReadTime{read_time(config)}; }) load.time = read_time(config);
-  if (common.read_time) (load.time.lane.empty() ? load.time.on_loop : load.time.on_lane) = common.read_time;
-  return load;
-}
-template <class C>
-std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
-  if constexpr (requires { ReadTime{read_time(config)}; }) {
-    return SensorLoad{common.name, Duration{0}, {}, read_time(config)};
-  } else {
-    return std::nullopt;
-  }
-}
-
-/// What the sensor publishes; an empty topic is as its name.
-PublishedTopic published_topic(const std::string& name, const std::string& topic,
-                               Result<std::shared_ptr<const Description>> description);
-/// The name of a sink: as it is given, or its path, or its type.
-std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
-
-/// Whether a factory of sensors takes these settings, with or without the parts that are made.
-template <class Make, class Common, class C>
-inline constexpr bool makes_sensor_of = std::is_invocable_v<const Make&, Loop&, const Common&, const C&> ||
-                                        std::is_invocable_v<const Make&, Loop&, const Common&, const C&, const Parts&>;
-
-/// Calls a factory, with the parts when it takes them.
-template <class Make, class... Arguments>
-decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... arguments) {
-  if constexpr (std::is_invocable_v<const Make&, Arguments&..., const Parts&>)
-    return make(arguments..., parts);
-  else
-    return make(arguments...);
-}
-
-}  // namespace config_detail
-
-/// For a type without parameters of its own.
-struct NoParameters {
-  friend constexpr auto parameters(type_tag<NoParameters>) { return parameter_list(); }
-};
-
-class Registry {
+/// Owns what a part was made into, of any type. Destroying it closes the part. Move-only; empty when default-made or
+/// moved from.
+class PartObject {
  public:
-  Registry();
-
-  /// `doc`: a phrase in lower case. `describe(const C&)`: the description of its events, or a Result of one; null when
-  /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
-  template <Configurable C, class Describe, class Make>
-  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
-    constexpr bool is_scheduled = config_detail::makes_sensor_of<Make, SensorConfig, C>;
-    static_assert(is_scheduled || config_detail::makes_sensor_of<Make, FeedConfig, C>,
-                  "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
-                  "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
-    using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
-    using All = config_detail::Joined<Common, C>;
-    add_type<All>("sensor", type, std::move(doc), [describe, make](PartPlan& plan, const All& all) {
-      plan.name = all.common.name;
-      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
-      plan.publishes->load = config_detail::load_of(all.common, all.own);
-      plan.make = [make, all](Loop& loop, const Parts& parts) {
-        return PartObject::made_by<AnySensor>(
-            [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
-      };
-    });
+  PartObject() noexcept = default;
+  /// What `make()` returns, which need not be movable. It can be used as what it is and as a Base.
+  template <class Base, class Make>
+  static PartObject made_by(Make&& make) {
+    PartObject object;
+    object.holder_ = std::make_unique<HolderOf<Base, std::invoke_result_t<Make&>>>(make);
+    return object;
   }
 
-  /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
-  /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
-  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made. A
-  /// function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where `path` does
-  /// not: then two sinks on one are found too. A function `is_beside(const C&, const std::string& file, const std::string&
-  /// other)` there says which files go with one that it writes, such as a log or a lock: then they are no other sink's.
-  template <Configurable C, class Path, class Make>
-  void add_sink(const std::string& type, std::string doc, Path path, Make make) {
-    static_assert(
-        requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
-        "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
-    add_type<C>("sink", type, std::move(doc), [path, make](PartPlan& plan, const C& config) {
-      C named = config;
-      named.sink.name = plan.name = config_detail::sink_name(plan.type, path(config), config.sink);
-      StoredTopics& stores = plan.stores.emplace();
-      stores.path = path(config);
-      stores.topics = config.sink.topics;
-      stores.close_deadline = config.sink.close_deadline;
-      if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
-        stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
-          return refused_topics(config, topics);
-        };
-      }
-      if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
-        stores.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
-      if constexpr (requires(const std::string& file) { is_beside(config, file, file); })
-        stores.is_beside = [config](const std::string& file, const std::string& other) {
-          return is_beside(config, file, other);
-        };
-      plan.make = [make, named](Loop& loop, const Parts& parts) {
-        return PartObject::made_by<Sink>([&] { return config_detail::call_factory(make, parts, loop, named); });
-      };
-    });
+  /// Null when it can be used as no T.
+  template <class T>
+  T* as() const noexcept {
+    return holder_ == nullptr ? nullptr : static_cast<T*>(holder_->as(typeid(T)));
   }
-
-  /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
-  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from the
-  /// threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for a reading
-  /// that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in both).
-  template <Configurable C, class Make>
-  void add_bus(const std::string& type, std::string doc, Make make) {
-    add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
-      plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
-        using Bus = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
-        return PartObject::made_by<Bus>(
-            [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
-      };
-    });
-  }
-
-  const TypeRegistryBase& sensors() const { return types("sensor"); }
-  const TypeRegistryBase& sinks() const { return types("sink"); }
-  const TypeRegistryBase& buses() const { return types("bus"); }
-  /// In the order in which their parts are made.
-  const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
-  /// The JSON Schema (draft-07) of a whole configuration file.
-  std::string schema() const;
 
  private:
-  const TypeRegistryBase& types(std::string_view kind) const;
-  template <Configurable C>
-  void add_type(std::string_view kind, const std::string& type, std::string doc,
-                std::function<void(PartPlan&, const C&)> plan) {
-    const auto make_plan = [kind = std::string(kind), type, plan](const std::string& name, const C& config) {
-      PartPlan made;
-      made.kind = kind;
-      made.type = type;
-      made.name = name;
-      plan(made, config);
-      return made;
-    };
-    for (PartKind& known : kinds_)
-      if (known.name == kind) known.types.template add<C>(type, std::move(doc), make_plan);
-  }
+  struct Holder {
+    virtual ~Holder() = default;
+    virtual void* as(const std::type_info& type) noexcept = 0;
+  };
+  template <class Base, class T>
+  struct HolderOf final : Holder {
+    template <class Make>
+    explicit HolderOf(Make& make) : object(make()) {}
+    void* as(const std::type_info& type) noexcept override {
+      if (type == typeid(Base)) return static_cast<Base*>(&object);
+      return type == typeid(T) ? &object : nullptr;
+    }
+    T object;
+  };
+  std::unique_ptr<Holder> holder_;
+};
 
-  std::vector<PartKind> kinds_;
+/// That a part uses another, because one of its parameters names it (`names_part`, parameter.hpp).
+struct PartUse {
+  std::string kind;  ///< "bus"; "topic": whatever publishes it
+  std::string name;
+  std::vector<std::string> types;  ///< that the other may be of; empty: of any
+  ConfigItem item;                 ///< that names it
+};
+
+/// Of a part that publishes: what is known before it is made.
+struct PublishedTopic {
+  std::string topic;                               ///< never empty
+  std::shared_ptr<const Description> description;  ///< null: known only once it is made
+  std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
+};
+
+/// Of a part that stores events.
+struct StoredTopics {
+  std::vector<std::string> topics;
+  std::string path;            ///< the file it writes; "-" for standard output, empty for none
+  Duration close_deadline{0};  ///< how long closing may wait for it
+  /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
+  std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
+  /// The file that a topic's events go to; empty: all go to `path`.
+  std::function<std::string(std::string_view topic)> file_of_topic = {};
+  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has the
+  /// files that it writes and no others.
+  std::function<bool(const std::string& file, const std::string& other)> is_companion_file = {};
+
+  bool wants(std::string_view topic) const noexcept;
+};
+
+struct PartPlan {
+  std::string kind;  ///< "tier", "bus", "sink", "sensor"
+  std::string type;  ///< empty for a tier
+  std::string name;
+  ConfigItem item;  ///< it was made from
+  std::vector<PartUse> uses = {};
+  std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
+  std::optional<PublishedTopic> publishes = {};
+  std::optional<StoredTopics> stores = {};
+  /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
+  std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
+
+  /// The tier that it runs on; empty: the main loop.
+  std::string_view tier() const noexcept;
+  /// "sensor chamber"
+  std::string object() const { return kind + " " + name; }
+};
+
+/// The parts of a system that are made.
+class Parts {
+ public:
+  Parts() = default;
+  Parts(const Parts&) = delete;
+  Parts& operator=(const Parts&) = delete;
+  ~Parts();
+
+  /// The part as what its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it is removed.
+  /// SetupError: there is none of that name (not-found, with the nearest); it is no T (bad-argument).
+  template <class T>
+  T& get(std::string_view kind, std::string_view name) const {
+    if (T* object = part_named(kind, name).object.as<T>()) return *object;
+    refuse_type(kind, name);
+  }
+  /// In the order in which they were made.
+  std::vector<std::string> names(std::string_view kind) const;
+
+ private:
+  friend class System;
+  struct Part {
+    PartPlan plan;
+    PartObject object;
+  };
+  Part& part_named(std::string_view kind, std::string_view name) const;
+  [[noreturn]] void refuse_type(std::string_view kind, std::string_view name) const;
+  void add(std::unique_ptr<Part> part);
+  void remove(std::string_view kind, std::string_view name);
+
+  std::vector<std::unique_ptr<Part>> made_;
+  std::map<std::pair<std::string, std::string>, Part*> by_name_;
 };
 
 }  // namespace rtdata

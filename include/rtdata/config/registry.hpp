@@ -1,130 +1,238 @@
-/// TypeRegistry: makes objects by the "type" that a configuration item names.
+/// Registry: the types of sensors, sinks and buses that configurations can name, and what each makes of its item.
 ///
-/// A registry is an object, not a global: a program fills one and hands it on. `Product` is what its factories make,
-/// `Context` what they are given beside the configuration.
+///     Registry registry;
+///     registry.add_sensor<AnalogConfig>(
+///         "analog", "a sensor behind a converter of the kernel",
+///         [](const AnalogConfig& config) { return analog_description(config.unit); },
+///         [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
+///           return AnalogSensor(loop, common, config);
+///         });
+///     registry.add_sink<LinesConfig>(
+///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
+///         [](Loop& loop, const LinesConfig& config) {
+///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
+///         });
+///     registry.add_bus<WireConfig>(
+///         "wire", "one wire", [](Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
 ///
-///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
-///     pumps.add<GearPumpConfig>("gear", "a gear pump with a step motor",
-///                               [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
-///     pumps.check(item, problems);            // every mistake of the item, nothing is made
-///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
+/// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
+/// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
+/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that
+/// is not known.
 ///
-/// The registry of all kinds of parts that a configuration knows is `Registry` (config/parts.hpp), which is made of these.
+/// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
+/// type. The part is then there when the factory is called, which takes `const Parts&` as its last argument:
 ///
-/// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
-/// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
+///     [](Loop& loop, const SensorConfig& common, const ProbeConfig& config, const Parts& parts) {
+///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
+///     }
+///
+/// Owner: the program; nothing is global. Filled by one thread, then read by any.
+/// Errors: adding a type twice throws SetupError (bad_argument).
 #pragma once
 
-#include <cstddef>
+#include <concepts>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
-#include <string_view>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/read.hpp"
+#include "rtdata/config/parts.hpp"
+#include "rtdata/config/type_registry.hpp"
+#include "rtdata/sensors/sensor_parameters.hpp"
+#include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {
 
-/// What all registries share.
-class TypeRegistryBase {
- public:
-  /// All types, in the order they were added; the common parameters come first in each.
-  std::vector<TypeInfo> types() const;
-  /// Nothing when there is no such type.
-  std::optional<TypeInfo> find(std::string_view type) const;
-  /// The JSON Schema (draft-07) of an item of any type.
-  std::string schema() const { return rtdata::schema(types()); }
-
- protected:
-  static constexpr std::size_t none = static_cast<std::size_t>(-1);
-
-  TypeRegistryBase(std::string what, std::vector<ParameterInfo> common);
-  ~TypeRegistryBase() = default;
-  TypeRegistryBase(const TypeRegistryBase&) = default;
-  TypeRegistryBase& operator=(const TypeRegistryBase&) = default;
-  TypeRegistryBase(TypeRegistryBase&&) = default;
-  TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
-
-  using Parameters = std::vector<ParameterInfo> (*)();
-  /// `parameters` is called when somebody asks for them: making things needs none.
-  void add_type(std::string type, std::string doc, Parameters parameters);
-  /// Which type the item names; `none`, with a problem, when it names none of these.
-  std::size_t type_of(const ConfigItem& item, Problems& problems) const;
-  /// "type" and the common keys: known, but not the Config's.
-  std::vector<std::string> other_keys() const;
-  static Error placed(Error error, const ConfigItem& item);
-
- private:
-  struct Type {
-    std::string name;
-    std::string doc;
-    Parameters parameters;
+/// A kind of part that a configuration lists: its key in the file and its types.
+struct PartKind {
+  enum class Written {
+    list,     ///< of objects, each with a `name` of its own or one by default
+    by_name,  ///< an object; its keys are the names
   };
-  TypeInfo info_of(const Type& type) const;
-
-  std::string what_;
-  std::vector<ParameterInfo> common_;
-  std::vector<Type> types_;
+  std::string name;  ///< "sensor"
+  std::string key;   ///< "sensors"
+  std::string doc;
+  Written written = Written::list;
+  /// A plan is made from the item and, where parts are written by name, their name.
+  TypeRegistry<PartPlan, const std::string&> types;
 };
 
-template <class Product, class... Context>
-class TypeRegistry : public TypeRegistryBase {
+namespace config_detail {
+
+/// Which loop an object is made on.
+struct Placement {
+  std::string tier;
+  friend constexpr auto parameters(type_tag<Placement>) {
+    return parameter_list(parameter("tier", &Placement::tier, "the tier that it runs on; default: the main loop",
+                                    TextIs::recorded, names_part("tier")));
+  }
+};
+
+/// A sensor type's own parameters behind those of all sensors, on one level.
+template <class Common, class Own>
+struct Joined {
+  Common common{};
+  Placement placement{};
+  Own own{};
+  friend constexpr auto parameters(type_tag<Joined>) {
+    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement),
+                          include_member(&Joined::own));
+  }
+  friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
+    if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
+  }
+};
+
+template <class C>
+std::optional<SensorLoad> load_of(const SensorConfig& common, const C& config) {
+  SensorLoad load{common.name, common.rate.period(), {}, {}};
+  if (common.start) load.phase = common.phase;
+  if constexpr (requires { ReadTime{read_time(config)}; }) load.time = read_time(config);
+  if (common.read_time) (load.time.lane.empty() ? load.time.on_loop : load.time.on_lane) = common.read_time;
+  return load;
+}
+template <class C>
+std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
+  if constexpr (requires { ReadTime{read_time(config)}; }) {
+    return SensorLoad{common.name, Duration{0}, {}, read_time(config)};
+  } else {
+    return std::nullopt;
+  }
+}
+
+/// What the sensor publishes; an empty topic is as its name.
+PublishedTopic published_topic(const std::string& name, const std::string& topic,
+                               Result<std::shared_ptr<const Description>> description);
+/// The name of a sink: as it is given, or its path, or its type.
+std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
+
+/// Whether a factory of sensors takes these settings, with or without the parts that are made.
+template <class Make, class Common, class C>
+inline constexpr bool makes_sensor_of = std::is_invocable_v<const Make&, Loop&, const Common&, const C&> ||
+                                        std::is_invocable_v<const Make&, Loop&, const Common&, const C&, const Parts&>;
+
+/// Calls a factory, with the parts when it takes them.
+template <class Make, class... Arguments>
+decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... arguments) {
+  if constexpr (std::is_invocable_v<const Make&, Arguments&..., const Parts&>)
+    return make(arguments..., parts);
+  else
+    return make(arguments...);
+}
+
+}  // namespace config_detail
+
+/// For a type without parameters of its own.
+struct NoParameters {
+  friend constexpr auto parameters(type_tag<NoParameters>) { return parameter_list(); }
+};
+
+class Registry {
  public:
-  /// `what`: what a type is one of, in messages ("sensor"). `common`: parameters that items of every type have beside
-  /// those of its Config, and that the caller reads itself: `parameters_of<Common>()` here, and
-  /// `read_config(item, common, problems, UnknownKeys::ignore)` there.
-  explicit TypeRegistry(std::string what, std::vector<ParameterInfo> common = {})
-      : TypeRegistryBase(std::move(what), std::move(common)) {}
+  Registry();
 
-  template <Configurable Config>
-  void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory) {
-    add_type(std::move(type), std::move(doc), &parameters_of<Config>);
-    const auto read = [](const ConfigItem& item, Config& config, const std::vector<std::string>& others,
-                         Problems& problems) {
-      return read_config(item, config, problems, UnknownKeys::report, others);
-    };
-    entries_.push_back(
-        {[read](const ConfigItem& item, const std::vector<std::string>& others, Problems& problems) {
-           Config config{};
-           return read(item, config, others, problems);
-         },
-         [read, factory = std::move(factory)](const ConfigItem& item, const std::vector<std::string>& others,
-                                              Context... context) -> Product {
-           Config config{};
-           Problems problems;
-           if (!read(item, config, others, problems)) throw ConfigError(std::move(problems));
-           return factory(std::forward<Context>(context)..., config);
-         }});
+  /// `doc`: a phrase in lower case. `describe(const C&)`: the description of its events, or a Result of one; null when
+  /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
+  template <Configurable C, class Describe, class Make>
+  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
+    constexpr bool is_scheduled = config_detail::makes_sensor_of<Make, SensorConfig, C>;
+    static_assert(is_scheduled || config_detail::makes_sensor_of<Make, FeedConfig, C>,
+                  "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
+                  "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
+    using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
+    using All = config_detail::Joined<Common, C>;
+    add_type<All>("sensor", type, std::move(doc), [describe, make](PartPlan& plan, const All& all) {
+      plan.name = all.common.name;
+      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
+      plan.publishes->load = config_detail::load_of(all.common, all.own);
+      plan.make = [make, all](Loop& loop, const Parts& parts) {
+        return PartObject::made_by<AnySensor>(
+            [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
+      };
+    });
   }
 
-  /// Reads the item as the type it names and adds every mistake to `problems`. True when there is none.
-  bool check(const ConfigItem& item, Problems& problems) const {
-    const std::size_t index = type_of(item, problems);
-    return index != none && entries_[index].check(item, other_keys(), problems);
+  /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
+  /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
+  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
+  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made. A
+  /// function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where `path` does
+  /// not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string& file, const std::string&
+  /// other)` there says which files go with one that it writes, such as a log or a lock: then they are no other sink's.
+  template <Configurable C, class Path, class Make>
+  void add_sink(const std::string& type, std::string doc, Path path, Make make) {
+    static_assert(
+        requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
+        "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
+    add_type<C>("sink", type, std::move(doc), [path, make](PartPlan& plan, const C& config) {
+      C named = config;
+      named.sink.name = plan.name = config_detail::sink_name(plan.type, path(config), config.sink);
+      StoredTopics& stores = plan.stores.emplace();
+      stores.path = path(config);
+      stores.topics = config.sink.topics;
+      stores.close_deadline = config.sink.close_deadline;
+      if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
+        stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
+          return refused_topics(config, topics);
+        };
+      }
+      if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
+        stores.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
+      if constexpr (requires(const std::string& file) { is_companion_file(config, file, file); })
+        stores.is_companion_file = [config](const std::string& file, const std::string& other) {
+          return is_companion_file(config, file, other);
+        };
+      plan.make = [make, named](Loop& loop, const Parts& parts) {
+        return PartObject::made_by<Sink>([&] { return config_detail::call_factory(make, parts, loop, named); });
+      };
+    });
   }
 
-  /// Makes what the item says. Throws ConfigError when it has mistakes, and SetupError what the factory threw.
-  Product create(const ConfigItem& item, Context... context) const {
-    Problems problems;
-    const std::size_t index = type_of(item, problems);
-    if (index == none) throw ConfigError(std::move(problems));
-    try {
-      return entries_[index].create(item, other_keys(), std::forward<Context>(context)...);
-    } catch (const ConfigError&) {
-      throw;
-    } catch (const SetupError& error) {
-      throw SetupError(placed(error.error(), item));
-    }
+  /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
+  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from the
+  /// threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for a reading
+  /// that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in both).
+  template <Configurable C, class Make>
+  void add_bus(const std::string& type, std::string doc, Make make) {
+    add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
+      plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
+        using Bus = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
+        return PartObject::made_by<Bus>(
+            [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
+      };
+    });
   }
+
+  const TypeRegistryBase& sensors() const { return types("sensor"); }
+  const TypeRegistryBase& sinks() const { return types("sink"); }
+  const TypeRegistryBase& buses() const { return types("bus"); }
+  /// In the order in which their parts are made.
+  const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
+  /// The JSON Schema (draft-07) of a whole configuration file.
+  std::string schema() const;
 
  private:
-  struct Entry {
-    std::function<bool(const ConfigItem&, const std::vector<std::string>&, Problems&)> check;
-    std::function<Product(const ConfigItem&, const std::vector<std::string>&, Context...)> create;
-  };
-  std::vector<Entry> entries_;
+  const TypeRegistryBase& types(std::string_view kind) const;
+  template <Configurable C>
+  void add_type(std::string_view kind, const std::string& type, std::string doc,
+                std::function<void(PartPlan&, const C&)> plan) {
+    const auto make_plan = [kind = std::string(kind), type, plan](const std::string& name, const C& config) {
+      PartPlan made;
+      made.kind = kind;
+      made.type = type;
+      made.name = name;
+      plan(made, config);
+      return made;
+    };
+    for (PartKind& known : kinds_)
+      if (known.name == kind) known.types.template add<C>(type, std::move(doc), make_plan);
+  }
+
+  std::vector<PartKind> kinds_;
 };
 
 }  // namespace rtdata

@@ -31,7 +31,7 @@
 #include <vector>
 
 #include "rtdata/config/format.hpp"
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 #include "rtdata/config/settings.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"

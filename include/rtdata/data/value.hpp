@@ -37,6 +37,6 @@ std::string to_string(const Value& value);
 bool is_present(const Leaf& leaf, const std::byte* payload) noexcept;
 
 /// Where the value of a leaf lies; null when it is absent.
-const std::byte* value_bytes(const Leaf& leaf, const std::byte* payload) noexcept;
+const std::byte* find_value(const Leaf& leaf, const std::byte* payload) noexcept;
 
 }  // namespace rtdata

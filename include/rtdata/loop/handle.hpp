@@ -55,7 +55,7 @@ class Node {
   /// Ends all activity; the captures go now, or when the running callback returns.
   void close() noexcept;
   /// Fills in the name and times of its callbacks. False when it has none.
-  virtual bool tell_times(CallbackStatus&) const { return false; }
+  virtual bool report_times(CallbackStatus&) const { return false; }
   /// The same name; empty when it has none. Any thread, as long as the node is listed in its loop.
   virtual std::string callback_name() const { return {}; }
 

@@ -93,7 +93,7 @@ class SubscriptionNode : public Node {
   const std::string& pattern() const noexcept { return pattern_; }
   SubscriptionCounts counts() const noexcept;
   void report_exception(const char* what) noexcept;
-  bool tell_times(CallbackStatus& status) const override;
+  bool report_times(CallbackStatus& status) const override;
   std::string callback_name() const override { return name; }
 
   std::string name;

@@ -1,6 +1,6 @@
 /// HostSensor: what this computer knows of itself.
 ///
-///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz}, {.what = HostQuantity::cpu});
+///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz}, {.quantity = HostQuantity::cpu});
 ///     auto s = loop.topic<rtdata::HostCpu>("host/cpu").subscribe(loop, [](const auto& e) { use(e->busy); });
 ///
 /// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity that it
@@ -129,7 +129,7 @@ struct HostFrequency {
 };
 
 struct HostConfig {
-  HostQuantity what = HostQuantity::cpu;
+  HostQuantity quantity = HostQuantity::cpu;
   std::string device = {};                     ///< which one, see HostQuantity
   std::string root = {};                       ///< put before /proc and /sys: where a container sees its host's
   Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
@@ -137,7 +137,7 @@ struct HostConfig {
   friend constexpr auto parameters(type_tag<HostConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("quantity", &HostConfig::what, "what is read", required),
+        parameter("quantity", &HostConfig::quantity, "what is read", required),
         parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency")),
         parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's",
@@ -167,7 +167,7 @@ class HostSensor : public AnySensor {
 
 /// One sensor that this machine has.
 struct HostSensorInfo {
-  HostQuantity what = HostQuantity::cpu;
+  HostQuantity quantity = HostQuantity::cpu;
   std::string device;  ///< for HostConfig::device
   std::string name;    ///< as the kernel calls it ("x86_pkg_temp"), or empty
 };

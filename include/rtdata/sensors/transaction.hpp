@@ -33,7 +33,7 @@ class Transaction : public LaneJob {
   /// Not called when the lane takes no more, or has given it up: then the destructor does it.
   virtual void close() noexcept {}
   /// Closes it, unless it hangs in `transact`.
-  void give_back() noexcept;
+  void close_unless_hung() noexcept;
 
  private:
   friend class SensorNode;
@@ -51,7 +51,7 @@ class LaneDevice {
   /// What opens the device, before the first read and after each fault. Null: there is nothing to open.
   virtual std::shared_ptr<Transaction> make_opening() { return nullptr; }
   /// Takes what an opening has found. Errors: the device cannot be opened.
-  virtual Result<void> opened(Transaction&) { return {}; }
+  virtual Result<void> take_opening(Transaction&) { return {}; }
   /// A fresh one: after each opening, and after one was given up.
   virtual std::shared_ptr<Transaction> make_transaction() = 0;
   /// Makes the payload of a finished transaction.

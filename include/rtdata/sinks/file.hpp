@@ -105,7 +105,7 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
 /// The path of the file that this topic's events go to.
 std::string file_of_topic(const FileConfig& config, std::string_view topic);
 /// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it when it is rotated.
-bool is_beside(const FileConfig& config, const std::string& file, const std::string& other);
+bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other);
 
 class FileSink : public Sink {
  public:

@@ -55,7 +55,7 @@ struct SqliteConfig {
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
 /// Whether `other` goes with the recording `file`: its log, the log's index, its journal or its lock.
-bool is_beside(const SqliteConfig& config, const std::string& file, const std::string& other);
+bool is_companion_file(const SqliteConfig& config, const std::string& file, const std::string& other);
 
 /// Whether what is at the path, if anything, is a recording, as far as its first bytes tell; the file is not changed.
 /// Errors: bad-argument (SQLite would take it for something else than the path of a file, or it is too long),

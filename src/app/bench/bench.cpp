@@ -15,7 +15,7 @@
 
 #include "app/bench/bench_measure.hpp"
 #include "app/bench/bench_text.hpp"
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "loop/support/processors.hpp"
 
 namespace rtdata::app {
@@ -141,7 +141,7 @@ class Bench {
         std::chrono::milliseconds{50});
   }
   void tell(const std::string& what) const {
-    stop_if_interrupted();
+    throw_if_interrupted();
     if (talks_) std::cerr << "\r\x1b[K" << (what.empty() ? "" : "measuring: " + what + " ...") << std::flush;
   }
 
@@ -156,7 +156,7 @@ class Bench {
       Ticks ours, bare;
       for (int turn = 0; turn < turns; ++turn) {
         tell(std::string(name) + ", part " + std::to_string(turn + 1) + " of " + std::to_string(turns));
-        OnTier on_tier = measure_tier(period, slice, options_.cpu);
+        TierMeasurement on_tier = measure_tier(period, slice, options_.cpu);
         ours.add(on_tier.ticks);
         granted = on_tier.scheduling;
         warnings_ = std::move(on_tier.warnings);
@@ -208,7 +208,7 @@ void catch_interrupts() {
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(signal, &action, nullptr);
 }
 
-void stop_if_interrupted() {
+void throw_if_interrupted() {
   if (interrupted != 0) throw Interrupted{};
 }
 

@@ -16,7 +16,7 @@ namespace rtdata::app {
 /// Thrown by what measures throughput, soon after SIGINT, SIGTERM or SIGHUP, once `catch_interrupts` was called.
 struct Interrupted {};
 void catch_interrupts();
-void stop_if_interrupted();
+void throw_if_interrupted();
 
 // ---- sampling
 
@@ -32,12 +32,12 @@ struct Ticks {
 };
 
 /// A ticker on a tier with a real-time policy, where that is permitted. `cpu`: where it runs; nothing: anywhere.
-struct OnTier {
+struct TierMeasurement {
   Ticks ticks;
   Scheduling scheduling;
   std::vector<std::string> warnings;
 };
-OnTier measure_tier(Duration period, Duration duration, std::optional<int> cpu);
+TierMeasurement measure_tier(Duration period, Duration duration, std::optional<int> cpu);
 
 /// What the kernel gives: an absolute timerfd and epoll, on a thread with the same priority.
 Ticks measure_bare_timer(Duration period, Duration duration, Scheduling scheduling, std::optional<int> cpu);

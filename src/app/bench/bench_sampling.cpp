@@ -18,13 +18,13 @@ std::size_t room_for(Duration period, Duration duration) { return static_cast<st
 
 }  // namespace
 
-OnTier measure_tier(Duration period, Duration duration, std::optional<int> cpu) {
+TierMeasurement measure_tier(Duration period, Duration duration, std::optional<int> cpu) {
   Loop loop;
   loop.runtime().on_log([](const LogRecord&) {});  // the warnings are printed at the end
   Tier::Config config{.name = "bench", .policy = SchedulingPolicy::fifo, .priority = 80};
   if (cpu) config.cpus = {*cpu};
   Tier tier(loop, config);
-  OnTier result;
+  TierMeasurement result;
   Ticks& ticks = result.ticks;
   ticks.lateness.resize(room_for(period, duration));  // touched
   std::size_t count = 0;

@@ -46,7 +46,7 @@ double measure_topic(Duration duration) {
   const auto begin = SteadyClock::now();
   const auto end = begin + duration;
   while (SteadyClock::now() < end) {
-    stop_if_interrupted();
+    throw_if_interrupted();
     for (int i = 0; i < 500; ++i) topic.publish({static_cast<double>(i), 1, 2, 3});
     loop.poll();
   }
@@ -66,7 +66,7 @@ double measure_bare_ring(Duration duration) {
   const auto begin = SteadyClock::now();
   const auto end = begin + duration;
   while (SteadyClock::now() < end) {
-    stop_if_interrupted();
+    throw_if_interrupted();
     for (std::size_t i = 0; i < 500; ++i) {
       Event<BenchSample>& event = ring[i];
       event.time = Time{clock.monotonic().time_since_epoch()};
@@ -134,7 +134,7 @@ Json measure_sink(const std::string& folder, Duration duration) {
   };
   const auto wait_until_at_most = [&](std::uint64_t queued) {
     while (sink.counts().queued > queued && is_good()) {
-      stop_if_interrupted();
+      throw_if_interrupted();
       loop.run_for(std::chrono::microseconds{100});
     }
   };
@@ -185,7 +185,7 @@ bool wait_until_closed(const std::string& folder) {
   const auto end = SteadyClock::now() + std::chrono::minutes{1};
   while (uses(folder)) {
     if (SteadyClock::now() >= end) return false;
-    stop_if_interrupted();
+    throw_if_interrupted();
     std::this_thread::sleep_for(std::chrono::milliseconds{10});
   }
   return true;
@@ -212,7 +212,7 @@ Json measure_bare_sqlite(const std::string& folder, Duration duration) {
   std::int64_t rows = 0;
   const auto begin = SteadyClock::now();
   while (works && SteadyClock::now() - begin < duration) {
-    stop_if_interrupted();
+    throw_if_interrupted();
     const auto from = SteadyClock::now();
     works = execute("BEGIN");
     for (std::size_t i = 0; works && i < rows_per_commit; ++i) {

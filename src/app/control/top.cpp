@@ -14,7 +14,7 @@
 #include <optional>
 
 #include "app/control/control_socket.hpp"
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/core/table.hpp"
 #include "data/rounded_time.hpp"
 #include "rtdata/loop/ledger.hpp"

@@ -18,9 +18,9 @@
 #include <vector>
 
 #ifdef RTDATA_WITH_SQLITE
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #endif
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/core/terminal_text.hpp"
 
 namespace rtdata {

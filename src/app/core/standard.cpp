@@ -81,7 +81,7 @@ Registry standard_registry() {
       });
   registry.add_sensor<HostConfig>(
       "host", "what this computer knows of itself: load, memory, temperature and so on",
-      [](const HostConfig& config) { return host_description(config.what); },
+      [](const HostConfig& config) { return host_description(config.quantity); },
       [](Loop& loop, const SensorConfig& common, const HostConfig& config) {
         return HostSensor(loop, common, config);
       });

@@ -9,7 +9,7 @@
 #include <ostream>
 #include <set>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {

@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
 

@@ -2,7 +2,7 @@
 
 #include <iostream>
 
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "rtdata/config/format.hpp"
@@ -57,7 +57,7 @@ std::string on_this_machine() {
   std::string text = "  on this machine:\n";
   for (const HostSensorInfo& info : available_host_sensors()) {
     ConfigItem quantity;
-    ConfigValue<HostQuantity>::write(info.what, quantity);
+    ConfigValue<HostQuantity>::write(info.quantity, quantity);
     text += "    " + *quantity.as_string();
     if (!info.device.empty()) text += ", device " + info.device;
     if (!info.name.empty() && info.name != info.device) text += " (" + info.name + ")";

@@ -2,7 +2,7 @@
 
 #include <ostream>
 
-#include "app/core/commands.hpp"
+#include "app/core/recording_commands.hpp"
 
 namespace rtdata::app {
 

@@ -1,6 +1,6 @@
 #include <iostream>
 
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/log_file.hpp"
 #include "rtdata/config/secret.hpp"

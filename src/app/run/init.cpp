@@ -6,7 +6,7 @@
 #include <fstream>
 #include <iostream>
 
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/run/async_writer.hpp"
 #include "app/run/starter.hpp"
 #include "rtdata/config/format.hpp"

@@ -11,7 +11,7 @@
 #include "app/control/control_socket.hpp"
 #include "app/control/live_view.hpp"
 #include "app/control/status.hpp"
-#include "app/core/subcommands.hpp"
+#include "app/core/configuration_commands.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/run/async_writer.hpp"
 #include "app/run/growth.hpp"

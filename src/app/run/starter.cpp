@@ -44,7 +44,7 @@ std::vector<Entry> host_entries() {
       entry("the computer", "scheduler", "10 Hz"), entry("", "memory", "2 Hz"), entry("", "cpu", "2 Hz"),
       entry("", "load", "1 Hz")};
   for (const HostSensorInfo& info : available_host_sensors()) {
-    if (info.what != HostQuantity::temperature) continue;
+    if (info.quantity != HostQuantity::temperature) continue;
     entries.push_back(entry("", "temperature", "1 Hz"));
     break;
   }

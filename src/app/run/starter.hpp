@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 
 namespace rtdata::app {
 

@@ -98,7 +98,7 @@ void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
 std::string Neighbours::conflict_with_configuration(const WrittenFile& written) const {
   if (!configuration_) return "";
   if (written.identity.is_same(*configuration_)) return "this is the configuration; choose another file";
-  if (configuration_->is_beside(written.identity, written.is_beside))
+  if (configuration_->is_companion_file(written.identity, written.is_companion_file))
     return "the configuration would be taken for a file beside \"" + written.path + "\"; choose another file";
   return "";
 }

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "config/plan/written_file.hpp"
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 #include "rtdata/config/settings.hpp"
 
 namespace rtdata::config_detail {

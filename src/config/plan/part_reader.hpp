@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 
 namespace rtdata::config_detail {
 

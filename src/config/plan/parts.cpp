@@ -1,63 +1,70 @@
 #include "rtdata/config/parts.hpp"
 
 #include <algorithm>
-#include <nlohmann/json.hpp>
 
-#include "rtdata/config/settings.hpp"
+#include "rtdata/loop/topic.hpp"
 
 namespace rtdata {
-namespace {
 
-using Json = nlohmann::ordered_json;
+bool StoredTopics::wants(std::string_view topic) const noexcept {
+  return std::any_of(topics.begin(), topics.end(),
+                     [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+}
 
-/// The schema of what a file says of the parts of a kind.
-Json schema_of_kind(const PartKind& kind) {
-  auto item = Json::parse(kind.types.schema());
-  item.erase("$schema");
-  Json json = Json::object();
-  if (kind.written == PartKind::Written::list) {
-    json["type"] = "array";
-    json["items"] = std::move(item);
-  } else {
-    Json by_name = Json::object();
-    by_name["type"] = "object";
-    by_name["additionalProperties"] = std::move(item);
-    json["anyOf"] = Json::array({std::move(by_name), Json{{"type", "array"}, {"maxItems", 0}}});
+std::string_view PartPlan::tier() const noexcept {
+  for (const PartUse& use : uses)
+    if (use.kind == "tier") return use.name;
+  return "";
+}
+
+Parts::~Parts() {
+  while (!made_.empty()) {
+    const std::unique_ptr<Part> last = std::move(made_.back());
+    made_.pop_back();
+    by_name_.erase({last->plan.kind, last->plan.name});
   }
-  json["description"] = kind.doc;
-  return json;
 }
 
-}  // namespace
-
-PublishedTopic config_detail::published_topic(const std::string& name, const std::string& topic,
-                                              Result<std::shared_ptr<const Description>> description) {
-  return {topic.empty() ? name : topic, std::move(description).or_throw(), std::nullopt};
+Parts::Part& Parts::part_named(std::string_view kind, std::string_view name) const {
+  const auto found = by_name_.find({std::string(kind), std::string(name)});
+  if (found != by_name_.end()) return *found->second;
+  const std::vector<std::string> known = names(kind);
+  const std::string nearest = nearest_name(name, known);
+  std::string advice = nearest.empty() ? "there is none" : "did you mean \"" + nearest + "\"?";
+  if (nearest.empty() && !known.empty()) {
+    advice = "there are";
+    for (std::size_t i = 0; i < known.size() && i < 12; ++i) advice.append(i == 0 ? " " : ", ").append(known[i]);
+  }
+  throw SetupError(
+      {Errc::not_found, "no such " + std::string(kind), "\"" + std::string(name) + "\"", "", std::move(advice)});
 }
 
-std::string config_detail::sink_name(const std::string& type, const std::string& path, const SinkConfig& config) {
-  if (!config.name.empty()) return config.name;
-  return path.empty() || path == "-" ? type : path;
+void Parts::refuse_type(std::string_view kind, std::string_view name) const {
+  const PartPlan& plan = part_named(kind, name).plan;
+  throw SetupError({Errc::bad_argument, "cannot use the " + plan.object(), plan.item.place().text(),
+                    "it is of type " + plan.type + ", whose class is another one",
+                    "declare which types a parameter may name (names_part)"});
 }
 
-Registry::Registry() {
-  using Types = TypeRegistry<PartPlan, const std::string&>;
-  kinds_.push_back({"bus", "buses", "what sensors are connected to, by name; each has a `type`",
-                    PartKind::Written::by_name, Types("bus")});
-  kinds_.push_back({"sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, Types("sink")});
-  kinds_.push_back({"sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, Types("sensor")});
+std::vector<std::string> Parts::names(std::string_view kind) const {
+  std::vector<std::string> names;
+  for (const auto& part : made_)
+    if (part->plan.kind == kind) names.push_back(part->plan.name);
+  return names;
 }
 
-const TypeRegistryBase& Registry::types(std::string_view kind) const {
-  return std::find_if(kinds_.begin(), kinds_.end(), [&](const PartKind& known) { return known.name == kind; })->types;
+void Parts::add(std::unique_ptr<Part> part) {
+  by_name_[{part->plan.kind, part->plan.name}] = part.get();
+  made_.push_back(std::move(part));
 }
 
-std::string Registry::schema() const {
-  auto json = Json::parse(
-      schema_of<SystemSettings>("rtdata configuration", "sensors, where their readings go, and the log"));
-  for (auto kind = kinds_.rbegin(); kind != kinds_.rend(); ++kind)
-    json["properties"][kind->key] = schema_of_kind(*kind);
-  return json.dump(2);
+/// The part leaves the list before it goes, since what it does at its end may look at the list.
+void Parts::remove(std::string_view kind, std::string_view name) {
+  const Part& part = part_named(kind, name);
+  const auto at = std::find_if(made_.begin(), made_.end(), [&](const auto& made) { return made.get() == &part; });
+  const std::unique_ptr<Part> last = std::move(*at);
+  made_.erase(at);
+  by_name_.erase({last->plan.kind, last->plan.name});
 }
 
 }  // namespace rtdata

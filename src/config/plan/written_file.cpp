@@ -58,19 +58,19 @@ bool FileIdentity::is_same(const FileIdentity& other) const noexcept {
   return target_ == other.target_ || (id_ && id_ == other.id_);
 }
 
-bool FileIdentity::is_beside(
+bool FileIdentity::is_companion_file(
     const FileIdentity& main,
-    const std::function<bool(const std::string& file, const std::string& other)>& is_beside) const {
-  if (!is_beside) return false;
+    const std::function<bool(const std::string& file, const std::string& other)>& is_companion_file) const {
+  if (!is_companion_file) return false;
   for (const std::string& file : {main.name_, main.target_}) {
-    if (is_beside(file, name_) || is_beside(file, target_)) return true;
+    if (is_companion_file(file, name_) || is_companion_file(file, target_)) return true;
     if (id_ && links_ > 1) {  // one of those that are there may be a hard link to this
       std::error_code failed;
       const fs::path folder = fs::path(file).parent_path();
       for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {
         nlink_t links = 0;
         const std::string there = entry->path().string();
-        if (is_beside(file, there) && id_of(there, links) == id_) return true;
+        if (is_companion_file(file, there) && id_of(there, links) == id_) return true;
       }
     }
     if (main.name_ == main.target_) break;
@@ -79,16 +79,16 @@ bool FileIdentity::is_beside(
 }
 
 WrittenFile written_file(const PartPlan& part, const std::string& path) {
-  return {path, "the " + part.kind + " at " + place_of(part.item), part.stores->is_beside};
+  return {path, "the " + part.kind + " at " + place_of(part.item), part.stores->is_companion_file};
 }
 
 std::string conflict(const WrittenFile& file, const WrittenFile& known) {
   if (file.identity.is_same(known.identity))
     return known.writer + " writes \"" + known.path + "\" already; two writers on one file destroy it; choose another";
-  if (file.identity.is_beside(known.identity, known.is_beside))
+  if (file.identity.is_companion_file(known.identity, known.is_companion_file))
     return "\"" + file.path + "\" is a file that " + known.writer + " keeps beside \"" + known.path +
            "\"; choose another";
-  if (known.identity.is_beside(file.identity, file.is_beside))
+  if (known.identity.is_companion_file(file.identity, file.is_companion_file))
     return "\"" + known.path + "\", which " + known.writer + " writes, would be taken for a file beside \"" +
            file.path + "\"; choose another";
   return "";

@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "rtdata/config/part.hpp"
+#include "rtdata/config/parts.hpp"
 #include "rtdata/config/settings.hpp"
 
 namespace rtdata::config_detail {
@@ -20,9 +20,10 @@ class FileIdentity {
 
   /// Also through symbolic links, of which what they lead to need not be there, and hard links.
   bool is_same(const FileIdentity& other) const noexcept;
-  /// Whether this is one of the files that go with `main`, by a function as StoredTopics::is_beside.
-  bool is_beside(const FileIdentity& main,
-                 const std::function<bool(const std::string& file, const std::string& other)>& is_beside) const;
+  /// Whether this is one of the files that go with `main`, by a function as StoredTopics::is_companion_file.
+  bool is_companion_file(
+      const FileIdentity& main,
+      const std::function<bool(const std::string& file, const std::string& other)>& is_companion_file) const;
 
  private:
   using Id = std::pair<dev_t, ino_t>;
@@ -37,7 +38,8 @@ class FileIdentity {
 struct WrittenFile {
   std::string path;    ///< as it is shown
   std::string writer;  ///< such as "the sink at bench.json:3:5"
-  std::function<bool(const std::string& file, const std::string& other)> is_beside;  ///< see StoredTopics; empty: none is
+  std::function<bool(const std::string& file, const std::string& other)>
+      is_companion_file;  ///< see StoredTopics; empty: none is
   FileIdentity identity{path};
 };
 

@@ -51,7 +51,7 @@ std::vector<CallbackStatus> Nodes::callbacks() const {
   std::vector<CallbackStatus> all;
   for (const Node* node = first_; node != nullptr; node = node->next_) {
     CallbackStatus status;
-    if (!node->tell_times(status)) continue;
+    if (!node->report_times(status)) continue;
     status.place = loop_.runtime.reports.place_of(status.name);
     all.push_back(std::move(status));
   }
@@ -73,7 +73,7 @@ void Nodes::go_on(const std::shared_ptr<CallbackSurvey>& survey) {
   for (std::size_t i = 0; i < CallbackSurvey::most_in_turn && survey->next_ != nullptr; ++i) {
     const Node* node = std::exchange(survey->next_, survey->next_->next_);
     CallbackStatus status;
-    if (!node->tell_times(status) || status.times.count == 0) continue;
+    if (!node->report_times(status) || status.times.count == 0) continue;
     status.place = loop_.runtime.reports.place_of(status.name);
     survey->callbacks_.push_back(std::move(status));
   }

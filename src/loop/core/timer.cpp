@@ -24,7 +24,7 @@ class TimerNode final : public Node, public Deadline {
       loop()->ref();
     }
   }
-  bool tell_times(CallbackStatus& status) const override {
+  bool report_times(CallbackStatus& status) const override {
     status.name = config_.name;
     status.times = times_;
     return true;
@@ -108,7 +108,7 @@ class TickerNode final : public Node, public RateMember {
   }
   std::string blame_name() const override { return config_.name; }
   std::string callback_name() const override { return config_.name; }
-  bool tell_times(CallbackStatus& status) const override {
+  bool report_times(CallbackStatus& status) const override {
     status.name = config_.name;
     status.times = times;
     return true;

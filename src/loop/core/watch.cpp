@@ -40,7 +40,7 @@ class FdWatchNode final : public Node {
     box_->handle.data = box_;
   }
   int failed() const noexcept { return failed_; }
-  bool tell_times(CallbackStatus& status) const override {
+  bool report_times(CallbackStatus& status) const override {
     status.name = name_;
     status.times = times_;
     return true;
@@ -100,7 +100,7 @@ class SignalWatchNode final : public Node {
     uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal is no work to be done
   }
   int failed() const noexcept { return failed_; }
-  bool tell_times(CallbackStatus& status) const override {
+  bool report_times(CallbackStatus& status) const override {
     status.name = name_;
     status.times = times_;
     return true;

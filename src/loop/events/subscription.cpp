@@ -63,7 +63,7 @@ void SubscriptionNode::on_close() noexcept {
   for_each_topic([this](TopicCore& topic) { topic.unlink(*this); });
 }
 
-bool SubscriptionNode::tell_times(CallbackStatus& status) const {
+bool SubscriptionNode::report_times(CallbackStatus& status) const {
   status.name = name;
   status.times = times;
   return true;

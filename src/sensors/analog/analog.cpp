@@ -35,7 +35,7 @@ class AnalogDevice final : public detail::LaneDevice {
     return std::make_shared<detail::FindFile>([file = config_.file] { return Result<std::string>(file); }, cannot_read,
                                               find_advice);
   }
-  Result<void> opened(detail::Transaction& opening) override {
+  Result<void> take_opening(detail::Transaction& opening) override {
     const auto& path = static_cast<detail::FindFile&>(opening).path();
     return path ? Result<void>() : Result<void>(path.error());
   }

@@ -14,7 +14,7 @@ constexpr std::string_view stopped = "stopped";
 class Closing final : public LaneJob {
  public:
   explicit Closing(std::shared_ptr<Transaction> transaction) noexcept : transaction_(std::move(transaction)) {}
-  void run() noexcept override { transaction_->give_back(); }
+  void run() noexcept override { transaction_->close_unless_hung(); }
   void done(Outcome) override {}
 
  private:
@@ -31,7 +31,7 @@ void Transaction::run() noexcept {
   is_under_way_.store(false, std::memory_order_release);
 }
 
-void Transaction::give_back() noexcept {
+void Transaction::close_unless_hung() noexcept {
   if (!is_under_way_.load(std::memory_order_acquire)) close();
 }
 
@@ -111,7 +111,7 @@ void SensorNode::opening_done(Transaction& opening, LaneJob::Outcome outcome) {
     const LoopCore::Calling user_code(loop()->runtime);
     side.opening = done;  // under way still: what the device does to the sensor ends it
     try {
-      opened = side.device->opened(opening);
+      opened = side.device->take_opening(opening);
     } catch (...) {
       opened = thrown("open() threw");
     }

@@ -176,7 +176,7 @@ std::optional<SensorLoad> SensorNode::load() const {
   return load;
 }
 
-bool SensorNode::tell_times(CallbackStatus& status) const {
+bool SensorNode::report_times(CallbackStatus& status) const {
   status.name = object_name();
   status.times = times;
   return true;

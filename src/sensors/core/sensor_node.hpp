@@ -34,7 +34,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   std::string callback_name() const override { return object_name(); }
-  bool tell_times(CallbackStatus& status) const override;
+  bool report_times(CallbackStatus& status) const override;
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
   void opening_done(Transaction& opening, LaneJob::Outcome outcome);

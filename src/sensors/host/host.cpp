@@ -120,7 +120,7 @@ class SysDevice final : public detail::LaneDevice {
   std::shared_ptr<detail::Transaction> make_opening() override {
     return std::make_shared<detail::FindFile>(find_, cannot_read, not_here);
   }
-  Result<void> opened(detail::Transaction& opening) override {
+  Result<void> take_opening(detail::Transaction& opening) override {
     const auto& path = static_cast<detail::FindFile&>(opening).path();
     if (!path) return path.error();
     path_ = *path;
@@ -308,7 +308,7 @@ const Quantity& quantity(HostQuantity what) {
 
 /// What to do about a device that is missing; null: it is not.
 const char* advice_on_missing_device(const HostConfig& config) {
-  return config.device.empty() ? quantity(config.what).device_advice : nullptr;
+  return config.device.empty() ? quantity(config.quantity).device_advice : nullptr;
 }
 
 }  // namespace
@@ -321,7 +321,7 @@ void check_config(const HostConfig& config, const ConfigItem& item, Problems& pr
 }
 
 ReadTime read_time(const HostConfig& config) {
-  const Quantity& one = quantity(config.what);
+  const Quantity& one = quantity(config.quantity);
   if (one.proc_file != nullptr) return {.on_loop = one.on_loop};
   // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
   return {.on_loop = detail::lane_read_on_loop,
@@ -335,7 +335,7 @@ HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
   if (const char* const advice = advice_on_missing_device(config); advice != nullptr) {
     throw SetupError({Errc::bad_argument, "cannot use this host sensor", "sensor " + sensor.name, no_device, advice});
   }
-  const Quantity& one = quantity(config.what);
+  const Quantity& one = quantity(config.quantity);
   *this = HostSensor(one.make(one, loop, std::move(sensor), config));
 }
 

@@ -21,7 +21,7 @@ class EscapedTexts {
   void look_at(const Record& record) {
     for (const Leaf& leaf : record.info->description->leaves()) {
       if (leaf.kind != Kind::text) continue;
-      const std::byte* at = value_bytes(leaf, record.payload.data());
+      const std::byte* at = find_value(leaf, record.payload.data());
       if (at != nullptr && needs_escape(text_at(leaf, at))) add(record.slot);
     }
   }

@@ -137,7 +137,7 @@ void SinkNode::tick(const Tick&) {
   if (is_open() && is_sync_due()) start_work();  // also when nothing more came
 }
 
-bool SinkNode::tell_times(CallbackStatus& status) const {
+bool SinkNode::report_times(CallbackStatus& status) const {
   status.name = object_name();
   status.times = times;
   return true;

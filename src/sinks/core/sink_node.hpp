@@ -44,7 +44,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   // ---- batches by time
   void tick(const Tick&) override;
   std::string blame_name() const override { return object_name(); }
-  bool tell_times(CallbackStatus& status) const override;
+  bool report_times(CallbackStatus& status) const override;
 
   // ---- what the taps tell
   enum class Hand { rows, rows_and_account };

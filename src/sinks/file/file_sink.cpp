@@ -317,7 +317,7 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
 
 std::string file_of_topic(const FileConfig& config, std::string_view topic) { return path_of(config.path, topic); }
 
-bool is_beside(const FileConfig& config, const std::string& file, const std::string& other) {
+bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other) {
   return (other.starts_with(file) && std::string_view(other).substr(file.size()) == ".half") ||
          (config.rotate.is_on() && Rotation::is_numbered(file, other));
 }

@@ -75,7 +75,7 @@ std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRe
   return refused;
 }
 
-bool is_beside(const SqliteConfig&, const std::string& file, const std::string& other) {
+bool is_companion_file(const SqliteConfig&, const std::string& file, const std::string& other) {
   if (!other.starts_with(file)) return false;
   const std::string_view ending = std::string_view(other).substr(file.size());
   return ending == "-wal" || ending == "-shm" || ending == "-journal" || ending == "-lock";

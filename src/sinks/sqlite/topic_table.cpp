@@ -298,7 +298,7 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
         break;
       default:
         if (column.leaf->kind == Kind::text) {
-          const std::byte* value = value_bytes(*column.leaf, payload);
+          const std::byte* value = find_value(*column.leaf, payload);
           if (value == nullptr) {
             sqlite3_bind_null(statement, index);
             hash_.null();

@@ -4,7 +4,7 @@
 #include <optional>
 #include <string>
 
-#include "rtdata/config/parts.hpp"
+#include "rtdata/config/registry.hpp"
 
 namespace rtdata::app {
 

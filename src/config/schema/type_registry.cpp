@@ -1,4 +1,4 @@
-#include "rtdata/config/registry.hpp"
+#include "rtdata/config/type_registry.hpp"
 
 namespace rtdata {
 

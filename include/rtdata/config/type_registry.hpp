@@ -1,0 +1,130 @@
+/// TypeRegistry: makes objects by the "type" that a configuration item names.
+///
+/// A registry is an object, not a global: a program fills one and hands it on. `Product` is what its factories make,
+/// `Context` what they are given beside the configuration.
+///
+///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
+///     pumps.add<GearPumpConfig>("gear", "a gear pump with a step motor",
+///                               [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
+///     pumps.check(item, problems);            // every mistake of the item, nothing is made
+///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
+///
+/// The registry of all kinds of parts that a configuration knows is `Registry` (config/registry.hpp), which is made of these.
+///
+/// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
+/// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "rtdata/config/read.hpp"
+
+namespace rtdata {
+
+/// What all registries share.
+class TypeRegistryBase {
+ public:
+  /// All types, in the order they were added; the common parameters come first in each.
+  std::vector<TypeInfo> types() const;
+  /// Nothing when there is no such type.
+  std::optional<TypeInfo> find(std::string_view type) const;
+  /// The JSON Schema (draft-07) of an item of any type.
+  std::string schema() const { return rtdata::schema(types()); }
+
+ protected:
+  static constexpr std::size_t none = static_cast<std::size_t>(-1);
+
+  TypeRegistryBase(std::string what, std::vector<ParameterInfo> common);
+  ~TypeRegistryBase() = default;
+  TypeRegistryBase(const TypeRegistryBase&) = default;
+  TypeRegistryBase& operator=(const TypeRegistryBase&) = default;
+  TypeRegistryBase(TypeRegistryBase&&) = default;
+  TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
+
+  using Parameters = std::vector<ParameterInfo> (*)();
+  /// `parameters` is called when somebody asks for them: making things needs none.
+  void add_type(std::string type, std::string doc, Parameters parameters);
+  /// Which type the item names; `none`, with a problem, when it names none of these.
+  std::size_t type_of(const ConfigItem& item, Problems& problems) const;
+  /// "type" and the common keys: known, but not the Config's.
+  std::vector<std::string> other_keys() const;
+  static Error placed(Error error, const ConfigItem& item);
+
+ private:
+  struct Type {
+    std::string name;
+    std::string doc;
+    Parameters parameters;
+  };
+  TypeInfo info_of(const Type& type) const;
+
+  std::string what_;
+  std::vector<ParameterInfo> common_;
+  std::vector<Type> types_;
+};
+
+template <class Product, class... Context>
+class TypeRegistry : public TypeRegistryBase {
+ public:
+  /// `what`: what a type is one of, in messages ("sensor"). `common`: parameters that items of every type have beside
+  /// those of its Config, and that the caller reads itself: `parameters_of<Common>()` here, and
+  /// `read_config(item, common, problems, UnknownKeys::ignore)` there.
+  explicit TypeRegistry(std::string what, std::vector<ParameterInfo> common = {})
+      : TypeRegistryBase(std::move(what), std::move(common)) {}
+
+  template <Configurable Config>
+  void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory) {
+    add_type(std::move(type), std::move(doc), &parameters_of<Config>);
+    const auto read = [](const ConfigItem& item, Config& config, const std::vector<std::string>& others,
+                         Problems& problems) {
+      return read_config(item, config, problems, UnknownKeys::report, others);
+    };
+    entries_.push_back(
+        {[read](const ConfigItem& item, const std::vector<std::string>& others, Problems& problems) {
+           Config config{};
+           return read(item, config, others, problems);
+         },
+         [read, factory = std::move(factory)](const ConfigItem& item, const std::vector<std::string>& others,
+                                              Context... context) -> Product {
+           Config config{};
+           Problems problems;
+           if (!read(item, config, others, problems)) throw ConfigError(std::move(problems));
+           return factory(std::forward<Context>(context)..., config);
+         }});
+  }
+
+  /// Reads the item as the type it names and adds every mistake to `problems`. True when there is none.
+  bool check(const ConfigItem& item, Problems& problems) const {
+    const std::size_t index = type_of(item, problems);
+    return index != none && entries_[index].check(item, other_keys(), problems);
+  }
+
+  /// Makes what the item says. Throws ConfigError when it has mistakes, and SetupError what the factory threw.
+  Product create(const ConfigItem& item, Context... context) const {
+    Problems problems;
+    const std::size_t index = type_of(item, problems);
+    if (index == none) throw ConfigError(std::move(problems));
+    try {
+      return entries_[index].create(item, other_keys(), std::forward<Context>(context)...);
+    } catch (const ConfigError&) {
+      throw;
+    } catch (const SetupError& error) {
+      throw SetupError(placed(error.error(), item));
+    }
+  }
+
+ private:
+  struct Entry {
+    std::function<bool(const ConfigItem&, const std::vector<std::string>&, Problems&)> check;
+    std::function<Product(const ConfigItem&, const std::vector<std::string>&, Context...)> create;
+  };
+  std::vector<Entry> entries_;
+};
+
+}  // namespace rtdata
