@@ -526,6 +526,36 @@ TEST_SUITE("loop") {
     CHECK(loop.runtime().balances());
   }
 
+  TEST_CASE("US-8 what found no room before a name was given up is told of, although the loop that gave it up hangs") {
+    Loop loop{virtual_time()};
+    Tier fast(loop, {.name = "fast", .hold_limit = 60s, .ring_bytes = 4096});
+    Tier slow(loop, {.name = "slow"});
+    auto subscription = loop.subscribe<Count>("x", [](const Event<Count>&) {});
+    fast.start();
+    slow.start();
+    bool is_given_up = false, let_go = false;
+    fast.loop().post([&] {
+      {
+        Feed<Count> feed(fast.loop(), {.name = "x"});
+        for (std::uint64_t i = 0; i < 1000; ++i) feed.publish({i});
+      }
+      is_given_up = true;
+      while (!let_go) loop.manual_clock().pass(1ms);
+    });
+    CHECK(run_until(loop, [&] { return is_given_up; }));
+    auto feed = slow.call([](Loop& on) { return Feed<Count>(on, {.name = "x"}); });
+    slow.call([&](Loop&) { feed.publish({1000}); });
+    CHECK(run_until(loop, [&] { return subscription.counts().offered == 1001; }));
+    CHECK_FALSE(let_go);
+    CHECK(subscription.counts().dropped > 0);
+    CHECK(loop.runtime().topics().at(0).published == 1001);
+    REQUIRE(loop.runtime().sensors().size() == 1);
+    CHECK(loop.runtime().sensors()[0].loop == "slow");
+    let_go = true;
+    CHECK(loop.close() == 0);
+    CHECK(loop.runtime().balances());
+  }
+
   TEST_CASE("a tier that is made again with the same sensors reaches the main loop again") {
     Loop loop{virtual_time()};
     std::uint64_t seen = 0;

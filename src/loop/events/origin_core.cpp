@@ -5,7 +5,6 @@
 
 #include "loop/events/topic_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/tier/bridge.hpp"
 
 namespace rtdata::detail {
 
@@ -45,15 +44,6 @@ void OriginCore::adopt(const State& state) {
   period_ = Duration{0};
   is_mirror = false;
   gap_is_open_ = false;  // the last holder of the name has closed it
-  if (passage != nullptr) passage->receiving.is_past = true;
-  passage = nullptr;
-}
-
-void OriginCore::become_mirror(Passage& from) noexcept {
-  is_mirror = true;
-  if (passage != nullptr) passage->receiving.is_past = true;
-  passage = &from;
-  from.receiving.mirror = this;
 }
 
 void OriginCore::mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way,

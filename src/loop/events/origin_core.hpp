@@ -82,7 +82,7 @@ class OriginCore {
   /// Null: none.
   const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_.gap : nullptr; }
 
-  /// What goes on when another loop takes the name over.
+  /// What goes on when the name is claimed again, on this loop or another.
   struct State {
     SensorCounts counts;
     std::uint64_t sequence = 0;
@@ -92,10 +92,8 @@ class OriginCore {
     Outages outages{};  // that have ended
   };
   State state() const noexcept { return {counts, sequence, last_time, free_from(), supply, ended_outages()}; }
-  /// It publishes on this loop from here on.
+  /// It publishes on this loop from here on. Nothing changes when it is this loop that gave up the name.
   void adopt(const State& state);
-  /// It publishes on another loop from here on.
-  void become_mirror(Passage& passage) noexcept;
   /// Sets a mirror's account to the one that the origin's loop has sent. `under_way`: the segment that has not ended; period 0: none.
   /// `gap`: under way; null: none.
   void mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
@@ -116,7 +114,7 @@ class OriginCore {
   const std::uint32_t index;     ///< within its topic
   bool is_claimed = false;       ///< a sensor or feed of this name exists now on this loop
   bool is_mirror = false;        ///< it publishes on another loop, from which a bridge brings events and accounts
-  Supply supply = Supply::none;  ///< of its first claim on this loop
+  Supply supply = Supply::none;  ///< of its last claim, once it has published
 
  private:
   bool gap_is_open_ = false;
@@ -124,7 +122,6 @@ class OriginCore {
  public:
   SensorCounts counts;
   SensorEntry* sensor = nullptr;  ///< that exists now, if any; feeds too
-  Passage* passage = nullptr;     ///< a mirror's, while its bridge exists
 
  private:
   /// Of the ticks of the segment that were counted; one period before the first, while there is none.

@@ -1,6 +1,7 @@
 #include "loop/runtime/exchange.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <mutex>
 #include <utility>
 
@@ -16,21 +17,16 @@ std::string Exchange::catch_up(Duration at_most) {
   LoopCore& loop = *runtime_.own_loop;
   const MonotonicTime end = later(loop.now(), at_most);
   const auto left = [&] { return std::max(end - loop.now(), Duration{0}); };
+  runtime_.receive_all();
+  for (TierCore* tier : runtime_.tiers) tier->ask_account();
   std::vector<TierCore*> silent;
-  std::uint64_t known_names = 0;
   do {
-    runtime_.receive_all();
-    known_names = takeovers;
-    for (TierCore* tier : runtime_.tiers) tier->ask_account();
+    for (TierCore* tier : runtime_.tiers) tier->hear_out(std::min(left(), turn));
     silent = runtime_.tiers;
-    do {
-      std::erase_if(silent, [&](TierCore* tier) { return tier->hear_out(std::min(left(), turn)); });
-    } while (!silent.empty() && left() > Duration{0});
-    // A takeover takes all that the old holder has sent, to keep the order, and so more than it answered for: once more.
-  } while (takeovers != known_names && left() > Duration{0});
+    std::erase_if(silent, [](TierCore* tier) { return tier->is_heard_out(); });
+  } while (!silent.empty() && left() > Duration{0});
   std::string unknown;
   for (TierCore* tier : silent) tier->add_unknown(unknown);
-  if (unknown.empty() && takeovers != known_names) unknown = "names went from tier to tier all the time";
   return unknown;
 }
 
@@ -62,21 +58,19 @@ bool Exchange::is_wanted(std::string_view topic) const noexcept {
 }
 
 void Exchange::announce(Announcement announcement) {
-  {
-    const std::lock_guard lock(announced_mutex_);
-    announced_.push_back(std::move(announcement));
-  }
+  const std::lock_guard lock(announced_mutex_);
+  announced_.push_back(std::move(announcement));
   has_announced_.store(true, std::memory_order_release);
 }
 
 void Exchange::take_announcements() {
-  if (!has_announced_.exchange(false, std::memory_order_acquire)) return;
-  std::vector<Announcement> taken;
-  {
+  if (has_announced_.load(std::memory_order_acquire)) {
     const std::lock_guard lock(announced_mutex_);
-    taken.swap(announced_);
+    taken_.insert(taken_.end(), std::make_move_iterator(announced_.begin()), std::make_move_iterator(announced_.end()));
+    announced_.clear();
+    has_announced_.store(false, std::memory_order_relaxed);
   }
-  for (Announcement& one : taken) one.bridge->hear(one);
+  for (; !taken_.empty(); taken_.pop_front()) taken_.front().bridge->receiving.hear(taken_.front());
 }
 
 void Exchange::report_cut_off(TopicCore& topic) {
@@ -89,7 +83,9 @@ void Exchange::report_cut_off(TopicCore& topic) {
 
 void Exchange::forget(const Bridge& of) {
   const std::lock_guard lock(announced_mutex_);
-  std::erase_if(announced_, [&](const Announcement& one) { return one.bridge == &of; });
+  const auto is_of_it = [&](const Announcement& one) { return one.bridge == &of; };
+  std::erase_if(announced_, is_of_it);
+  std::erase_if(taken_, is_of_it);
 }
 
 }  // namespace rtdata::detail

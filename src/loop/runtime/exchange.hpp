@@ -3,6 +3,8 @@
 
 #include <atomic>
 #include <cstdint>
+#include <deque>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -14,17 +16,20 @@ namespace rtdata::detail {
 
 class Bridge;
 class Channel;
+struct FinalAccount;
 struct Passage;
 class RuntimeCore;
 class TopicCore;
 
-/// A bridge announces each topic and origin to the receiving side before it sends anything of it.
+/// The sending side of a bridge announces each topic and origin before it sends anything of it, and that it has given up the
+/// name of an origin.
 struct Announcement {
   Bridge* bridge;
   Channel* channel;  ///< of a topic; null: its payload cannot cross
   Passage* passage;  ///< of one of its origins; null: the topic itself
   std::string name;
-  PayloadType type;
+  PayloadType type;                               ///< of a topic
+  std::shared_ptr<const FinalAccount> last = {};  ///< of an origin whose name is given up; null: it is published
 };
 
 /// Thread: the loop's, but for `announce` and `forget`.
@@ -33,8 +38,8 @@ class Exchange {
   explicit Exchange(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
   // Any thread
-  /// The loop takes announcements in this order, so that of the loops which held a name one after the other the last one
-  /// comes last.
+  /// The loop takes announcements in this order. Of the loops that hold a name one after the other, each has announced that
+  /// it gave up the name before the next one announces that it has it.
   void announce(Announcement announcement);
   void forget(const Bridge& of);
 
@@ -64,7 +69,6 @@ class Exchange {
   };
   bool is_wanted(std::string_view topic) const noexcept;
 
-  std::uint64_t takeovers = 0;      ///< of names by a loop from another, announced so far
   std::uint64_t lost = 0;           ///< events of topics that cannot be what they are elsewhere; which was reported
   bool tiers_were_balanced = true;  ///< those that have ended
   bool tiers_had_loss = false;      ///< the same
@@ -75,6 +79,7 @@ class Exchange {
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};
+  std::deque<Announcement> taken_;  // not heard yet: what hearing one of them throws leaves the others
 };
 
 }  // namespace rtdata::detail

@@ -13,35 +13,34 @@ namespace rtdata::detail {
 
 class RuntimeCore;
 
-/// Each runtime has one. As soon as there are tiers, that of the main loop keeps the names of all loops, under a lock; before,
-/// the origins know which of them are claimed. Thread: the loop's.
+/// Each runtime has one; that of the main loop keeps the names of all loops, under a lock that is taken at set-up only.
+/// A name goes from loop to loop in three steps: its sensor stops; its loop announces all that is left to be said of it
+/// (`BridgeSender::give_up`), then frees the name; another loop that claims it has heard that, and announces itself, which
+/// the other loops hear after it. Thread: the loop's.
 class Names {
  public:
   explicit Names(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
-  /// Claims the origin for one sensor or feed of this loop. One that another loop has released goes on here. SetupError
-  /// (bad-name, busy): the name is taken, on this loop or another, or was on another topic, or of another kind.
+  /// Claims the origin for one sensor or feed of this loop, which goes on where the last one of the name has ended.
+  /// SetupError (bad-name, busy): the name is taken, on this loop or another, or was on another topic, or of another kind.
   OriginCore& claim(std::string_view name, TopicCore& topic, OriginCore::Supply supply);
   void release(OriginCore& origin) noexcept;
   /// Releases all of this loop, as when its tier ends.
   void release_all() noexcept;
-  /// The main loop's gets a tier: from here on names are kept for all loops.
-  void share();
 
  private:
   struct Claim {
-    struct Left {
-      std::string topic;
-      OriginCore::State state;
-    };
     const RuntimeCore* holder = nullptr;
-    std::unique_ptr<Left> left;  // by the last holder
+    std::string topic = {};
+    std::unique_ptr<OriginCore::State> left = {};  // by the last holder
   };
-  void release(std::string_view name, Claim& claim) noexcept;
+  /// Notes that this loop holds the name. Returns what the last holder has left.
+  OriginCore::State take(std::string_view name, const TopicCore& topic, OriginCore::Supply supply);
+  /// The name of which no origin could be made.
+  void give_back(std::string_view name) noexcept;
 
   RuntimeCore& runtime_;
-  bool is_shared_ = false;  // the main loop's, as the next
-  PriorityMutex mutex_;     // taken at set-up only
+  PriorityMutex mutex_;  // guards the main loop's claims
   std::unordered_map<std::string, Claim> claims_;
 };
 

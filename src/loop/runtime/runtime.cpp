@@ -55,7 +55,7 @@ void Runtime::note_place(std::string object, std::string place) {
 std::vector<SensorStatus> Runtime::sensors() const {
   std::vector<SensorStatus> all;
   for (const auto* sensor : core_->sensors.all()) all.push_back(detail::status_of(*sensor));
-  for (const auto* bridge : core_->inbound) bridge->add_statuses(all);
+  for (const auto* bridge : core_->inbound) bridge->receiving.add_statuses(all);
   return all;
 }
 

@@ -152,7 +152,7 @@ SensorStatus status_of(const SensorEntry& sensor) {
 }
 
 void RuntimeCore::receive_all() {
-  for (Bridge* bridge : inbound) bridge->receive();
+  for (Bridge* bridge : inbound) bridge->receiving.receive();
 }
 
 std::string RuntimeCore::user_of_loop() const {
@@ -172,11 +172,11 @@ void RuntimeCore::start_tiers_in_turn() noexcept {
 }
 
 void RuntimeCore::send_now() noexcept {
-  for (Bridge* bridge : outbound) bridge->wake();
+  for (Bridge* bridge : outbound) bridge->sending.wake();
 }
 
 void RuntimeCore::turn_done() {
-  for (Bridge* bridge : outbound) bridge->turn_done();
+  for (Bridge* bridge : outbound) bridge->sending.turn_done();
   report_kept();
 }
 

@@ -61,6 +61,8 @@ class ByteRing {
   void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
   /// The same, but no more than the writer had published when `published` was this; what was seen stays seen.
   void look_up_to(std::size_t published) noexcept { known_head_ = std::max(known_head_, published); }
+  /// Up to where it sees.
+  std::size_t seen() const noexcept { return known_head_; }
   /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {
     if (own_tail_ == known_head_) return nullptr;

@@ -115,7 +115,6 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
       main(main_),
       runtime(runtime_config(main_)),
       loop(below(main_, runtime), loop_config(config)) {
-  main.core().runtime.names.share();
   make_bridges();
   main.core().runtime.tiers.push_back(this);
 }
@@ -362,11 +361,11 @@ void TierCore::end(Drain& drain) {
 }
 
 void TierCore::send_last_accounts() {
-  if (bridge_to_main().send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
+  if (bridge_to_main().sending.send_accounts() > 0) {  // until the main loop has made room, or gives this tier up
     sending_ = Timer(loop, std::chrono::milliseconds{1}, [this] { send_last_accounts(); });
     return;
   }
-  for (Bridge* bridge : runtime.core().outbound) bridge->send_accounts();
+  for (Bridge* bridge : runtime.core().outbound) bridge->sending.send_accounts();
   was_balanced_.store(runtime.balances(), std::memory_order_release);
   had_loss_.store(runtime.has_loss(), std::memory_order_release);
   for (auto& drain : std::exchange(sending_for_, {})) {
@@ -384,14 +383,14 @@ void TierCore::give_up() {
 }
 
 struct TierCore::Answer {
-  Bridge::AccountsSent sent{};
+  BridgeSender::AccountsSent sent{};
   Latch is_there;
 };
 
 void TierCore::ask_account() {
   answer_ = std::make_shared<Answer>();
   const auto tell = [&bridge = bridge_to_main(), answer = answer_] {
-    answer->sent = bridge.send_all_accounts();
+    answer->sent = bridge.sending.send_all_accounts();
     answer->is_there.set();
   };
   if (loop.core().runs_elsewhere()) {
@@ -401,16 +400,18 @@ void TierCore::ask_account() {
   }
 }
 
-bool TierCore::hear_out(Duration at_most) {
-  Bridge& bridge = bridge_to_main();
-  if (!main.core().wait_for(answer_->is_there, at_most)) return false;
-  if (answer_->sent.left == 0) {
-    bridge.receive_up_to(answer_->sent.position);
-    return true;
-  }
-  bridge.receive();
+void TierCore::hear_out(Duration at_most) {
+  BridgeReceiver& receiving = bridge_to_main().receiving;
+  if (!main.core().wait_for(answer_->is_there, at_most)) return;
+  receiving.receive_up_to(answer_->sent.position);
+  if (is_heard_out()) return;
+  receiving.receive();
   ask_account();
-  return false;
+}
+
+bool TierCore::is_heard_out() noexcept {
+  return answer_->is_there.is_set() && answer_->sent.left == 0 &&
+         bridge_to_main().receiving.received() == answer_->sent.position;
 }
 
 void TierCore::add_unknown(std::string& to) {

@@ -83,10 +83,8 @@ void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_s
   Place& place = places_[origin.index];
   place.live->offered += count;
   queue_->slot(place.slot).dropped_newest += count;
-  // Told late, when another tier has gone on with the name, they are before what it published.
-  if (place.first_sequence == 0 || last_sequence < place.first_sequence)
-    place.first_sequence = last_sequence - count + 1;
-  place.last_sequence = std::max(place.last_sequence, last_sequence);
+  if (place.first_sequence == 0) place.first_sequence = last_sequence - count + 1;
+  place.last_sequence = last_sequence;
 }
 
 void SinkTap::expect(OriginCore& origin) {

@@ -1,0 +1,53 @@
+// The receiving side of a bridge.
+#pragma once
+
+#include <cstddef>
+#include <variant>
+#include <vector>
+
+#include "loop/tier/channel.hpp"
+
+namespace rtdata::detail {
+
+struct Announcement;
+class LoopCore;
+
+/// Thread: the receiving loop's. It runs no user code: what there is to report is kept.
+class BridgeReceiver {
+ public:
+  BridgeReceiver(LoopCore& from, LoopCore& to, ByteRing& ring) noexcept : from_(from), to_(to), ring_(ring) {}
+  BridgeReceiver(const BridgeReceiver&) = delete;
+  BridgeReceiver& operator=(const BridgeReceiver&) = delete;
+  ~BridgeReceiver();
+
+  void hear(const Announcement& announcement);
+  /// Takes what was sent before the call.
+  void receive();
+  /// Takes what was sent before `BridgeSender::send_all_accounts` returned this position.
+  void receive_up_to(std::size_t position);
+  /// The position up to which it has received. A name that is given up takes what was sent up to then with it, which may be
+  /// beyond a position that was asked for.
+  std::size_t received() const noexcept { return ring_.seen(); }
+  void add_statuses(std::vector<SensorStatus>& all) const;
+
+ private:
+  void hear_topic(const Announcement& announcement);
+  void hear_origin(Passage& passage, const std::string& name);
+  void hear_given_up(Passage& passage, const FinalAccount& final_account);
+  /// Of what was looked at, up to the first record of a passage that is not open. False: there is one.
+  bool take_seen();
+  /// The front of the ring, and those alike behind it.
+  void take_events(const EventRecord& first, Passage& passage);
+  void take_record(const BridgeRecord& record, Passage& passage);
+  void take_entry(const std::variant<Gap, Segment>& entry, OriginCore& mirror);
+  void take_drops(const Drops& drops, Passage& passage);
+  void take_account(const OriginSnapshot& account, Passage& passage);
+
+  LoopCore& from_;  // its name only
+  LoopCore& to_;
+  ByteRing& ring_;
+  std::vector<Channel*> channels_;  // that were heard of
+  std::vector<Passage*> open_;      // by number; null: not open, so that what follows of it waits in the ring
+};
+
+}  // namespace rtdata::detail

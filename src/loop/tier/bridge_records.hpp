@@ -1,0 +1,88 @@
+// What goes over a bridge: the records in its ring, and the final account that goes with an announcement.
+#pragma once
+
+#include <cstdint>
+#include <variant>
+#include <vector>
+
+#include "loop/events/topic_core.hpp"
+#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/runtime.hpp"
+
+namespace rtdata::detail {
+
+struct Passage;
+
+/// What each record in the ring begins with.
+struct BridgeRecord {
+  enum class Sort : std::uint32_t { event, gap, segment, account, drops };
+  BridgeRecord() = default;
+  BridgeRecord(std::uint32_t bytes_, Sort sort, std::uint32_t passage)
+      : bytes(bytes_), tag(passage << 3 | static_cast<std::uint32_t>(sort)) {}
+  Sort sort() const noexcept { return static_cast<Sort>(tag & 7); }
+  std::uint32_t passage() const noexcept { return tag >> 3; }
+  bool operator==(const BridgeRecord&) const = default;
+  std::uint32_t bytes;  // the ring's
+  std::uint32_t tag;    // what it is, and the passage's number
+};
+
+struct EventRecord : BridgeRecord {
+  TopicCore::Arrival event;
+  // the payload
+};
+
+struct GapRecord : BridgeRecord {
+  Gap gap;
+};
+
+struct SegmentRecord : BridgeRecord {
+  Segment segment;
+};
+
+/// The account of an origin as its loop has it at one instant, and how its sensor does.
+struct OriginSnapshot {
+  SensorCounts counts;
+  std::uint64_t sequence;
+  Segment under_way;
+  Gap gap;  // under way, if `has_gap`
+  bool has_gap;
+  Outages outages;    // that have ended
+  Time absent_since;  // of the one that lasts
+  Duration period;
+  bool is_active;
+  bool has_sensor;
+  Health health;
+  char reason[96];
+};
+
+struct AccountRecord : BridgeRecord {
+  OriginSnapshot account;
+};
+
+/// Events of an origin that found no room, since the bridge was made.
+struct Drops {
+  std::uint64_t dropped;
+  std::uint64_t last_sequence;  // of the last one
+};
+
+struct DropsRecord : BridgeRecord {
+  Drops drops;
+};
+
+/// An ended gap or segment. The recording does not balance without it, so one that finds no room in the ring waits.
+struct LedgerEntry {
+  Passage* passage;
+  std::variant<Gap, Segment> entry;
+};
+
+/// All that is left to be said of an origin when its loop gives up the name.
+struct FinalAccount {
+  std::size_t position;  // up to which its records are in the ring
+  std::vector<LedgerEntry> entries;
+  Drops drops;
+  bool has_account;  // the receiving loop is the main loop
+  OriginSnapshot account;
+};
+
+}  // namespace rtdata::detail
