@@ -12,6 +12,13 @@
 /// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us together;
 /// slower ones: one). Functions given to `post` have a budget of the same length: a flood of them does not hold ticks.
 ///
+/// While the loop does not run, what is made on it waits for its opening (of a device on a lane, of a recording), and tells
+/// what failed. While it runs nothing waits: the opening goes on on a lane, what comes meanwhile is queued, and an error is
+/// reported. A loop of its own runs within `run`, `run_for`, `poll` and `advance`, and not between two calls of these: a
+/// program that polls should make things in `post`, where nothing waits. An attached loop runs from the end of its first
+/// turn, in which the host's `uv_run` has called it back, to its end: what is made before waits, what is made in callbacks
+/// of the host later does not.
+///
 /// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its end,
 /// which never comes, so that Duration::max() means never, or without limit.
 ///

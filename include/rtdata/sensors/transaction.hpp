@@ -6,8 +6,8 @@
 /// `transact` touches.
 ///
 /// Opening is a transaction too, and closing is done on the lane as well: a device that takes a second for either holds no
-/// loop. Only while the loop does not run yet (and is not attached), or when the sensor is `required`, does starting wait
-/// for the opening, so that a program knows at its start which devices are missing.
+/// loop. Only while the loop does not run (loop.hpp), or when the sensor is `required`, does starting wait for the
+/// opening, so that a program knows at its start which devices are missing.
 ///
 /// Owner: the sensor and the lane. Thread: `run`, `transact` and `close`: the lane's; the destructor: either; all else
 /// the loop's.

@@ -6,11 +6,11 @@
 /// tables rtdata_run, _topic, _schedule, _ledger, _gap, _clock and _error hold what is needed to check it
 /// (`rtdata verify`); docs/recording.md describes them. A file takes many runs. Readers may read while it records.
 ///
-/// The file is opened on the sink's lane. While the loop does not run, the constructor waits for that and throws
+/// The file is opened on the sink's lane. While the loop does not run (loop.hpp), the constructor waits for that and throws
 /// SetupError: not-a-recording, newer-version, not-permitted, busy (another process records into it: its pid is named),
 /// storage-full. In a callback it does not wait: an error is reported, and it is tried again; events wait in the queue. A
 /// run that ended without closing is sealed by the next start: what it lost is written down. While running, a failed commit
-/// is kept and tried again. On an attached loop a callback of the host's is not known as one: make it in `Loop::post` there.
+/// is kept and tried again.
 ///
 /// A recording that somebody deletes or moves while it is written ends: that is reported at the next commit, the sink is
 /// faulted, and what comes is refused and counted. What was committed is in the file, wherever it is, if it is anywhere.

@@ -85,6 +85,7 @@ void LoopCore::woken() {
 }
 
 void LoopCore::turn_ended() noexcept {
+  host_has_run_ = is_attached();
   const Calling calling(runtime);
   take_news();
   turn_is_open_ = false;

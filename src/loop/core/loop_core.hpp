@@ -78,6 +78,9 @@ class LoopCore {
   void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
   /// Between the begin and the end of running. False of an attached loop, which never runs itself.
   bool is_running() const noexcept { return is_running_; }
+  /// Nothing waits for the loop yet, so that a sensor or sink may wait for its opening: it does not run, and on an attached
+  /// loop the host has not run a turn of it.
+  bool is_being_set_up() const noexcept { return !is_running_ && !host_has_run_; }
   /// `run` does not return while there is a reference, as with uv_ref.
   void ref() noexcept;
   void unref() noexcept;
@@ -228,6 +231,7 @@ class LoopCore {
 
   Schedule schedule_{*this};
   bool is_running_ = false;
+  bool host_has_run_ = false;  // of an attached loop
   bool is_ending_ = false;
   MonotonicTime turn_start_{};
   bool turn_is_open_ = false;

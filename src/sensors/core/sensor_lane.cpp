@@ -55,9 +55,7 @@ void SensorNode::start_on_lane() {
     lane_side_->refusal = nullptr;
     return started(submitted);  // who is told may close this sensor
   }
-  // Nobody is held by a loop that does not run. Whether an attached one does is not known.
-  const bool is_set_up = !loop()->is_running() && !loop()->is_attached();
-  if (is_starting() && (is_set_up || settings().is_required)) wait_for_start();
+  if (is_starting() && (loop()->is_being_set_up() || settings().is_required)) wait_for_start();
   lane_side_->refusal = nullptr;
   if (is_starting() && settings().is_required) {
     cancel_opening();

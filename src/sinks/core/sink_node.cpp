@@ -56,7 +56,7 @@ void SinkNode::attach() {
   life_ = Life::attached;
   if (is_to_open_) {
     start_work();
-    if (!loop()->is_in_user_code()) wait_for_opening();
+    if (loop()->is_being_set_up() && !loop()->is_in_user_code()) wait_for_opening();
   }
   if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
 }
