@@ -1,5 +1,9 @@
 // A bounded ring of records of any size, between one thread that writes and one that reads. No lock, no allocation after it
 // was made.
+//
+// Positions count bytes since the beginning, modulo the range of std::size_t: on a machine of 32 bits they wrap after 4 GiB.
+// So they are compared by how far they are apart, which is never more than the ring is long. The first lap is the last one
+// before they wrap, so that each ring shows whether that works.
 #pragma once
 
 #include <algorithm>
@@ -60,7 +64,9 @@ class ByteRing {
   /// Sees what has been published up to now. Seldom, as `publish`.
   void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
   /// The same, but no more than the writer had published when `published` was this; what was seen stays seen.
-  void look_up_to(std::size_t published) noexcept { known_head_ = std::max(known_head_, published); }
+  void look_up_to(std::size_t published) noexcept {
+    if (is_beyond(published, known_head_)) known_head_ = published;
+  }
   /// Up to where it sees.
   std::size_t seen() const noexcept { return known_head_; }
   /// The oldest record of those seen, or null. Valid until `pop`.
@@ -80,6 +86,9 @@ class ByteRing {
   void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
 
  private:
+  /// By how much the first lies beyond the second; negative: before it.
+  static std::ptrdiff_t apart(std::size_t a, std::size_t b) noexcept { return static_cast<std::ptrdiff_t>(a - b); }
+  static bool is_beyond(std::size_t a, std::size_t b) noexcept { return apart(a, b) > 0; }
   std::size_t head() const noexcept { return lap_ + static_cast<std::size_t>(at_ - memory_); }
   /// Looks how far the reader is, and goes on at the beginning when the end is too near. False when there is no room.
   bool find_room(std::size_t bytes, std::size_t kept) noexcept {
@@ -87,19 +96,22 @@ class ByteRing {
     const std::size_t to_end = lap_ + size - head();
     const bool is_at_end = to_end < bytes;
     const std::size_t end = head() + (is_at_end ? to_end : 0) + bytes;
-    if (end + kept > known_room_to_) {
+    if (is_beyond(end + kept, known_room_to_)) {
       known_room_to_ = tail_.load(std::memory_order_acquire) + size;
-      if (end + kept > known_room_to_) return false;
+      if (is_beyond(end + kept, known_room_to_)) return false;
     }
     if (is_at_end) {
       if (to_end > 0) size_at(size - to_end) = 0;  // the reader goes on at the beginning
       lap_ += size;
       at_ = memory_;
     }
-    const std::size_t to = std::min({lap_ + size, known_room_to_ - kept_, published_ + burst_});
-    straight_to_ = memory_ + (to > lap_ ? to - lap_ : 0);
+    // Of the end of the lap, of what is known to be free, and of the burst; a burst may begin in the lap before.
+    const std::ptrdiff_t to = std::min(
+        {static_cast<std::ptrdiff_t>(size), apart(known_room_to_ - kept_, lap_), apart(published_ + burst_, lap_)});
+    straight_to_ = memory_ + std::max<std::ptrdiff_t>(to, 0);
     return true;
   }
+  std::size_t first_position() const noexcept { return 0 - (mask_ + 1); }
   static constexpr std::size_t fetched_ahead = 1024;
   std::uint32_t& size_at(std::size_t offset) const noexcept {
     return *reinterpret_cast<std::uint32_t*>(memory_ + offset);
@@ -112,14 +124,14 @@ class ByteRing {
   // the writer's
   alignas(64) std::byte* at_;
   std::byte* straight_to_;  // records up to here lie straight, in room known to be free, and complete no burst
-  std::size_t lap_ = 0;     // position of the beginning of the memory
-  std::size_t known_room_to_ = mask_ + 1;
-  std::size_t published_ = 0;
-  alignas(64) std::atomic<std::size_t> published_head_{0};
+  std::size_t lap_ = first_position();  // position of the beginning of the memory
+  std::size_t known_room_to_ = lap_ + mask_ + 1;
+  std::size_t published_ = lap_;
+  alignas(64) std::atomic<std::size_t> published_head_{lap_};
   // the reader's
-  alignas(64) std::size_t own_tail_ = 0;
-  std::size_t known_head_ = 0;
-  alignas(64) std::atomic<std::size_t> tail_{0};
+  alignas(64) std::size_t own_tail_ = first_position();
+  std::size_t known_head_ = own_tail_;
+  alignas(64) std::atomic<std::size_t> tail_{own_tail_};
 };
 
 }  // namespace rtdata::detail
