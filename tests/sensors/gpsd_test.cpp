@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "paths.hpp"
@@ -138,12 +139,13 @@ void compare_with_gpspipe(const std::vector<std::string>& names, std::size_t mos
   CHECK(sensor.counts().balances());
   std::vector<Tpv> theirs;
   std::ifstream file(piped);
-  std::string last;
+  std::map<std::string, std::string> last;  // of each receiver
   for (std::string line; std::getline(file, line);) {
     const Tpv one = Tpv::parse(line, nullptr, false);
     if (one.is_discarded() || one.value("class", "") != "TPV") continue;
-    if (line != last || !one.contains("time")) theirs.push_back(one);  // the same again is no event
-    last = line;
+    std::string& before = last[one.value("device", "")];
+    if (line != before || !one.contains("time")) theirs.push_back(one);  // the same again is no event
+    before = line;
   }
   REQUIRE(theirs.size() > most / 4);
   // The beginning of theirs is somewhere in ours; from there on each is the other's.
@@ -175,5 +177,9 @@ TEST_CASE("US-14 real gpsd: every report of a receiver equals what gpspipe says,
   compare_with_gpspipe({"bu303-moving"}, 30);
 }
 TEST_CASE("US-14 real gpsd: a receiver without a fix") { compare_with_gpspipe({"bu303-nofix"}, 20); }
+TEST_CASE("US-14 real gpsd: a binary protocol, and two receivers at once") {
+  compare_with_gpspipe({"neo-m8n"}, 20);
+  compare_with_gpspipe({"ublox-8", "hab-gpspi"}, 20);
+}
 
 TEST_SUITE_END();
