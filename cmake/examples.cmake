@@ -51,5 +51,7 @@ endif()
 if(TARGET rtdata_main AND TARGET rtdata_sqlite)
   rtdata_example_test(host COMMAND rtdata_main run ${example_source_dir}/host.json --for 1s)
   rtdata_fresh_folder(host)
+  rtdata_example_test(gps COMMAND rtdata_main run ${example_source_dir}/gps.json --for 500ms)  # also without gpsd
+  rtdata_fresh_folder(gps)
   rtdata_example_test(bench COMMAND rtdata_main check ${example_source_dir}/bench.json)
 endif()

@@ -23,6 +23,7 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 /// An item of each type that is right; `FOLDER` stands for a directory of the test.
 const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
+    {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},

@@ -17,8 +17,10 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
 
@@ -153,6 +155,19 @@ struct OfSerialLineSensor {
   ScratchDirectory directory;
   Pty pty{directory.file("tty")};
 };
+struct OfGpsSensor {
+  using Type = GpsSensor;
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "g"}, {.host = "127.0.0.1", .port = gpsd.port()});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {
+    gpsd.accept();
+    REQUIRE(gpsd.send("garbage\n"));
+  }
+  FakeGpsd gpsd;
+};
 struct OfSink {
   using Type = Sink;
   struct Broken final : Writer {
@@ -172,7 +187,7 @@ struct OfSink {
 
 #define HANDLES                                                                                           \
   OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed, \
-      OfAnalogSensor, OfSerialLineSensor, OfSink
+      OfAnalogSensor, OfSerialLineSensor, OfGpsSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

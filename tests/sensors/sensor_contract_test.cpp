@@ -6,8 +6,10 @@
 
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
 #include "sensors/termios2.hpp"
@@ -113,11 +115,38 @@ class FakeLine final : public Fake {
   Content content_ = Content::good;
 };
 
+class FakeReceiver final : public Fake {
+ public:
+  FakeReceiver() { gpsd_.vanish(); }
+  const char* kind() const override { return "gps"; }
+  void plug_in() override { gpsd_.listen(); }
+  void unplug() override { gpsd_.vanish(); }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    gpsd_.accept();
+    const std::string number = std::to_string(++count_);
+    if (gpsd_.has_peer())
+      gpsd_.send(content_ == Content::good ? "{\"class\":\"TPV\",\"mode\":1,\"n\":" + number + "}\n" : "garbage\n");
+  }
+  bool has_rate() const override { return false; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return GpsSensor(
+        loop, {.name = "s", .topic = "t"},
+        {.host = "127.0.0.1", .port = gpsd_.port(), .retry_first = 2ms, .retry_longest = 4ms, .required = is_required});
+  }
+
+ private:
+  FakeGpsd gpsd_;
+  Content content_ = Content::good;
+  int count_ = 0;
+};
+
 std::vector<std::unique_ptr<Fake>> every_kind() {
   std::vector<std::unique_ptr<Fake>> kinds;
   kinds.push_back(std::make_unique<FakeAdc>());
   kinds.push_back(std::make_unique<FakeThermometer>());
   kinds.push_back(std::make_unique<FakeProc>());
+  kinds.push_back(std::make_unique<FakeReceiver>());
   if (terminals_can_be_set_up()) kinds.push_back(std::make_unique<FakeLine>());
   return kinds;
 }

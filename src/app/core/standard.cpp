@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/console.hpp"
@@ -79,6 +80,9 @@ Registry standard_registry() {
       [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
         return AnalogSensor(loop, common, config);
       });
+  registry.add_sensor<GpsConfig>(
+      "gps", "a GPS receiver behind gpsd", [](const GpsConfig&) { return Result(description_of<GpsFix>()); },
+      [](Loop& loop, const FeedConfig& common, const GpsConfig& config) { return GpsSensor(loop, common, config); });
   registry.add_sensor<HostConfig>(
       "host", "what this computer knows of itself: load, memory, temperature and so on",
       [](const HostConfig& config) { return host_description(config.quantity); },

@@ -8,10 +8,8 @@
 
 #include "data/utf8.hpp"
 #include "io/tty.hpp"
-#include "loop/support/retry.hpp"
-#include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
-#include "sensors/core/source_node.hpp"
+#include "sensors/core/stream_node.hpp"
 #include "sensors/serial/line_decoder.hpp"
 
 namespace rtdata {
@@ -25,66 +23,45 @@ constexpr std::size_t least_unended = 4096;
 
 }  // namespace
 
-class SerialLineNode final : public SourceNode {
+class SerialLineNode final : public StreamNode {
  public:
   SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config, std::unique_ptr<LineDecoder> decoder)
-      : SourceNode(loop, feed.name, feed.topic, described_type(decoder->description()), OriginCore::Supply::feed),
+      : StreamNode(loop, feed, described_type(decoder->description()),
+                   {config.silence, config.retry_first, config.retry_longest}),
         config_(std::move(config)),
-        decoder_(std::move(decoder)),
-        retry_(loop.face, [this] { take(open_tty(config_.device, config_.serial)); }),
-        silence_(loop.face, [this] { look_for_silence(); }) {
+        decoder_(std::move(decoder)) {
     line_.reserve(config_.max_line + most_read);
     origin_.counts.lost_is_known = decoder_->has_sequence();
   }
 
   void start() override {
-    if (!is_open() || is_running_) return;
+    if (!is_open() || is_running()) return;
     Result<int> fd = open_tty(config_.device, config_.serial);
     if (!fd && config_.required) throw SetupError(std::move(fd).error());
-    is_running_ = true;
-    backoff_.reset();
+    begin();
     decoder_->forget_sequence();
     unusable_lines_ = 0;
     take(std::move(fd));
   }
   void stop() override {
     if (is_open()) tell_unended();
-    if (is_open()) end();
+    StreamNode::stop();
   }
   void stop_schedule(MonotonicTime end) override {
     tell_unended();
-    if (!is_open()) return;
-    retry_.stop();
-    drop_device();
-    origin_.end_absence(end);
-    origin_.close_gap();
+    StreamNode::stop_schedule(end);
   }
-  bool is_reading() const noexcept override { return false; }
   std::optional<SensorLoad> load() const override {
     return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
   }
-  void set_rate(Rate) override {
-    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes",
-                      "set the rate in the device"});
-  }
-  Rate rate() const noexcept override { return {}; }
-  bool is_running() const noexcept override { return is_running_; }
-  CallbackTimes callback_times() const noexcept override { return {}; }
 
  private:
-  void end() noexcept {
-    is_running_ = false;
-    retry_.stop();
-    drop_device();
-    origin_.end_absence(loop()->now());
-    origin_.close_gap();
-    origin_.topic.cancel(origin_);
-  }
+  void open_stream() override { take(open_tty(config_.device, config_.serial)); }
   void take(Result<int> fd) {
     if (fd) {
       use(*fd);
     } else {
-      lose_device(fd.error());
+      lose(fd.error(), loop()->now());
     }
   }
   void use(int fd) {
@@ -94,32 +71,17 @@ class SerialLineNode final : public SourceNode {
     is_overlong_ = false;
     unended_ = 0;
     is_unended_told_ = false;
-    heard_at_ = loop()->now();
-    is_silent_ = false;
-    origin_.end_absence(heard_at_);
-    if (config_.silence > Duration{0}) silence_.start(config_.silence);
+    opened();
     is_first_ = config_.first_line == FirstLine::discard;
     is_beginning_ = true;
     lines_to_skip_ = config_.skip_lines;
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
   }
-  void drop_device() noexcept {
-    silence_.stop();
+  void close_stream() noexcept override {
     watch_.close();  // before the descriptor
     if (fd_ >= 0) close_tty(fd_);
     fd_ = -1;
-  }
-  /// Faulted, and tried again later.
-  void lose_device(const Error& error) {
-    drop_device();
-    if (std::exchange(is_silent_, false)) origin_.end_absence(loop()->now());
-    origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());
-    retry_.start(
-        backoff_.next(config_.retry_first, std::max(config_.retry_longest, config_.retry_first), origin_.name));
-    Call call(*this);
-    report(error);
-    if (is_open() && is_running_) set_health(Health::faulted, &error);
   }
 
   void on_ready(const FdEvent& event) {
@@ -130,19 +92,16 @@ class SerialLineNode final : public SourceNode {
     const int error_number = got < 0 ? errno : 0;
     line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
     if (got > 0) {
-      heard_at_ = loop()->now();
-      time_ = loop()->runtime.event_time(heard_at_);
-      if (std::exchange(is_silent_, false)) {
-        origin_.end_absence(heard_at_);
-        silence_.start(config_.silence);
-      }
+      heard();
+      time_ = loop()->runtime.event_time(heard_at());
       take_lines(before);
     } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
       constexpr const char* what = "lost the serial line";
       constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
-      lose_device(got == 0 || error_number == EIO || error_number == EAGAIN
-                      ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
-                      : system_error(error_number, what, config_.device, advice));
+      lose(got == 0 || error_number == EIO || error_number == EAGAIN
+               ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
+               : system_error(error_number, what, config_.device, advice),
+           loop()->now());
     }
   }
 
@@ -186,26 +145,18 @@ class SerialLineNode final : public SourceNode {
     }
   }
   void fail_unended() {
-    fail({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
-          "check `baud_rate`, and that the device ends its lines"});
+    fail_line({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
+               "check `baud_rate`, and that the device ends its lines"});
   }
   /// At the end: bytes came, and never a line of which anything could be made.
   void tell_unended() {
-    if (!is_running_ || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
+    if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
     if (!std::exchange(is_unended_told_, true)) fail_unended();
   }
 
-  void look_for_silence() {
-    const MonotonicTime due = heard_at_ + config_.silence;
-    if (loop()->now() < due) return silence_.start(due - loop()->now());
-    is_silent_ = true;
-    const Error error{Errc::timed_out, "nothing comes", config_.device,
-                      "it has been silent for " + to_string(config_.silence),
-                      "look at the device; `silence` sets how long it may be silent"};
-    origin_.begin_absence(Gap::Kind::silent, "silent", heard_at_);
-    Call call(*this);
-    report(error);
-    if (is_open() && is_running_) set_health(Health::degraded, &error);
+  Error silence_error() const override {
+    return {Errc::timed_out, "nothing comes", config_.device, "it has been silent for " + to_string(config_.silence),
+            "look at the device; `silence` sets how long it may be silent"};
   }
 
   void take_line(std::string_view line) {
@@ -217,8 +168,7 @@ class SerialLineNode final : public SourceNode {
     if (line.size() > config_.max_line) return fail_overlong();
     if (decoder_->is_skipped(line)) return;
     const Result<void> decoded = decoder_->decode(line);
-    if (!decoded) return fail(decoded.error());
-    backoff_.reset();
+    if (!decoded) return fail_line(decoded.error());
     ++origin_.counts.received;
     const LineDecoder::Step step = decoder_->step();
     // Of the numbers that are left out, those of lines which came and could not be used are not lost.
@@ -229,7 +179,7 @@ class SerialLineNode final : public SourceNode {
       ++origin_.counts.published;
       origin_.topic.publish(origin_, time_, decoder_->payload());
     }
-    if (health() != Health::ok) set_health(Health::ok, nullptr);
+    succeed();
   }
 
   void fail_overlong() {
@@ -237,46 +187,30 @@ class SerialLineNode final : public SourceNode {
       --lines_to_skip_;
       return;
     }
-    fail({Errc::does_not_fit, "cannot use a line", config_.device,
-          "it is longer than " + std::to_string(config_.max_line) + " bytes",
-          "check `baud_rate`; `max_line` sets how long a line may be"});
+    fail_line({Errc::does_not_fit, "cannot use a line", config_.device,
+               "it is longer than " + std::to_string(config_.max_line) + " bytes",
+               "check `baud_rate`; `max_line` sets how long a line may be"});
   }
 
-  void fail(const Error& error) {
-    ++origin_.counts.received;
-    ++origin_.counts.unreadable;
+  void fail_line(const Error& error) {
     ++unusable_lines_;
-    report(error);
-    if (is_open() && is_running_) set_health(Health::degraded, &error);
-  }
-
-  void on_close() noexcept override {
-    end();
-    retry_.close();
-    silence_.close();
-    leave();
+    fail(error);
   }
 
   const SerialConfig config_;
   std::unique_ptr<LineDecoder> decoder_;
-  Timer retry_;
-  Timer silence_;
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
-  Backoff backoff_;
   unsigned openings_ = 0;
   std::size_t unended_ = 0;       // bytes since the last end of a line
   bool is_unended_told_ = false;  // that there are too many
-  MonotonicTime heard_at_{};      // when something came last, or it was opened
-  bool is_silent_ = false;        // for too long
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet
   bool is_beginning_ = true;          // no line has come yet
   bool is_overlong_ = false;          // the rest of the line is thrown away
-  bool is_running_ = false;
 };
 
 }  // namespace detail

@@ -1,0 +1,225 @@
+#include "io/tcp_stream.hpp"
+
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+namespace rtdata::detail {
+
+/// getaddrinfo has no time limit of its own.
+class TcpStream::Lookup final : public LaneJob {
+ public:
+  Lookup(TcpStream& stream, std::string host, std::uint16_t port)
+      : owner(&stream), host_(std::move(host)), port_(port) {}
+  void run() noexcept override {
+    try {
+      status = look_up(host_, port_, AI_ADDRCONFIG, addresses);
+    } catch (...) {
+      status = EAI_MEMORY;
+    }
+  }
+  void done(Outcome outcome) override {
+    if (owner != nullptr) owner->looked_up(*this, outcome);
+  }
+
+  TcpStream* owner;  // null: nobody waits for it any more. The loop's thread
+  int status = 0;
+  std::vector<Address> addresses;
+
+ private:
+  const std::string host_;
+  const std::uint16_t port_;
+};
+
+namespace {
+
+constexpr Duration lookup_limit = std::chrono::seconds{10};
+constexpr std::size_t most_addresses = 16;
+
+void set_option(int fd, int level, int name, int value) noexcept {
+  [[maybe_unused]] const int done = ::setsockopt(fd, level, name, &value, sizeof value);
+}
+
+}  // namespace
+
+TcpStream::TcpStream(LoopCore& loop, std::string owner, std::function<void(const Result<void>&)> opened,
+                     std::function<void()> ready)
+    : loop_(loop),
+      owner_(std::move(owner)),
+      opened_(std::move(opened)),
+      ready_(std::move(ready)),
+      timeout_(loop.face, [this] { attempt_failed(ETIMEDOUT); }) {}
+
+TcpStream::~TcpStream() {
+  close();
+  if (lane_ != nullptr && !last_lookup_.expired()) lane_->leave_behind();  // a silent name server holds nobody
+}
+
+int TcpStream::look_up(const std::string& host, std::uint16_t port, int flags, std::vector<Address>& to) {
+  addrinfo hints{};
+  hints.ai_family = AF_UNSPEC;
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = flags | AI_NUMERICSERV;
+  addrinfo* found = nullptr;
+  const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found);
+  if (status != 0) return status;
+  const std::unique_ptr<addrinfo, void (*)(addrinfo*)> owned(found, ::freeaddrinfo);
+  for (const addrinfo* one = found; one != nullptr && to.size() < most_addresses; one = one->ai_next) {
+    Address address;
+    if (one->ai_addrlen > sizeof address.socket) continue;
+    std::memcpy(&address.socket, one->ai_addr, one->ai_addrlen);
+    address.size = one->ai_addrlen;
+    to.push_back(address);
+  }
+  return to.empty() ? EAI_NONAME : 0;
+}
+
+void TcpStream::connect(const std::string& host, std::uint16_t port, Duration limit) {
+  close();
+  host_ = host;
+  port_ = port;
+  limit_ = limit;
+  addresses_.clear();
+  next_ = 0;
+  last_error_ = 0;
+  is_connecting_ = true;
+  if (host == "localhost") {
+    look_up("::1", port, AI_NUMERICHOST, addresses_);
+    look_up("127.0.0.1", port, AI_NUMERICHOST, addresses_);
+    return try_next();
+  }
+  if (look_up(host, port, AI_NUMERICHOST, addresses_) == 0) return try_next();
+  if (lane_ == nullptr) lane_ = std::make_unique<Lane>(loop_, "name of " + owner_, lookup_limit);
+  lookup_ = std::make_shared<Lookup>(*this, host, port);
+  last_lookup_ = lookup_;
+  const std::shared_ptr<Lookup> lookup = lookup_;
+  if (!lane_->submit(lookup) && lookup_ == lookup) {
+    lookup_ = nullptr;
+    done(unknown_host("no thread can look it up: earlier attempts still hang"));
+  }
+}
+
+void TcpStream::looked_up(Lookup& lookup, LaneJob::Outcome outcome) {
+  const std::shared_ptr<Lookup> ended = std::exchange(lookup_, nullptr);
+  if (outcome == LaneJob::Outcome::cancelled) return;
+  if (outcome == LaneJob::Outcome::given_up) {
+    return done(unknown_host("the name servers did not answer in " + to_string(lookup_limit)));
+  }
+  if (lookup.status != 0) return done(unknown_host(::gai_strerror(lookup.status)));
+  addresses_ = std::move(lookup.addresses);
+  try_next();
+}
+
+void TcpStream::try_next() {
+  while (next_ < addresses_.size()) {
+    const Address& address = addresses_[next_++];
+    fd_ = ::socket(address.socket.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    int status = fd_ < 0 ? errno : 0;
+    if (status == 0) {
+      // A peer that vanishes without a word is noticed within a minute, also when there is nothing to send.
+      set_option(fd_, SOL_SOCKET, SO_KEEPALIVE, 1);
+      set_option(fd_, IPPROTO_TCP, TCP_KEEPIDLE, 30);
+      set_option(fd_, IPPROTO_TCP, TCP_KEEPINTVL, 10);
+      set_option(fd_, IPPROTO_TCP, TCP_KEEPCNT, 3);
+      if (::connect(fd_, reinterpret_cast<const sockaddr*>(&address.socket), address.size) != 0) status = errno;
+    }
+    if (status == 0 || status == EINPROGRESS) {
+      timeout_.start(limit_);
+      watch_ = FdWatch(loop_.face, fd_, FdWatch::readable_and_writable, owner_, [this](const FdEvent& event) {
+        if (is_connecting_) return take_attempt();
+        if (event.hung_up) watch_.set_events(FdWatch::readable);  // what came before the end is read first
+        ready_();
+      });
+      // Of a server on this machine it is known already.
+      pollfd one{fd_, POLLOUT, 0};
+      if (::poll(&one, 1, 0) > 0) take_attempt();
+      return;
+    }
+    last_error_ = status;
+    drop_socket();
+  }
+  done(failure(last_error_));
+}
+
+void TcpStream::take_attempt() {
+  int error_number = 0;
+  socklen_t size = sizeof error_number;
+  if (::getsockopt(fd_, SOL_SOCKET, SO_ERROR, &error_number, &size) != 0) error_number = errno;
+  sockaddr_storage peer{}, own{};
+  size = sizeof peer;
+  if (error_number == 0 && ::getpeername(fd_, reinterpret_cast<sockaddr*>(&peer), &size) != 0) {
+    if (errno == ENOTCONN) return;  // under way still
+    error_number = errno;
+  }
+  if (error_number != 0) return attempt_failed(error_number);
+  // Where nobody listens, a port of this machine may connect to itself, when the kernel chooses it for our end, too.
+  size = sizeof own;
+  ::getsockname(fd_, reinterpret_cast<sockaddr*>(&own), &size);
+  if (std::memcmp(&own, &peer, sizeof own) == 0) return attempt_failed(ECONNREFUSED);
+  watch_.set_events(FdWatch::readable);
+  done({});
+}
+
+void TcpStream::attempt_failed(int error_number) {
+  last_error_ = error_number;
+  drop_socket();
+  try_next();
+}
+
+void TcpStream::done(const Result<void>& result) {
+  is_connecting_ = false;
+  timeout_.stop();
+  opened_(result);
+}
+
+void TcpStream::wait(Duration at_most) {
+  const auto end = std::chrono::steady_clock::now() + at_most;
+  while (is_connecting_) {
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
+    if (left.count() <= 0) return;
+    if (lookup_ != nullptr) {
+      lane_->wait(left);
+      continue;
+    }
+    pollfd one{fd_, POLLOUT, 0};
+    if (::poll(&one, 1, static_cast<int>(std::min<std::int64_t>(left.count(), 1000))) > 0) take_attempt();
+  }
+}
+
+void TcpStream::drop_socket() noexcept {
+  timeout_.stop();
+  watch_.close();  // before the descriptor
+  if (fd_ >= 0) ::close(fd_);
+  fd_ = -1;
+}
+
+void TcpStream::close() noexcept {
+  is_connecting_ = false;
+  if (lookup_ != nullptr) lookup_->owner = nullptr;
+  lookup_ = nullptr;
+  drop_socket();
+}
+
+ssize_t TcpStream::read(char* to, std::size_t most) noexcept { return ::recv(fd_, to, most, MSG_DONTWAIT); }
+
+bool TcpStream::send(std::string_view text) noexcept {
+  return ::send(fd_, text.data(), text.size(), MSG_DONTWAIT | MSG_NOSIGNAL) == static_cast<ssize_t>(text.size());
+}
+
+Error TcpStream::failure(int error_number) const {
+  return system_error(error_number, "cannot connect", host_ + " port " + std::to_string(port_),
+                      "is the server running there? `ss -ltn` on its machine lists the ports that are served");
+}
+
+Error TcpStream::unknown_host(std::string why) const {
+  return {Errc::not_found, "cannot connect", host_, std::move(why), "check the name; an address needs no looking up"};
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,102 @@
+#include "sensors/core/stream_node.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace rtdata::detail {
+
+StreamNode::StreamNode(LoopCore& loop, const FeedConfig& feed, PayloadType type, Waits waits)
+    : SourceNode(loop, feed.name, feed.topic, std::move(type), OriginCore::Supply::feed),
+      waits_(waits),
+      retry_(loop.face, [this] { open_stream(); }),
+      silence_(loop.face, [this] { look_for_silence(); }) {}
+
+void StreamNode::stop_schedule(MonotonicTime end) {
+  if (!is_open()) return;
+  retry_.stop();
+  silence_.stop();
+  close_stream();
+  origin_.end_absence(end);
+  origin_.close_gap();
+}
+
+void StreamNode::set_rate(Rate) {
+  throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes",
+                    "set the rate in the device"});
+}
+
+void StreamNode::begin() noexcept {
+  is_running_ = true;
+  backoff_.reset();
+}
+
+void StreamNode::end() noexcept {
+  is_running_ = false;
+  retry_.stop();
+  silence_.stop();
+  close_stream();
+  origin_.end_absence(loop()->now());
+  origin_.close_gap();
+  origin_.topic.cancel(origin_);
+}
+
+void StreamNode::opened() {
+  heard_at_ = loop()->now();
+  is_silent_ = false;
+  origin_.end_absence(heard_at_);
+  if (waits_.silence > Duration{0}) silence_.start(waits_.silence);
+}
+
+void StreamNode::lose(const Error& error, MonotonicTime since) {
+  silence_.stop();
+  close_stream();
+  if (std::exchange(is_silent_, false)) origin_.end_absence(since);
+  origin_.begin_absence(Gap::Kind::disconnected, error.id(), since);
+  retry_.start(backoff_.next(waits_.retry_first, std::max(waits_.retry_longest, waits_.retry_first), origin_.name));
+  Call call(*this);
+  report(error);
+  if (is_open() && is_running_) set_health(Health::faulted, &error);
+}
+
+void StreamNode::heard() {
+  heard_at_ = loop()->now();
+  if (!std::exchange(is_silent_, false)) return;
+  origin_.end_absence(heard_at_);
+  silence_.start(waits_.silence);
+}
+
+void StreamNode::look_for_silence() {
+  const MonotonicTime due = heard_at_ + waits_.silence;
+  if (loop()->now() < due) return silence_.start(due - loop()->now());
+  is_silent_ = true;
+  const Error error = silence_error();
+  origin_.begin_absence(Gap::Kind::silent, "silent", heard_at_);
+  Call call(*this);
+  degrade(error);
+  if (is_open() && is_running_ && is_silent_) fell_silent();
+}
+
+void StreamNode::succeed() {
+  backoff_.reset();
+  if (health() != Health::ok) set_health(Health::ok, nullptr);
+}
+
+void StreamNode::fail(const Error& error) {
+  ++origin_.counts.received;
+  ++origin_.counts.unreadable;
+  degrade(error);
+}
+
+void StreamNode::degrade(const Error& error) {
+  report(error);
+  if (is_open() && is_running_) set_health(Health::degraded, &error);
+}
+
+void StreamNode::on_close() noexcept {
+  end();
+  retry_.close();
+  silence_.close();
+  leave();
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,72 @@
+// What sends by itself over a connection that comes and goes: when it is opened again, silence, and the gaps of both.
+#pragma once
+
+#include <string_view>
+
+#include "loop/support/retry.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "sensors/core/source_node.hpp"
+
+namespace rtdata::detail {
+
+class StreamNode : public SourceNode {
+ public:
+  void stop() override {
+    if (is_open()) end();
+  }
+  void stop_schedule(MonotonicTime end) override;
+  bool is_reading() const noexcept override { return false; }
+  void set_rate(Rate) override;
+  Rate rate() const noexcept override { return {}; }
+  bool is_running() const noexcept override { return is_running_; }
+
+ protected:
+  struct Waits {
+    Duration silence{0};  ///< 0: it may be silent
+    Duration retry_first{0};
+    Duration retry_longest{0};
+  };
+  StreamNode(LoopCore& loop, const FeedConfig& feed, PayloadType type, Waits waits);
+
+  /// Tries to connect: `opened` or `lose` follows, now or later.
+  virtual void open_stream() = 0;
+  /// Ends the connection, or the attempt.
+  virtual void close_stream() noexcept = 0;
+  /// What is told when nothing has come for `silence`.
+  virtual Error silence_error() const = 0;
+  /// It has been told.
+  virtual void fell_silent() {}
+
+  /// It runs from here on; `open_stream` is the caller's to call.
+  void begin() noexcept;
+  void end() noexcept;
+  /// There is a connection.
+  void opened();
+  /// There is none, since then: faulted, and tried again later.
+  void lose(const Error& error, MonotonicTime since);
+  /// Something came just now, which ends a silence.
+  void heard();
+  /// A sample that could be used.
+  void succeed();
+  /// One that came and could not be.
+  void fail(const Error& error);
+  /// Tells of the error; degraded because of it.
+  void degrade(const Error& error);
+  bool is_silent() const noexcept { return is_silent_; }
+  MonotonicTime heard_at() const noexcept { return heard_at_; }
+  void on_close() noexcept override;
+
+ private:
+  void look_for_silence();
+
+  const Waits waits_;
+  Timer retry_;
+  Timer silence_;
+  Backoff backoff_;
+  MonotonicTime heard_at_{};  // when something came last, or it was opened
+  bool is_silent_ = false;    // for too long
+  bool is_running_ = false;
+};
+
+}  // namespace rtdata::detail
