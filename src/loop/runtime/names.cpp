@@ -43,6 +43,7 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
     if (origin != nullptr) check_supply(origin->supply, origin->counts);
     is_new = origin == nullptr || origin->supply == OriginCore::Supply::none;
     origin = &runtime_.find_or_make_origin(name, topic);
+    if (supply == OriginCore::Supply::feed) origin->expect_gaps();
   } else {
     const std::lock_guard lock(all.mutex_);
     Claim& claim = all.claims_[std::string(name)];
@@ -53,6 +54,7 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
     const OriginCore* known = runtime_.find_origin(name);
     is_new = known == nullptr || known->is_mirror || known->supply == OriginCore::Supply::none;
     origin = &runtime_.find_or_make_origin(name, topic);
+    if (supply == OriginCore::Supply::feed) origin->expect_gaps();
     if (is_new) origin->adopt(claim.left != nullptr ? claim.left->state : OriginCore::State{});
     claim.holder = &runtime_;
   }

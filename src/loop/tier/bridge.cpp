@@ -353,6 +353,7 @@ void Bridge::hear(Announcement& announcement) {
     }
     OriginCore& origin = here.find_or_make_origin(announcement.name, *channel->mirror_);
     channel->mirror_->expect(origin);
+    origin.expect_gaps();
     origin.become_mirror(*passage);
   }
   if (heard_.size() <= passage->number) heard_.resize(passage->number + 1);
