@@ -58,6 +58,14 @@ struct SubscriptionCounts {
   std::uint64_t cancelled = 0;  ///< unsubscribed, or the sensor was stopped, before delivery
   std::uint64_t queued = 0;
   bool balances() const noexcept { return offered == delivered + dropped + cancelled + queued; }
+
+  void add(const SubscriptionCounts& other) noexcept {
+    offered += other.offered;
+    delivered += other.delivered;
+    dropped += other.dropped;
+    cancelled += other.cancelled;
+    queued += other.queued;
+  }
 };
 
 /// Why a sink dropped an event.
