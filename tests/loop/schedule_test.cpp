@@ -28,7 +28,7 @@ Duration at(const Tick& tick) { return tick.due.time_since_epoch(); }
 TEST_SUITE("loop") {
   TEST_CASE("a schedule that cannot begin is told in its own words, and the others begin") {
     struct Member final : detail::RateMember {
-      Member() : RateMember(10ms, 0ns) {}
+      Member() : RateMember(10ms) {}
       void tick(const Tick&) override { ++ticks; }
       std::string blame_name() const override { return "member"; }
       void schedule_began() override {

@@ -465,4 +465,15 @@ TEST_SUITE("sinks") {
       CHECK(!std::filesystem::exists(path + ".half"));
     }
   }
+
+  TEST_CASE("a topic whose file would have too long a name is refused without a look at the disk") {
+    const FileConfig config{.path = "/no/such/folder/{topic}.jsonl"};
+    const std::string longest(255 - 6, 't'), too_long(256 - 6, 't');
+    const TopicToRecord topics[] = {{longest, nullptr}, {too_long, nullptr}};
+    const std::vector<Error> refused = refused_topics(config, topics);
+    REQUIRE(refused.size() == 1);
+    CHECK(refused[0].what.find(too_long) != std::string::npos);
+    CHECK(refused[0].why == "the name of its file is too long");
+    CHECK(refused_topics({.path = std::string(2048, '/') + "{topic}" + std::string(2048, '/')}, topics).size() == 2);
+  }
 }

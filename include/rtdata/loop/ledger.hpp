@@ -24,6 +24,9 @@
 namespace rtdata {
 
 struct SensorCounts {
+  bool has_schedule = false;
+  bool lost_is_known = false;  ///< the source numbers its data
+  bool is_one_a_read = true;   ///< each read that was taken brought one sample, new or not, with the time of the read
   // Reads. All 0 without a schedule.
   std::uint64_t scheduled = 0;  ///< ticks of the schedule that have come due
   std::uint64_t taken = 0;      ///< ticks at which the device was read, and there was nothing new or something usable
@@ -41,9 +44,6 @@ struct SensorCounts {
   std::uint64_t unreadable = 0;  ///< came, and could not be decoded
   std::uint64_t lost = 0;        ///< numbered by the source, and never came
   std::uint64_t in_flight = 0;   ///< reads begun and not finished: 0 or 1
-  bool has_schedule = false;
-  bool lost_is_known = false;  ///< the source numbers its data
-  bool is_one_a_read = true;   ///< each read that was taken brought one sample, new or not, with the time of the read
 
   bool balances() const noexcept {
     return scheduled == taken + missed + failed + in_flight && received == published + repeated + filtered + unreadable;
@@ -58,6 +58,14 @@ struct SubscriptionCounts {
   std::uint64_t cancelled = 0;  ///< unsubscribed, or the sensor was stopped, before delivery
   std::uint64_t queued = 0;
   bool balances() const noexcept { return offered == delivered + dropped + cancelled + queued; }
+
+  void add(const SubscriptionCounts& other) noexcept {
+    offered += other.offered;
+    delivered += other.delivered;
+    dropped += other.dropped;
+    cancelled += other.cancelled;
+    queued += other.queued;
+  }
 };
 
 /// Why a sink dropped an event.

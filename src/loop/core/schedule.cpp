@@ -17,11 +17,11 @@ constexpr std::size_t near_ahead = 8;
 
 constexpr Duration try_again_after = std::chrono::milliseconds{100};
 
-/// What lies around the member: the object it is part of.
+/// What lies around the member: the part of its object that a tick uses.
 void fetch(const RateMember* member) noexcept {
   if (member == nullptr) return;
   const auto* byte = reinterpret_cast<const char*>(member);
-  for (const int at : {-32, 32, 96}) __builtin_prefetch(byte + at, 1);
+  for (const int at : {-40, 24, 87}) __builtin_prefetch(byte + at, 1);
 }
 
 }  // namespace

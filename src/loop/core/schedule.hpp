@@ -32,6 +32,8 @@ class RateMember {
 
   /// Its next schedule does not begin earlier, though the turn did.
   virtual MonotonicTime not_before() const noexcept { return {}; }
+  /// Of its first tick, as wanted: after the start, or, if negative, within the first period.
+  virtual Duration wanted_phase() const noexcept { return Duration{0}; }
   /// Its schedule has begun: `first_due()` is known.
   virtual void schedule_began() {}
 
@@ -50,7 +52,7 @@ class RateMember {
   }
 
  protected:
-  RateMember(Duration period, Duration phase) noexcept : period_(period), phase_(phase) {}
+  explicit RateMember(Duration period) noexcept : period_(period) {}
   ~RateMember() = default;
   /// While it is not scheduled.
   void set_period(Duration period) noexcept { period_ = period; }
@@ -60,13 +62,13 @@ class RateMember {
   friend class Schedule;
   /// One before the start is that within the first period: no tick was due before a schedule began.
   Duration first_phase() const noexcept {
-    if (phase_.count() >= 0) return phase_;
-    const Duration within = phase_ % period_;
+    const Duration wanted = wanted_phase();
+    if (wanted.count() >= 0) return wanted;
+    const Duration within = wanted % period_;
     return within.count() < 0 ? within + period_ : within;
   }
   RateGroup* group_ = nullptr;
   Duration period_;
-  Duration phase_;
   MonotonicTime first_due_{};
 
  public:

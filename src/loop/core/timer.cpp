@@ -59,10 +59,7 @@ class TimerNode final : public Node, public Deadline {
 class TickerNode final : public Node, public RateMember {
  public:
   TickerNode(LoopCore& loop, Ticker::Config config, Callback<void(const Tick&)> callback)
-      : Node(loop),
-        RateMember(config.period, config.phase),
-        config_(std::move(config)),
-        callback_(std::move(callback)) {
+      : Node(loop), RateMember(config.period), config_(std::move(config)), callback_(std::move(callback)) {
     if (config_.period < std::chrono::microseconds{1}) {
       throw SetupError({Errc::bad_argument, "cannot make ticker", config_.name,
                         "its period is " + to_string(config_.period), "use at least 1 us"});
@@ -106,6 +103,7 @@ class TickerNode final : public Node, public RateMember {
     on.nodes.begins(this);
     on.call_user(config_.name, [&] { callback_(told); });
   }
+  Duration wanted_phase() const noexcept override { return config_.phase; }
   std::string blame_name() const override { return config_.name; }
   std::string callback_name() const override { return config_.name; }
   bool report_times(CallbackStatus& status) const override {

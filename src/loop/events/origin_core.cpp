@@ -1,6 +1,7 @@
 #include "loop/events/origin_core.hpp"
 
 #include <algorithm>
+#include <new>
 #include <utility>
 
 #include "loop/events/topic_core.hpp"
@@ -35,6 +36,7 @@ Segment OriginCore::segment(MonotonicTime end) const noexcept {
 Time OriginCore::first_due() const noexcept { return topic.runtime().event_time(first_due_); }
 
 void OriginCore::adopt(const State& state) {
+  if (state.outages.number != 0) expect_gaps();
   mirror(state.outages, Time::min());
   counts = state.counts;
   sequence = state.sequence;
@@ -55,13 +57,14 @@ void OriginCore::mirror(const SensorCounts& sent, std::uint64_t last_sequence, c
   late_after = under_way.late_after;
   scheduled_before_ = sent.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
-  if (gap_is_open_) gaps_.gap = *gap;
+  if (gap_is_open_) gaps_->gap = *gap;
   topic.tell_taps_of_change(*this);
 }
 
 void OriginCore::mirror(const Outages& ended, Time absent_since) noexcept {
-  gaps_.outages = ended;
-  gaps_.absent_since = absent_since;
+  if (gaps_ == nullptr && ended.number == 0) return;
+  gaps_->outages = ended;
+  gaps_->absent_since = absent_since;
 }
 
 Outages OriginCore::outages(Time now) const noexcept {
@@ -109,7 +112,14 @@ void OriginCore::miss(std::uint64_t count, std::string_view reason, MonotonicTim
 void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
                             std::uint64_t count) noexcept {
   const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
-  Gaps& now = gaps_;
+  if (gaps_ == nullptr) {
+    gaps_.reset(new (std::nothrow) Gaps);
+    if (gaps_ == nullptr) {  // no memory to join it with the next ones: it stands for itself
+      report({kind, reason, from, to, count});
+      return topic.tell_taps_of_change(*this);
+    }
+  }
+  Gaps& now = *gaps_;
   // A read that was under way when the gaps around it were joined and reported.
   if (from <= now.joined_up_to && count != 0) return report({kind, reason, from, to, count});
   const bool goes_on = gap_is_open_ && !now.is_interrupted && now.last_kind == kind && now.last_reason == reason &&
@@ -134,52 +144,53 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
 }
 
 void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept {
-  if (gaps_.is_absence) return;
-  if (gap_is_open_) gaps_.is_interrupted = true;  // several that are joined
+  if (gaps_->is_absence) return;
+  if (gap_is_open_) gaps_->is_interrupted = true;  // several that are joined
   extend_gap(kind, reason, from, from, 0);
-  gaps_.is_absence = gap_is_open_;
-  ++gaps_.outages.number;
-  gaps_.absent_since = topic.runtime().event_time(from);
+  gaps_->is_absence = gap_is_open_;
+  ++gaps_->outages.number;
+  gaps_->absent_since = topic.runtime().event_time(from);
 }
 
 void OriginCore::end_absence(MonotonicTime to) noexcept {
-  if (!std::exchange(gaps_.is_absence, false)) return;
+  if (gaps_ == nullptr || !std::exchange(gaps_->is_absence, false)) return;
   const Time end = topic.runtime().event_time(to);
-  gaps_.outages.time += std::max(end - std::exchange(gaps_.absent_since, Time::min()), Duration{0});
-  gaps_.gap.last = std::max(gaps_.gap.last, end);
+  gaps_->outages.time += std::max(end - std::exchange(gaps_->absent_since, Time::min()), Duration{0});
+  gaps_->gap.last = std::max(gaps_->gap.last, end);
   interrupt_gap();
 }
 
 void OriginCore::interrupt_gap() noexcept {
-  if (!gaps_.is_joining) return close_gap();
-  gaps_.is_interrupted = true;
-  const Time now = has_segment() ? topic.runtime().event_time(last_due()) : gaps_.gap.last;
-  if (gaps_.allowance.has_some(now.time_since_epoch())) close_gap();
+  if (!gaps_->is_joining) return close_gap();
+  gaps_->is_interrupted = true;
+  const Time now = has_segment() ? topic.runtime().event_time(last_due()) : gaps_->gap.last;
+  if (gaps_->allowance.has_some(now.time_since_epoch())) close_gap();
 }
 
 void OriginCore::close_gap() noexcept {
   if (!gap_is_open_ || is_mirror) return;  // a mirror's closes on its own loop
-  if (gaps_.is_absence) {
+  if (gaps_->is_absence) {
     RuntimeCore& runtime = topic.runtime();
-    gaps_.gap.last = std::max(gaps_.gap.last, runtime.event_time(runtime.clock().monotonic()));
+    gaps_->gap.last = std::max(gaps_->gap.last, runtime.event_time(runtime.clock().monotonic()));
   }
-  Gap closed = gaps_.gap;
-  if (closed.kind == Gap::Kind::joined && closed.count == 0) closed.count = gaps_.parts;  // without a schedule
-  gap_is_open_ = gaps_.is_absence;
+  Gap closed = gaps_->gap;
+  if (closed.kind == Gap::Kind::joined && closed.count == 0) closed.count = gaps_->parts;  // without a schedule
+  gap_is_open_ = gaps_->is_absence;
   if (gap_is_open_) {
-    gaps_.gap = {gaps_.last_kind, gaps_.last_reason, closed.last, closed.last, 0};
-    gaps_.parts = 1;
-    gaps_.is_joining = false;
+    gaps_->gap = {gaps_->last_kind, gaps_->last_reason, closed.last, closed.last, 0};
+    gaps_->parts = 1;
+    gaps_->is_joining = false;
   }
-  gaps_.allowance.spend(closed.last.time_since_epoch());
-  if (closed.kind == Gap::Kind::joined) gaps_.joined_up_to = closed.last;
+  gaps_->allowance.spend(closed.last.time_since_epoch());
+  if (closed.kind == Gap::Kind::joined) gaps_->joined_up_to = closed.last;
   report(closed);
 }
 
 void OriginCore::divide_gaps() noexcept {
   close_gap();
-  if (gaps_.joined_up_to != Time::min() || gaps_.parts != 0)
-    gaps_.joined_up_to = std::max(gaps_.joined_up_to, topic.runtime().event_time(last_due()));
+  if (gaps_ == nullptr) return;
+  if (gaps_->joined_up_to != Time::min() || gaps_->parts != 0)
+    gaps_->joined_up_to = std::max(gaps_->joined_up_to, topic.runtime().event_time(last_due()));
 }
 
 void OriginCore::report(const Gap& gap) noexcept {

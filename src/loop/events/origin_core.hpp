@@ -2,6 +2,7 @@
 // sensor that is removed and added again goes on in the same sequence.
 #pragma once
 
+#include <memory>
 #include <string>
 
 #include "loop/support/allowance.hpp"
@@ -69,18 +70,23 @@ class OriginCore {
 
   /// So far: one that lasts up to `now`.
   Outages outages(Time now) const noexcept;
-  bool had_outage() const noexcept { return gaps_.outages.number > 0; }
+  bool had_outage() const noexcept { return ended_outages().number > 0; }
   /// Those that have ended; one that lasts is counted, without its time.
-  Outages ended_outages() const noexcept { return gaps_.outages; }
+  Outages ended_outages() const noexcept { return gaps_ != nullptr ? gaps_->outages : Outages{}; }
   /// When the one that lasts began; without one, the earliest time.
-  Time absent_since() const noexcept { return gaps_.absent_since; }
+  Time absent_since() const noexcept { return gaps_ != nullptr ? gaps_->absent_since : Time::min(); }
+
+  /// To be called before an origin without a schedule, or a mirror, has its first gap. Throws; may be called again.
+  void expect_gaps() {
+    if (gaps_ == nullptr) gaps_ = std::make_unique<Gaps>();
+  }
 
   /// Tells of the gap under way, if there is one. An absence goes on in another.
   void close_gap() noexcept;
   /// The same; and gaps that are reported later join none from before.
   void divide_gaps() noexcept;
   /// Null: none.
-  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_.gap : nullptr; }
+  const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
 
   /// What goes on when the name is claimed again, on this loop or another.
   struct State {
@@ -150,7 +156,8 @@ class OriginCore {
     Outages outages;                  // number of all, time of those that have ended
     Time absent_since = Time::min();  // with an absence that has not ended
   };
-  Gaps gaps_;  // not apart from the rest: a gap costs no memory, of which there may be none when it happens
+  /// Thousands of sensors never have a gap: it is made with the first one. An open gap has it.
+  std::unique_ptr<Gaps> gaps_;
 };
 
 }  // namespace rtdata::detail

@@ -78,14 +78,7 @@ void SubscriptionNode::report_exception(const char* what) noexcept {
 
 SubscriptionCounts SubscriptionNode::counts() const noexcept {
   SubscriptionCounts sum;
-  for_each_topic([&](const TopicCore& topic) {
-    const SubscriptionCounts counts = topic.counts_of(*this);
-    sum.offered += counts.offered;
-    sum.delivered += counts.delivered;
-    sum.dropped += counts.dropped;
-    sum.cancelled += counts.cancelled;
-    sum.queued += counts.queued;
-  });
+  for_each_topic([&](const TopicCore& topic) { sum.add(topic.counts_of(*this)); });
   return sum;
 }
 

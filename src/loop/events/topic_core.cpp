@@ -202,11 +202,7 @@ SubscriptionCounts TopicCore::counts_of(const Link& link) const noexcept {
 void TopicCore::retire(Link& link) noexcept {
   link.cancelled += head_ - link.next;
   link.next = head_;
-  const SubscriptionCounts counts = counts_of(link);
-  retired_.offered += counts.offered;
-  retired_.delivered += counts.delivered;
-  retired_.dropped += counts.dropped;
-  retired_.cancelled += counts.cancelled;
+  retired_.add(counts_of(link));
   link.node = nullptr;
   needs_sweep_ = true;
 }
@@ -313,13 +309,7 @@ void TopicCore::abandon() noexcept {
 SubscriptionCounts TopicCore::subscription_counts() const noexcept {
   SubscriptionCounts sum = retired_;
   for (const Link& link : links_) {
-    if (link.node == nullptr) continue;
-    const SubscriptionCounts counts = counts_of(link);
-    sum.offered += counts.offered;
-    sum.delivered += counts.delivered;
-    sum.dropped += counts.dropped;
-    sum.cancelled += counts.cancelled;
-    sum.queued += counts.queued;
+    if (link.node != nullptr) sum.add(counts_of(link));
   }
   return sum;
 }

@@ -19,6 +19,7 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
   try {
     runtime_.exchange.take_announcements();  // that the last holder gave up the name: what it published comes first
     origin = &runtime_.find_or_make_origin(name, topic);
+    if (supply == OriginCore::Supply::feed) origin->expect_gaps();
     origin->adopt(state);
     origin->is_claimed = true;
     origin->supply = supply;

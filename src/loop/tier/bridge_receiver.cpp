@@ -41,6 +41,7 @@ void BridgeReceiver::hear_origin(Passage& passage, const std::string& name) {
   if (TopicCore* const topic = passage.channel->receiving.mirror; topic != nullptr) {
     OriginCore& origin = to_.runtime.find_or_make_origin(name, *topic);
     topic->expect(origin);
+    origin.expect_gaps();
     origin.is_mirror = true;
     passage.receiving.mirror = &origin;
   }

@@ -42,31 +42,31 @@ void Transaction::done(Outcome outcome) {
 // ---- opening
 
 bool SensorNode::is_starting() const noexcept {
-  return lane_side_ != nullptr && lane_side_->opening != nullptr && lane_side_->is_for_start;
+  return lane_side() != nullptr && lane_side()->opening != nullptr && lane_side()->is_for_start;
 }
 
 void SensorNode::start_on_lane() {
   std::optional<Error> refusal;
-  lane_side_->is_for_start = true;
-  if (settings().is_required) lane_side_->refusal = &refusal;
+  lane_side()->is_for_start = true;
+  if (settings().is_required) lane_side()->refusal = &refusal;
   const Result<void> submitted = submit_opening();
   if (!submitted && settings().is_required) refusal = submitted.error();
-  if (lane_side_->opening == nullptr && !refusal) {
-    lane_side_->refusal = nullptr;
+  if (lane_side()->opening == nullptr && !refusal) {
+    lane_side()->refusal = nullptr;
     return started(submitted);  // who is told may close this sensor
   }
   if (is_starting() && (loop()->is_being_set_up() || settings().is_required)) wait_for_start();
-  lane_side_->refusal = nullptr;
+  lane_side()->refusal = nullptr;
   if (is_starting() && settings().is_required) {
     cancel_opening();
-    refusal = lane_side_->device->given_up_error();
+    refusal = lane_side()->device->given_up_error();
   }
   if (refusal) throw SetupError(*refusal);
 }
 
 void SensorNode::wait_for_start() {
-  Lane& lane = *lane_side_->lane;
-  const MonotonicTime end = later(loop()->now(), lane_side_->device->give_up_after());
+  Lane& lane = *lane_side()->lane;
+  const MonotonicTime end = later(loop()->now(), lane_side()->device->give_up_after());
   while (is_starting()) {  // others may be in front of it
     const Duration left = span_between(loop()->now(), end);
     if (left <= Duration{0}) return;
@@ -76,7 +76,7 @@ void SensorNode::wait_for_start() {
 }
 
 Result<void> SensorNode::submit_opening() {
-  LaneSide& side = *lane_side_;
+  LaneSide& side = *lane_side();
   side.lane = nullptr;  // what is opened may be another physical device than before
   side.transaction = nullptr;
   try {
@@ -95,7 +95,7 @@ Result<void> SensorNode::submit_opening() {
 }
 
 void SensorNode::opening_done(Transaction& opening, LaneJob::Outcome outcome) {
-  LaneSide& side = *lane_side_;
+  LaneSide& side = *lane_side();
   const std::shared_ptr<Transaction> done = std::move(side.opening);
   side.opening = nullptr;
   Result<void> opened;
@@ -130,17 +130,17 @@ void SensorNode::opening_done(Transaction& opening, LaneJob::Outcome outcome) {
 }
 
 void SensorNode::cancel_opening() noexcept {
-  if (lane_side_ == nullptr || lane_side_->opening == nullptr) return;
-  const auto opening = std::exchange(lane_side_->opening, nullptr);
+  if (lane_side() == nullptr || lane_side()->opening == nullptr) return;
+  const auto opening = std::exchange(lane_side()->opening, nullptr);
   opening->owner_ = nullptr;
   opening->is_unwanted_.store(true, std::memory_order_relaxed);
-  if (!std::exchange(lane_side_->is_for_start, false)) origin_.fail_read(stopped, lane_side_->due);
+  if (!std::exchange(lane_side()->is_for_start, false)) origin_.fail_read(stopped, lane_side()->due);
 }
 
 // ---- reading
 
 void SensorNode::tick_on_lane(const Tick& tick) {
-  LaneSide& side = *lane_side_;
+  LaneSide& side = *lane_side();
   if (origin_.counts.in_flight != 0) {
     if (side.opening != nullptr) return origin_.fail_tick(settings().fault, tick.due);
     return origin_.miss(1, still_reading, tick.due);
@@ -159,7 +159,7 @@ void SensorNode::tick_on_lane(const Tick& tick) {
 }
 
 Error SensorNode::cannot_submit() const {
-  const LaneSide& side = *lane_side_;
+  const LaneSide& side = *lane_side();
   if (side.lane->lacks_thread()) return no_thread("cannot read", object_name());
   return side.lane->is_stuck()
              ? side.device->given_up_error()
@@ -168,12 +168,12 @@ Error SensorNode::cannot_submit() const {
 }
 
 void SensorNode::fail_in_flight(const Error& error) {
-  origin_.fail_read(error.id(), lane_side_->due);
+  origin_.fail_read(error.id(), lane_side()->due);
   failed(error, loop()->now());
 }
 
 void SensorNode::submit_read() {
-  LaneSide& side = *lane_side_;
+  LaneSide& side = *lane_side();
   if (side.transaction == nullptr) {
     try {
       side.transaction = side.device->make_transaction();
@@ -195,17 +195,17 @@ void SensorNode::submit_read() {
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
   Call call(*this);
   loop()->nodes.begins(this);
-  if (lane_side_->opening.get() == &transaction) return opening_done(transaction, outcome);
-  LaneDevice& device = *lane_side_->device;
-  const MonotonicTime due = lane_side_->due;
-  const Duration late_after = lane_side_->late_after;
+  if (lane_side()->opening.get() == &transaction) return opening_done(transaction, outcome);
+  LaneDevice& device = *lane_side()->device;
+  const MonotonicTime due = lane_side()->due;
+  const Duration late_after = lane_side()->late_after;
   if (outcome != LaneJob::Outcome::finished) {
     const Error error = told([&] {
       return outcome == LaneJob::Outcome::given_up
                  ? device.given_up_error()
                  : Error{Errc::closed, "read was cancelled", object_name(), "its lane was closed", ""};
     });
-    lane_side_->transaction = nullptr;
+    lane_side()->transaction = nullptr;
     return fail_in_flight(error);
   }
   SamplePort port(*this, due, loop()->runtime.event_time(transaction.began_), nullptr);
@@ -215,7 +215,7 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   } catch (...) {
     sampled = port.fail(thrown("decoding threw"));
   }
-  if (lane_side_->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
+  if (lane_side()->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
   if (has_failed(sampled, port)) return fail_in_flight(*port.error_);
   origin_.end_read(transaction.began_ - due + port.pushed_ > late_after);
   took(sampled, port);
@@ -224,16 +224,16 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
 // ---- closing
 
 void SensorNode::cancel_transaction() noexcept {
-  if (lane_side_ == nullptr || lane_side_->transaction == nullptr || origin_.counts.in_flight == 0) return;
-  const auto transaction = lane_side_->transaction;
-  origin_.fail_read(stopped, lane_side_->due);
+  if (lane_side() == nullptr || lane_side()->transaction == nullptr || origin_.counts.in_flight == 0) return;
+  const auto transaction = lane_side()->transaction;
+  origin_.fail_read(stopped, lane_side()->due);
   transaction->owner_ = nullptr;
   transaction->is_unwanted_.store(true, std::memory_order_relaxed);
 }
 
 void SensorNode::close_on_lane() noexcept {
-  const auto transaction = std::exchange(lane_side_->transaction, nullptr);
-  Lane* const lane = lane_side_->lane;
+  const auto transaction = std::exchange(lane_side()->transaction, nullptr);
+  Lane* const lane = lane_side()->lane;
   if (transaction == nullptr || lane == nullptr) return;
   try {
     lane->submit(std::make_shared<Closing>(transaction));

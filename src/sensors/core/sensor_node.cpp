@@ -20,15 +20,15 @@ void check_rate(Rate rate, const std::string& name) {
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type,
                        std::unique_ptr<SensorDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
-      RateMember(config.rate.period(), config.phase),
+      RateMember(config.rate.period()),
       device_(std::move(device)) {
   set_settings(config);
 }
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
-      RateMember(config.rate.period(), config.phase) {
-  lane_side_ = std::make_unique<LaneSide>(std::move(device));
+      RateMember(config.rate.period()) {
+  seldom().lane_side = std::make_unique<LaneSide>(std::move(device));
   set_settings(config);
 }
 
@@ -36,8 +36,9 @@ void SensorNode::set_settings(const SensorConfig& config) {
   const SensorConfig usual;
   if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
-      config.required != usual.required || config.on_overrun != usual.on_overrun) {
-    Rare& own = rare();
+      config.required != usual.required || config.phase != usual.phase || config.on_overrun != usual.on_overrun) {
+    Seldom& own = seldom();
+    own.phase = config.phase;
     own.read_time = config.read_time;
     own.late_after = config.late_after.value_or(Duration{-1});
     own.retry_first = config.retry_first;
@@ -50,26 +51,22 @@ void SensorNode::set_settings(const SensorConfig& config) {
 
 SensorNode::~SensorNode() = default;
 
-SensorNode::Rare& SensorNode::rare() {
-  if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
-  return *rare_;
-}
-
-const SensorNode::Rare& SensorNode::settings() const noexcept {
-  static const Rare usual;
-  return rare_ != nullptr ? *rare_ : usual;
+const SensorNode::Seldom& SensorNode::settings() const noexcept {
+  static const Seldom usual{};
+  const Seldom* own = seldom_if_any();
+  return own != nullptr ? *own : usual;
 }
 
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
   Call call(*this);
-  failures_ = 0;
-  if (rare_ != nullptr) {
-    rare_->backoff.reset();
-    rare_->retry_at = {};
+  if (Seldom* state = seldom_if_any()) {
+    state->failures = 0;
+    state->backoff.reset();
+    state->retry_at = {};
   }
   if (device_is_open_) return begin_schedule();
-  if (lane_side_ != nullptr) return start_on_lane();
+  if (lane_side() != nullptr) return start_on_lane();
   LoopCore& on = *loop();
   const Result<void> opened = open_device();
   if (!opened && settings().is_required) throw SetupError(opened.error());
@@ -87,7 +84,7 @@ void SensorNode::started(const Result<void>& opened) {
   if (opened) {
     set_health(Health::ok, nullptr);  // what it was before it stopped is over
   } else {
-    failures_ = settings().faulted_after - 1;
+    seldom().failures = settings().faulted_after - 1;
     failed(opened.error(), loop()->now());
   }
 }
@@ -157,7 +154,7 @@ void SensorNode::stop() {
 void SensorNode::set_rate(Rate rate) {
   check_rate(rate, origin_.name);
   if (!is_open()) return;
-  if (rare_ != nullptr) rare_->wanted_period = Duration{0};
+  if (Seldom* state = seldom_if_any()) state->wanted_period = Duration{0};
   if (rate.period() != period()) change_period(rate.period());
 }
 
@@ -170,9 +167,10 @@ void SensorNode::change_period(Duration period) {
 
 std::optional<SensorLoad> SensorNode::load() const {
   SensorLoad load{origin_.name, period(), phase(), {}};
-  load.time = lane_side_ != nullptr ? lane_side_->device->read_time() : device_->read_time();
-  if (lane_side_ != nullptr && load.time.lane.empty()) load.time.lane = lane_side_->device->lane_key();
-  if (settings().read_time) (lane_side_ != nullptr ? load.time.on_lane : load.time.on_loop) = settings().read_time;
+  const LaneSide* side = lane_side();
+  load.time = side != nullptr ? side->device->read_time() : device_->read_time();
+  if (side != nullptr && load.time.lane.empty()) load.time.lane = side->device->lane_key();
+  if (settings().read_time) (side != nullptr ? load.time.on_lane : load.time.on_loop) = settings().read_time;
   return load;
 }
 
@@ -184,10 +182,11 @@ bool SensorNode::report_times(CallbackStatus& status) const {
 
 void SensorNode::held(Duration took) {
   constexpr int slowest = 16;  // times the wanted period
-  if (rare_ == nullptr || rare_->on_overrun == OnOverrun::warn) return;
+  Seldom* const own = seldom_if_any();
+  if (own == nullptr || own->on_overrun == OnOverrun::warn) return;
   Call call(*this);
   const std::string lasted = "a read held the loop for " + to_string(took / 1000 * 1000);
-  if (rare_->on_overrun == OnOverrun::stop) {
+  if (own->on_overrun == OnOverrun::stop) {
     stop();
     const Error error{Errc::held_too_long, "stopped", object_name(), lasted,
                       "make its read shorter, or read it on a lane; then start it again"};
@@ -195,8 +194,8 @@ void SensorNode::held(Duration took) {
     if (is_open() && !is_running()) set_health(Health::faulted, &error);
     return;
   }
-  if (rare_->wanted_period.count() == 0) rare_->wanted_period = period();
-  const Duration wanted = rare_->wanted_period;
+  if (own->wanted_period.count() == 0) own->wanted_period = period();
+  const Duration wanted = own->wanted_period;
   const Duration next = std::min(multiple(2, period()), multiple(slowest, wanted));
   if (next == period()) return;
   change_period(next);
@@ -212,7 +211,7 @@ void SensorNode::on_close() noexcept {
 void SensorNode::drop_callbacks() noexcept {
   SourceNode::drop_callbacks();
   device_ = nullptr;
-  if (lane_side_ != nullptr) lane_side_->device = nullptr;
+  if (LaneSide* side = lane_side()) side->device = nullptr;
 }
 
 Result<void> SensorNode::open_device() noexcept {
@@ -225,7 +224,7 @@ Result<void> SensorNode::open_device() noexcept {
 }
 
 void SensorNode::close_device(LoopCore& on) noexcept {
-  if (lane_side_ != nullptr) return close_on_lane();
+  if (lane_side() != nullptr) return close_on_lane();
   const LoopCore::Calling user_code(on.runtime);
   try {
     device_->close();
@@ -287,7 +286,7 @@ void SensorNode::tick(const Tick& tick) {
   }
   Call call(*this);
   loop()->nodes.begins(this);
-  if (lane_side_ != nullptr) return tick_on_lane(tick);
+  if (device_ == nullptr) return tick_on_lane(tick);
   const bool was_ready = device_is_open_ && health() != Health::faulted;
   if (!was_ready && !make_ready(tick)) [[unlikely]]
     return;
@@ -325,22 +324,22 @@ void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& ti
 }
 
 void SensorNode::recovered() {
-  failures_ = 0;
-  rare().backoff.reset();
+  seldom().failures = 0;
+  seldom().backoff.reset();
   set_health(Health::ok, nullptr);
 }
 
 void SensorNode::complain(const Error& error) {
-  failures_ = 0;  // those before it are no row any more
+  forget_failures();  // those before it are no row any more
   report(error);
   if (is_open()) set_health(Health::degraded, &error);
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
-  ++failures_;
-  Rare& state = rare();
+  Seldom& state = seldom();
+  ++state.failures;
   state.fault = error.id();
-  const bool is_faulted = failures_ >= state.faulted_after;
+  const bool is_faulted = state.failures >= state.faulted_after;
   if (is_faulted) {
     state.retry_at = later(now, state.backoff.next(state.retry_first, state.retry_longest, origin_.name));
     if (std::exchange(device_is_open_, false)) close_device(*origin_.topic.runtime().own_loop);

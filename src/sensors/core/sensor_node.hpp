@@ -31,6 +31,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void tick(const Tick& tick) override;
   void prefetch() const noexcept override;
   MonotonicTime not_before() const noexcept override { return origin_.free_from(); }
+  Duration wanted_phase() const noexcept override { return settings().phase; }
   void schedule_began() override;
   std::string blame_name() const override { return object_name(); }
   std::string callback_name() const override { return object_name(); }
@@ -121,9 +122,10 @@ class SensorNode final : public SourceNode, public RateMember {
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick
   };
-  /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when first
-  /// needed, since there may be thousands of sensors.
-  struct Rare {
+  /// What a sensor read on the loop, with the usual settings, does not need until it fails.
+  struct Seldom final : Rare {
+    std::unique_ptr<LaneSide> lane_side;  // null: read on the loop
+    Duration phase{0};
     Duration late_after{-1};  // negative: by the rule
     std::optional<Duration> read_time;
     Duration retry_first = SensorConfig{}.retry_first;
@@ -134,17 +136,26 @@ class SensorNode final : public SourceNode, public RateMember {
     Duration wanted_period{0};  // slowed down from it; 0: it was not
     Backoff backoff;
     MonotonicTime retry_at{};
+    unsigned failures = 0;   // in a row
     std::string_view fault;  // id of the error that opened the gap under way
   };
-  Rare& rare();
-  const Rare& settings() const noexcept;
+  std::unique_ptr<Rare> make_rare() const override { return std::make_unique<Seldom>(); }
+  Seldom& seldom() { return static_cast<Seldom&>(rare()); }
+  /// Null: nothing of it is needed so far.
+  Seldom* seldom_if_any() const noexcept { return static_cast<Seldom*>(rare_.get()); }
+  /// As set, or the usual ones.
+  const Seldom& settings() const noexcept;
+  void forget_failures() noexcept {
+    if (Seldom* state = seldom_if_any()) state->failures = 0;
+  }
+  LaneSide* lane_side() const noexcept {
+    const Seldom* own = seldom_if_any();
+    return own != nullptr ? own->lane_side.get() : nullptr;
+  }
 
   bool device_is_open_ = false;
-  unsigned failures_ = 0;                 // in a row
-  std::unique_ptr<SensorDevice> device_;  // null: it is on a lane
-  std::unique_ptr<LaneSide> lane_side_;   // null: read inline
+  std::unique_ptr<SensorDevice> device_;  // null: it is on a lane, or closed
   SamplePort* port_ = nullptr;            // of the read on the stack
-  std::unique_ptr<Rare> rare_;
 };
 
 inline void SensorNode::took(Sampled sampled, const SamplePort& port) {

@@ -46,24 +46,28 @@ class SourceNode : public SensorEntry {
   void drop_callbacks() noexcept override {
     if (rare_ != nullptr) rare_->on_error.reset();
   }
+  /// What most sensors never need; made at its first use, since there may be thousands of them. A derived class may have
+  /// more of it.
+  struct Rare {
+    Rare() = default;
+    Rare(const Rare&) = delete;
+    Rare& operator=(const Rare&) = delete;
+    virtual ~Rare() = default;
+    Handler<ErrorReport> on_error;
+    std::string reason;  // why it is not ok
+  };
+  virtual std::unique_ptr<Rare> make_rare() const { return std::make_unique<Rare>(); }
+  Rare& rare() {
+    if (rare_ == nullptr) rare_ = make_rare();
+    return *rare_;
+  }
 
  private:
   Health health_ = Health::ok;
 
  protected:
   OriginCore& origin_;
-
- private:
-  /// What most sensors never need; made at its first use, since there may be thousands of them.
-  struct Rare {
-    Handler<ErrorReport> on_error;
-    std::string reason;  // why it is not ok
-  };
-  Rare& rare() {
-    if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
-    return *rare_;
-  }
-  std::unique_ptr<Rare> rare_;
+  std::unique_ptr<Rare> rare_;  // null: none yet
 };
 
 }  // namespace rtdata::detail

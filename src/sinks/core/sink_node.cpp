@@ -15,7 +15,7 @@ constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
 SinkNode::SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer)
     : Node(loop),
-      RateMember(config.batch_time, Duration{0}),
+      RateMember(config.batch_time),
       config_(std::move(config)),
       queue_(std::make_shared<SinkQueue>(config_, std::move(writer))),
       account_(queue_),

@@ -4,9 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstring>
 #include <limits>
-#include <new>
 #include <utility>
 
 namespace rtdata {
@@ -18,26 +16,7 @@ Result<void> RecordingWriter::add_topic(std::uint32_t, std::string_view, const D
 namespace detail {
 namespace {
 
-template <class Function>
-void for_each_record(const ChunkHeader& chunk, Function&& function) {
-  for (std::size_t at = 0; at < chunk.used;) {
-    SlotStored& stored = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->stored;
-    function(stored);
-    at += record_bytes_of(stored.payload_bytes);
-  }
-}
-
-/// For the only thread that writes it: no locked instruction for each of thousands.
-void add(std::atomic<std::uint64_t>& sum, std::uint64_t count) noexcept {
-  sum.store(sum.load(std::memory_order_relaxed) + count, std::memory_order_relaxed);
-}
-
 constexpr std::size_t most_chunks_together = 16;
-
-/// Its texts are short enough to need none.
-Error no_memory() { return {Errc::io_failed, "cannot store", "", "no memory", ""}; }
-
-constexpr std::uint64_t with(std::uint64_t ticket, ChunkHeader::State state) { return ticket << 2 | state; }
 
 }  // namespace
 
@@ -171,7 +150,8 @@ ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
       }
     }
     if (oldest == nullptr) return drop_newest();  // the lane is at work on all of them
-    if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value, with(oldest_value >> 2, ChunkHeader::filling)))
+    if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value,
+                                                          ticket_in_state(oldest_value >> 2, ChunkHeader::filling)))
       continue;
     for_each_record(*oldest, [this](const SlotStored& stored) {
       Slot& lost = slot(stored.index);
@@ -192,13 +172,13 @@ std::byte* SinkQueue::room(std::uint32_t slot, std::size_t bytes) {
     if (filling_ == nullptr) return nullptr;
     filling_->used = 0;
     filling_->rows = 0;
-    filling_->ticket_and_state.store(with(0, ChunkHeader::filling), std::memory_order_relaxed);
+    filling_->ticket_and_state.store(ticket_in_state(0, ChunkHeader::filling), std::memory_order_relaxed);
   }
   return filling_->data + filling_->used;
 }
 
 void SinkQueue::queue_filling() {
-  filling_->ticket_and_state.store(with(++last_ticket_, ChunkHeader::queued), std::memory_order_release);
+  filling_->ticket_and_state.store(ticket_in_state(++last_ticket_, ChunkHeader::queued), std::memory_order_release);
   filling_ = nullptr;
 }
 
@@ -292,245 +272,5 @@ bool SinkQueue::is_idle() const noexcept {
   return true;
 }
 
-// ---- lane
-
-void SinkQueue::pause(Duration duration) {
-  std::unique_lock lock(abandon_mutex_);
-  abandoned_signal_.wait_for(lock, duration, [this] { return abandoned_; });
-}
-
-ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
-  for (;;) {
-    ChunkHeader* next = nullptr;
-    std::uint64_t next_value = 0;
-    for (ChunkHeader& chunk : chunks_) {
-      const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
-      if ((value & 3) == ChunkHeader::queued && value >> 2 < before && (next == nullptr || value < next_value)) {
-        next = &chunk;
-        next_value = value;
-      }
-    }
-    if (next == nullptr) return nullptr;
-    // The loop may take it back at this moment.
-    if (next->ticket_and_state.compare_exchange_strong(next_value, with(next_value >> 2, ChunkHeader::writing))) {
-      taken_ticket_ = next_value >> 2;
-      return next;
-    }
-  }
-}
-
-bool SinkQueue::gather() {
-  slots_in_batch_.reserve(slot_count());  // here, where nothing has changed yet, it may throw
-  batch_.chunks_.clear();
-  batch_.rows_ = 0;
-  batch_.account_ = nullptr;
-  AccountBox& box = accounts_[account_cursor_];
-  const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
-  const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
-  // What waits already is stored together, in transactions that stay short.
-  const std::size_t enough_rows = pace_.bytes == 0 ? config_.batch_rows : 1;
-  bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
-  while ((batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
-    ChunkHeader* chunk = next_queued(before);
-    has_all = chunk == nullptr || taken_ticket_ + 1 == before;
-    if (chunk == nullptr) break;
-    batch_.chunks_.push_back(chunk);
-    batch_.rows_ += chunk->rows;
-  }
-  if (after != 0 && has_all) batch_.account_ = &box.account;
-  if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
-  slots_in_batch_.clear();
-  for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](SlotStored& counts) {
-      if (counts.in_batch++ == 0) slots_in_batch_.push_back(&counts);
-    });
-  }
-  return true;
-}
-
-void SinkQueue::finish_batch() {
-  const std::lock_guard lock(abandon_mutex_);
-  if (abandoned_) return;
-  revision_.fetch_add(1, std::memory_order_acq_rel);
-  for (SlotStored* s : slots_in_batch_) {
-    add(s->stored, s->in_batch - s->refused_in_batch);
-    if (s->refused_in_batch != 0) add(s->refused, s->refused_in_batch);
-    s->in_batch = s->refused_in_batch = 0;
-  }
-  for (ChunkHeader* chunk : batch_.chunks_) {
-    chunk->ticket_and_state.store(with(0, ChunkHeader::free), std::memory_order_release);
-  }
-  if (batch_.account_ != nullptr) {
-    AccountBox& box = accounts_[account_cursor_];
-    account_cursor_ = (account_cursor_ + 1) % account_count;
-    box.after_ticket.store(0, std::memory_order_release);
-  }
-  revision_.fetch_add(1, std::memory_order_acq_rel);
-  has_batch_ = false;
-  if (topic_fault_.empty()) topic_fault_ = std::exchange(topic_fault_in_batch_, {});
-  if (refusals_in_batch_ == 0) return;
-  if (refusals_ == 0) first_refusal_ = std::move(first_refusal_in_batch_);
-  refusals_ += std::exchange(refusals_in_batch_, 0);
-}
-
-void SinkQueue::fail_batch() noexcept {
-  is_open_ = false;
-  refusals_in_batch_ = 0;
-  topic_fault_in_batch_.clear();
-  if (!has_batch_) return;
-  for (SlotStored* s : slots_in_batch_) s->refused_in_batch = 0;
-}
-
-void SinkQueue::refuse_batch() {
-  for (SlotStored* s : slots_in_batch_) s->refused_in_batch = s->in_batch;
-}
-
-template <class Call>
-Result<void> SinkQueue::call_writer(Call&& call) {
-  Result<void> result;
-  try {
-    try {
-      result = call();
-    } catch (const std::bad_alloc&) {
-      throw;
-    } catch (const std::exception& e) {
-      result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
-    } catch (...) {
-      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
-    }
-  } catch (...) {
-    result = no_memory();
-  }
-  if (!result) {
-    fail_batch();
-    if (result.error().code == Errc::closed) has_ended_ = true;
-  }
-  return result;
-}
-
-bool SinkQueue::is_abandoned() {
-  const std::lock_guard lock(abandon_mutex_);
-  return abandoned_;
-}
-
-Result<void> SinkQueue::open() {
-  if (has_ended_ || is_open_) return {};
-  auto result = call_writer([this] { return writer_->open(); });
-  is_open_ = result || has_ended_;
-  return result;
-}
-
-Result<void> SinkQueue::store() {
-  Result<void> result;
-  for (;;) {
-    if (is_abandoned()) return result;
-    if (!has_ended_ && !is_open_) {
-      result = open();
-      if (!is_open_) return result;
-    }
-    if (!has_batch_ && !gather()) break;
-    has_batch_ = true;
-    if (!has_ended_) {
-      result = call_writer([this] { return writer_->write(batch_); });
-      if (!result && !has_ended_) return result;
-    }
-    if (has_ended_) refuse_batch();
-    finish_batch();
-  }
-  if (has_ended_) return result;  // the error that ended it, once
-  return call_writer([this] { return writer_->flush(); });
-}
-
-Result<void> SinkQueue::do_task(SinkTurn::Task task) {
-  if (task == SinkTurn::Task::open) return is_abandoned() ? Result<void>{} : open();
-  if (auto stored = store(); !stored || is_abandoned()) return stored;
-  switch (task) {
-    case SinkTurn::Task::store_and_sync:
-      return recording_ != nullptr ? call_writer([this] { return recording_->sync(); }) : Result<void>{};
-    case SinkTurn::Task::store_and_close:
-      return call_writer([this] { return writer_->close(); });
-    default:
-      return {};
-  }
-}
-
-SinkTurnResult SinkQueue::work(const SinkTurn& turn) noexcept {
-  if (turn.pause.count() > 0) pause(turn.pause);
-  SinkTurnResult now;
-  now.task = turn.task;
-  try {
-    now.result = do_task(turn.task);
-  } catch (...) {  // no memory, not even for an error: the batch is tried again
-    now.result = no_memory();
-  }
-  now.has_ended = has_ended_;
-  try {
-    now.refused = take_refusals(now.refusal);
-    now.topic_fault = topic_fault_;
-    if (recording_ != nullptr) {
-      now.warning = recording_->take_warning();
-      now.remarks = recording_->take_remarks();
-    }
-  } catch (...) {  // a warning less
-  }
-  return now;
-}
-
-void SinkQueue::note_topic_fault(const Error& why) {
-  if (topic_fault_in_batch_.empty()) topic_fault_in_batch_ = why.text();
-}
-
-void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
-  ++stored(index).refused_in_batch;
-  if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
-}
-
-std::uint64_t SinkQueue::take_refusals(Error& why) {
-  if (refusals_ != 0) why = first_refusal_;
-  return std::exchange(refusals_, 0);
-}
-
 }  // namespace detail
-
-// ---- Batch
-
-Record Batch::Iterator::operator*() const noexcept {
-  const std::byte* at = batch_->chunks_[chunk_]->data + offset_;
-  const auto* record = reinterpret_cast<const detail::RecordHeader*>(at);
-  const detail::SlotStored& slot = *record->stored;
-  return {slot.index,
-          slot.info,
-          {from_nanoseconds(record->time), record->sequence, slot.info->origin},
-          {at + sizeof *record, slot.payload_bytes}};
-}
-
-Batch::Iterator& Batch::Iterator::operator++() noexcept {
-  const detail::ChunkHeader& chunk = *batch_->chunks_[chunk_];
-  offset_ += detail::record_bytes_of(
-      reinterpret_cast<const detail::RecordHeader*>(chunk.data + offset_)->stored->payload_bytes);
-  if (offset_ >= chunk.used) {
-    offset_ = 0;
-    ++chunk_;
-  }
-  return *this;
-}
-
-Batch::Iterator Batch::begin() const { return Iterator(*this, 0); }
-Batch::Iterator Batch::end() const { return Iterator(*this, chunks_.size()); }
-const SlotInfo& Batch::slot(std::uint32_t slot) const noexcept { return queue_->slot(slot).info; }
-std::size_t Batch::slots() const noexcept { return queue_->slot_count(); }
-std::uint64_t Batch::stored_after(std::uint32_t slot) const noexcept {
-  const detail::SlotStored& s = queue_->stored(slot);
-  return s.stored.load(std::memory_order_relaxed) + s.in_batch - s.refused_in_batch;
-}
-std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
-  const detail::SlotStored& s = queue_->stored(slot);
-  return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
-}
-void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }
-void Batch::refuse_topic(const Record& record, const Error& why) {
-  queue_->note_refusal(record.slot, why);
-  queue_->note_topic_fault(why);
-}
-
 }  // namespace rtdata

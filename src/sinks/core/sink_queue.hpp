@@ -41,6 +41,10 @@ struct ChunkHeader {
   std::uint32_t rows = 0;
 };
 
+constexpr std::uint64_t ticket_in_state(std::uint64_t ticket, ChunkHeader::State state) noexcept {
+  return ticket << 2 | state;
+}
+
 /// One (topic, origin): what is fixed, and the loop's counts.
 struct alignas(64) Slot {
   SlotInfo info;
@@ -60,6 +64,15 @@ struct SlotStored {
   std::uint32_t payload_bytes = 0;
   const SlotInfo* info = nullptr;
 };
+
+template <class Function>
+void for_each_record(const ChunkHeader& chunk, Function&& function) {
+  for (std::size_t at = 0; at < chunk.used;) {
+    SlotStored& stored = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->stored;
+    function(stored);
+    at += record_bytes_of(stored.payload_bytes);
+  }
+}
 
 /// A turn of work of the lane.
 struct SinkTurn {
@@ -157,7 +170,7 @@ class SinkQueue {
   /// Whatever the lane still does: no batch is begun or counted after this returns.
   void abandon();
 
-  // ---- lane
+  // ---- lane (sink_lane.cpp)
   /// An error leaves what is queued there, unless it is `closed`: then all that comes is refused.
   SinkTurnResult work(const SinkTurn& turn) noexcept;
   void note_refusal(std::uint32_t slot, const Error& why);

@@ -1,9 +1,7 @@
 #include "rtdata/sinks/file.hpp"
 
-#include <sys/stat.h>
-
 #include <algorithm>
-#include <cerrno>
+#include <climits>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -39,11 +37,21 @@ std::string path_of(std::string path, std::string_view topic) {
   return path;
 }
 
+/// Whether no file system of Linux takes the path. The disk is not asked: it may not answer, and the loop would wait.
+bool is_too_long(std::string_view path) noexcept {
+  if (path.size() >= PATH_MAX) return true;
+  while (!path.empty()) {
+    const std::size_t end = std::min(path.find('/'), path.size());
+    if (end > NAME_MAX) return true;
+    path.remove_prefix(std::min(end + 1, path.size()));
+  }
+  return false;
+}
+
 /// A file holds one topic: this one, unless there is another already, or the topic makes its name too long.
 Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const std::string& pattern,
                        const std::string& path, std::string_view topic) {
-  struct stat about {};
-  if (::stat(path.c_str(), &about) != 0 && errno == ENAMETOOLONG) {
+  if (is_too_long(path)) {
     return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
                  "the name of its file is too long", "choose a shorter `path`, or give it a sink of its own"};
   }
