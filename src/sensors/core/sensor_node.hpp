@@ -46,6 +46,11 @@ class SensorNode final : public SourceNode, public RateMember {
     ++origin_.counts.received;
     ++origin_.counts.repeated;
   }
+  Time time_of(MonotonicTime at) noexcept { return loop()->runtime.event_time(at); }
+  void count_lost(std::uint64_t count) noexcept {
+    origin_.counts.lost_is_known = true;
+    origin_.counts.lost += count;
+  }
   void count_unreadable() noexcept {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
