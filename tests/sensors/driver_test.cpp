@@ -59,7 +59,7 @@ using Thermometer = DriverSensor<Lm75>;
 }  // namespace
 
 TEST_SUITE("sensors") {
-  TEST_CASE("US-36 BMP280: the data sheet's worked example") {
+  TEST_CASE("US-12 BMP280: the data sheet's worked example") {
     FakeI2c wires;
     put_example(wires.chip(0x76));
     std::array<std::uint8_t, 24> trimming{};
@@ -75,7 +75,7 @@ TEST_SUITE("sensors") {
     CHECK(Bmp280::decode(data, calibration).error().code == Errc::bad_data);
   }
 
-  TEST_CASE("US-36 LM75: the data sheet's table of temperatures") {
+  TEST_CASE("US-12 LM75: the data sheet's table of temperatures") {
     CHECK(Lm75::decode(0x7d00) == 125);
     CHECK(Lm75::decode(0x1900) == 25);
     CHECK(Lm75::decode(0x0080) == 0.5);
@@ -85,7 +85,7 @@ TEST_SUITE("sensors") {
     CHECK(Lm75::decode(0xc900) == -55);
   }
 
-  TEST_CASE("US-36 a barometer's event has the time of the start, and comes when the conversion is over") {
+  TEST_CASE("a barometer's event has the time of the start, and comes when the conversion is over") {
     Bench bench;
     put_example(bench.wires->chip(0x76));
     std::vector<Duration> heard_at, times;
@@ -242,7 +242,7 @@ TEST_SUITE("sensors") {
     CHECK(loop.runtime().balances());
   }
 
-  TEST_CASE("US-36 a place on a bus is one sensor's, and an address has seven bits") {
+  TEST_CASE("US-12 a place on a bus is one sensor's, and an address has seven bits") {
     Bench bench;
     put_lm75(*bench.wires, 0x48, 20);
     Thermometer first(bench.loop, {.name = "a", .rate = 10_Hz}, bench.bus);
@@ -279,7 +279,7 @@ TEST_SUITE("sensors") {
     CHECK(none.device({0x50}).read_register(0).error().code == Errc::not_found);
   }
 
-  TEST_CASE("US-36 NFR-6 chips in a configuration: buses, addresses, and what is wrong with them") {
+  TEST_CASE("US-12 NFR-6 chips in a configuration: buses, addresses, and what is wrong with them") {
     const Registry registry = standard_registry();
     const auto problems = [&](const std::string& sensors) {
       return plan_system(registry,
