@@ -238,8 +238,8 @@ class Registry {
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
-        using Bus = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
-        return PartObject::made_by<Bus>(
+        using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
+        return PartObject::made_by<Made>(
             [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
       };
     });

@@ -25,6 +25,7 @@
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: DriverSensor: the loop's; the bus must outlive it.
 #pragma once
 
+#include <algorithm>
 #include <concepts>
 #include <cstdint>
 #include <memory>
@@ -58,7 +59,6 @@ class Samples {
  private:
   template <class Driver>
   friend class DriverDevice;
-  friend class DriverTest;
   struct Sample {
     T value;
     std::optional<MonotonicTime> time;
@@ -156,9 +156,9 @@ class DriverDevice final : public detail::LaneDevice {
     Result<void> result;
   };
 
-  class Reading_ final : public detail::Transaction {
+  class ReadJob final : public detail::Transaction {
    public:
-    explicit Reading_(std::shared_ptr<Session> session_) : session(std::move(session_)) {}
+    explicit ReadJob(std::shared_ptr<Session> session_) : session(std::move(session_)) {}
     void transact() noexcept override {
       if (!std::exchange(is_converting, false)) {
         samples.clear();
@@ -224,10 +224,10 @@ class DriverDevice final : public detail::LaneDevice {
   }
   std::shared_ptr<detail::Transaction> make_transaction() override {
     auto session = std::exchange(session_, nullptr);
-    return std::make_shared<Reading_>(session != nullptr ? std::move(session) : make_session());
+    return std::make_shared<ReadJob>(session != nullptr ? std::move(session) : make_session());
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
-    auto& read = static_cast<Reading_&>(transaction);
+    auto& read = static_cast<ReadJob&>(transaction);
     Samples<Value>& samples = read.samples;
     if (samples.lost_ > 0) port.lost(samples.lost_);
     for (auto& sample : samples.samples_) {
