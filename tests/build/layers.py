@@ -18,14 +18,14 @@ below = {
     "io": {"data", "loop"},
     "sensors": {"data", "loop", "io"},
     "sinks": {"data", "loop", "io"},
-    "config": {"data", "loop", "io", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp"},
+    "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp"},
     "app": {"data", "loop", "io", "sensors", "sinks", "config"},
 }
 # Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call
 # upwards, since objects of a loop register with its runtime; elsewhere they may not either.
 rooms = {
     "loop": [{"support"}, {"core"}, {"events"}, {"runtime"}, {"tier"}],
-    "sensors": [{"core"}, {"analog", "gps", "host", "serial"}],
+    "sensors": [{"core"}, {"analog", "chips", "gps", "host", "serial"}],
     "sinks": [{"core"}, {"console", "file", "sqlite"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
     "app": [{"core"}, {"bench", "control", "inspect"}, {"run"}],

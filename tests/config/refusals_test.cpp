@@ -23,6 +23,8 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 /// An item of each type that is right; `FOLDER` stands for a directory of the test.
 const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
+    {"bmp280", R"({"name": "s", "type": "bmp280", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
@@ -78,7 +80,8 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
         folder.write("adc", "7\n");
         ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
         item.set(parameter.key, value);
-        const std::string text = "{\"" + std::string(list) + "\": [" + item.to_json() + "]}";
+        const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"}}, ")" +
+                                 std::string(list) + "\": [" + item.to_json() + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);
         ++(plan.good() ? made : refused);

@@ -125,21 +125,29 @@ TEST_SUITE("loop") {
     CHECK(lane.left_behind() == 1);
   }
 
-  TEST_CASE("where several with limits of their own use one lane, the longest holds") {
+  TEST_CASE("each job has a limit of its own") {
     Loop loop(Loop::Manual{});
     loop.script_lane_duration(300ms);
     Lane& lane = loop.core().lanes.of("device", 100ms);
-    CHECK(&loop.core().lanes.of("device", 500ms) == &lane);
-    CHECK(&loop.core().lanes.of("device", 200ms) == &lane);
-    struct Job final : LaneJob {
-      void run() noexcept override {}
-      void done(Outcome outcome) override { ended = outcome; }
-      std::optional<Outcome> ended;
-    };
-    const auto job = std::make_shared<Job>();
-    REQUIRE(lane.submit(job));
+    std::vector<std::pair<Outcome, Duration>> told;
+    const auto note = [&](Outcome outcome) { told.emplace_back(outcome, loop.now().time_since_epoch()); };
+    CHECK(lane.submit(job({}, note)));
+    CHECK(lane.submit(job({}, note), 500ms));
+    CHECK(lane.submit(job({}, note), 200ms));
     loop.advance(1s);
-    CHECK(job->ended == LaneJob::Outcome::finished);
+    CHECK(told == std::vector<std::pair<Outcome, Duration>>{
+                      {Outcome::given_up, 100ms}, {Outcome::finished, 400ms}, {Outcome::given_up, 600ms}});
+  }
+
+  TEST_CASE("a job that hangs is given up by its own limit, also in front of one with a longer limit") {
+    Loop loop;
+    Lane& lane = loop.core().lanes.of("device", 10s);
+    Stuck stuck;
+    std::vector<Outcome> told;
+    CHECK(lane.submit(job(stuck.work(), [&](Outcome outcome) { told.push_back(outcome); }), 20ms));
+    CHECK(lane.submit(job({}, [&](Outcome outcome) { told.push_back(outcome); }), 10s));
+    loop.run();
+    CHECK(told == std::vector<Outcome>{Outcome::given_up, Outcome::finished});
   }
 
   TEST_CASE("so many threads are left behind; then nothing is taken, until one comes back") {

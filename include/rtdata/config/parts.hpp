@@ -106,6 +106,11 @@ struct PartPlan {
   std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
   std::optional<PublishedTopic> publishes = {};
   std::optional<StoredTopics> stores = {};
+  /// The place on a bus that it takes for itself.
+  struct Place {
+    std::string bus = {};   ///< empty: none
+    std::string text = {};  ///< "address 0x76"
+  } place = {};
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 

@@ -42,6 +42,7 @@
 
 #include "rtdata/config/parts.hpp"
 #include "rtdata/config/type_registry.hpp"
+#include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/sensor_parameters.hpp"
 #include "rtdata/sinks/sink.hpp"
 
@@ -126,6 +127,22 @@ decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... 
 
 }  // namespace config_detail
 
+/// What a configuration says of a sensor that is made of a driver: where its chip is, and the driver's own.
+template <Driver D>
+struct DriverConfig {
+  std::string bus = {};
+  typename D::Device::Place place = default_place<D>();
+  typename D::Config own = {};
+  friend constexpr auto parameters(type_tag<DriverConfig>) {
+    return parameter_list(parameter("bus", &DriverConfig::bus, "the bus that it is on", required,
+                                    names_part("bus", D::Device::Bus::type)),
+                          include_member(&DriverConfig::place), include_member(&DriverConfig::own));
+  }
+  friend void check_config(const DriverConfig& config, const ConfigItem& item, Problems& problems) {
+    if constexpr (requires { check_config(config.own, item, problems); }) check_config(config.own, item, problems);
+  }
+};
+
 /// For a type without parameters of its own.
 struct NoParameters {
   friend constexpr auto parameters(type_tag<NoParameters>) { return parameter_list(); }
@@ -139,13 +156,19 @@ class Registry {
   /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
   template <Configurable C, class Describe, class Make>
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
+    add_sensor<C>(type, std::move(doc), std::move(describe), std::move(make), [](PartPlan&, const C&) {});
+  }
+  /// `complete(PartPlan&, const C&)`: says more of the part.
+  template <Configurable C, class Describe, class Make, class Complete>
+  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make, Complete complete) {
     constexpr bool is_scheduled = config_detail::makes_sensor_of<Make, SensorConfig, C>;
     static_assert(is_scheduled || config_detail::makes_sensor_of<Make, FeedConfig, C>,
                   "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
                   "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
     using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
     using All = config_detail::Joined<Common, C>;
-    add_type<All>("sensor", type, std::move(doc), [describe, make](PartPlan& plan, const All& all) {
+    add_type<All>("sensor", type, std::move(doc), [describe, make, complete](PartPlan& plan, const All& all) {
+      complete(plan, all.own);
       plan.name = all.common.name;
       plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
       plan.publishes->load = config_detail::load_of(all.common, all.own);
@@ -154,6 +177,21 @@ class Registry {
             [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
       };
     });
+  }
+
+  /// A driver (driver.hpp): its parameters are those of all sensors, `bus`, where it is there, and those of D::Config.
+  template <Driver D>
+  void add_driver(const std::string& type, std::string doc) {
+    using C = DriverConfig<D>;
+    using BusOf = typename D::Device::Bus;
+    add_sensor<C>(
+        type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
+        [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
+          return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
+        },
+        [](PartPlan& plan, const C& config) {
+          plan.place = {config.bus, BusOf::text_of(config.place)};
+        });
   }
 
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
@@ -200,8 +238,8 @@ class Registry {
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
-        using Bus = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
-        return PartObject::made_by<Bus>(
+        using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
+        return PartObject::made_by<Made>(
             [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
       };
     });

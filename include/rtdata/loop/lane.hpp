@@ -1,17 +1,21 @@
-/// Lane: a worker thread of a loop for blocking work: one for each sink and each physical device.
+/// Lane: a loop's way to a worker thread for blocking work: one for each sink and each physical device.
 ///
-/// Jobs run one after the other, in order. The lane gives up a job that outlives the limit: it leaves the job's thread
-/// behind, runs the waiting jobs on a new thread, and calls the job's `done` with `given_up`. With `most_left_behind` threads
-/// left behind the lane takes no job until one of them has returned. Lanes run transactions and storage, never a user's callbacks.
+/// Jobs run one after the other, in order. Each has a limit, which counts from when it runs. One that outlives it is given
+/// up: its thread is left behind, the waiting jobs go on with a new thread, and its `done` is called with `given_up`. With
+/// `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes run transactions, drivers
+/// and storage, never a user's callbacks.
+///
+/// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the order
+/// in which they were submitted, and each is told of on the loop that it came from.
 ///
 /// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
-/// called after the scripted virtual duration, and what the seed adds; given up after the limit, when that is shorter.
+/// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds; given
+/// up after the limit, when that is shorter.
 ///
 /// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of both.
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
-#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <memory>
@@ -23,7 +27,14 @@
 
 namespace rtdata::detail {
 
+class LaneThread;
 class LoopCore;
+struct LaneListener;
+
+/// The time for code that runs on a lane: the machine's, or on a manual loop the virtual time of the job.
+MonotonicTime lane_now() noexcept;
+/// Holds the lane for so long; on a manual loop that much virtual time passes for the job.
+void lane_sleep(Duration duration) noexcept;
 
 /// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later: `run` may
 /// touch only what the job owns.
@@ -39,29 +50,43 @@ class LaneJob {
 
  private:
   friend class Lane;
-  enum State : int { idle, queued, running, finished };
+  friend class LaneThread;
+  enum State : int { idle, queued, running, finished, taken_away };
+  /// On the lane's thread. False: it does not want to be run any more.
+  bool begin() noexcept;
+  /// On the lane's thread. False: it was given up.
+  bool end() noexcept;
+  /// Takes it from the thread, unless it has finished. Returns what it was before.
+  State take_away() noexcept;
+
   std::atomic<int> state_{idle};
   std::atomic<std::int64_t> began_{0};  // ns of the monotonic line
+  Duration limit_{0};
 };
 
 class Lane {
  public:
   static constexpr std::size_t most_outstanding = 4096;  ///< jobs that run or wait: sensors that share a device
   static constexpr std::size_t most_left_behind = 4;
-  Lane(LoopCore& loop, std::string name, Duration give_up_after);
-  /// Waits for the running job for at most the limit; jobs that wait are cancelled.
+  static constexpr std::size_t most_handed_over = 64;  ///< that its thread has at hand; the others wait on the loop
+  /// `thread`: shared with other loops; null: it has one of its own.
+  Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared_ptr<LaneThread> thread = nullptr);
+  /// Waits for the running job for at most its limit; jobs that wait are cancelled.
   ~Lane();
 
   /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
-  bool submit(std::shared_ptr<LaneJob> job);
-  /// Raises the limit, where several with limits of their own use one lane.
-  void allow(Duration give_up_after) noexcept { give_up_after_ = std::max(give_up_after_, give_up_after); }
+  bool submit(std::shared_ptr<LaneJob> job) { return submit(std::move(job), give_up_after_); }
+  bool submit(std::shared_ptr<LaneJob> job, Duration give_up_after);
   /// Threads that have been left behind and have not come back.
   std::size_t left_behind() const noexcept;
   /// As many threads as may be are left behind: nothing runs until one of them comes back.
-  bool is_stuck() const noexcept { return worker_ == nullptr && left_behind() >= most_left_behind; }
+  bool is_stuck() const noexcept;
   /// The system gives no thread.
-  bool lacks_thread() const noexcept { return needs_thread_ && worker_ == nullptr && !is_stuck(); }
+  bool lacks_thread() const noexcept;
+  /// Whether this is the thread that it uses.
+  bool uses(const LaneThread& thread) const noexcept { return thread_.get() == &thread; }
+  /// Nobody else has its thread, and it has nothing to do.
+  bool is_deserted() const noexcept { return thread_.use_count() == 1 && outstanding_.empty(); }
   /// Gives up the first job that has not finished, however long it has run.
   void give_up();
   /// Calls `done` of finished jobs. The loop does so when a worker has woken it. `done` may destroy the lane.
@@ -73,30 +98,33 @@ class Lane {
   void leave_behind() noexcept;
 
  private:
-  static constexpr std::size_t ring_size = 64;  // jobs that the thread has at hand; the others wait on the loop
-  struct Worker;
   struct Watchdog;
   struct Delayed;
   /// False when there can be none: too many were left behind, or the system gives no more threads.
-  bool start_worker() noexcept;
+  bool start_thread() noexcept;
   /// So many may be outstanding without asking for memory.
   void make_room(std::size_t jobs);
   void hand_over();
   void check_limit();
-  void look_at_health(LaneJob::Outcome outcome);
+  void watch_until(MonotonicTime due);
+  void look_at_health(LaneJob::Outcome outcome, Duration limit);
   void finish(std::size_t index, LaneJob::Outcome outcome);
   /// On a manual loop.
-  void run_here(LaneJob& job) noexcept;
+  void submit_in_virtual_time(std::shared_ptr<LaneJob> job);
+  /// On a manual loop. Returns the virtual time that it has spent.
+  Duration run_here(LaneJob& job, MonotonicTime now) noexcept;
 
   LoopCore& loop_;
   std::string name_;
   Duration give_up_after_;
   Health health_ = Health::ok;
-  std::shared_ptr<Worker> worker_;
-  mutable std::vector<std::shared_ptr<Worker>> behind_;
+  const bool is_shared_;
+  bool is_left_behind_ = false;
+  std::shared_ptr<LaneThread> thread_;
+  std::shared_ptr<LaneListener> listener_;
   std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
-  bool needs_thread_ = false;                          // else a manual loop runs the jobs
   std::size_t handed_over_ = 0;                        // of these, the first so many are with the thread
+  Duration shortest_;                                  // limit of all that were submitted
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for calls during which `done` may destroy the lane

@@ -113,6 +113,10 @@ class SamplePort {
   void publish(void* payload) { publish(payload, time_); }
   /// With the device's own time.
   void publish(void* payload, Time time);
+  /// With the instant at which the device took it.
+  void publish_at(void* payload, MonotonicTime time);
+  /// The device has dropped so many samples, which it tells.
+  void lost(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
   /// What a read that failed returns. When something usable was handed over before, the read is taken all the same; the

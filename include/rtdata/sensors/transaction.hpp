@@ -15,6 +15,7 @@
 
 #include <atomic>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "rtdata/loop/lane.hpp"
@@ -26,12 +27,19 @@ class Transaction : public LaneJob {
  public:
   void run() noexcept final;
   void done(Outcome outcome) final;
+  /// When it was run, for the first time since its tick. To be asked while it runs, or afterwards.
+  MonotonicTime began() const noexcept { return began_; }
 
   /// The device's turn. On the lane's thread.
   virtual void transact() noexcept = 0;
   /// Gives back what it holds of the device; what it has read stays for `decode`. On the lane's thread, after `transact`.
   /// Not called when the lane takes no more, or has given it up: then the destructor does it.
   virtual void close() noexcept {}
+  /// Asked on the loop when it has run: how long the device needs before the transaction is run again, the lane being free
+  /// for others meanwhile. None: it is done, and can be decoded.
+  virtual std::optional<Duration> goes_on_after() { return {}; }
+  /// The loop has given it up: it hangs on the lane, or will never run there. Once, on the loop's thread.
+  virtual void given_up() noexcept {}
   /// Closes it, unless it hangs in `transact`.
   void close_unless_hung() noexcept;
 
@@ -40,8 +48,9 @@ class Transaction : public LaneJob {
   SensorNode* owner_ = nullptr;           // null once the sensor does not want it any more
   std::atomic<bool> is_unwanted_{false};  // the same for the lane's thread, when it was not begun yet
   std::atomic<bool> is_under_way_{false};
+  bool is_resumed_ = false;  // it goes on
   MonotonicTime began_{};
-  LoopCore* loop_ = nullptr;  // on manual loops, whose clock it takes; null otherwise
+  MonotonicTime ended_{};  // when it had run
 };
 
 /// A device that is opened, read and closed on a lane. All calls are on the loop.
@@ -59,7 +68,9 @@ class LaneDevice {
   /// Sensors of one physical device have one key, and so one lane. Asked for before each opening, or before the
   /// first read when there is nothing to open; must not block.
   virtual std::string lane_key() const = 0;
-  /// A transaction that takes longer is given up.
+  /// The thread of that lane when it is a bus's, which sensors of several loops may be on. Null: one of its own.
+  virtual std::shared_ptr<LaneThread> lane_thread() const { return nullptr; }
+  /// A transaction that takes longer is given up: each time that it is run.
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
   /// Of one reading; may be asked for before it is opened.
   virtual ReadTime read_time() const { return {}; }

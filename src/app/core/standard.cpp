@@ -2,9 +2,12 @@
 
 #include <algorithm>
 
+#include "rtdata/io/i2c.hpp"
 #include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -74,6 +77,11 @@ struct ShippedFileConfig : FileConfig {
 
 Registry standard_registry() {
   Registry registry;
+  registry.add_bus<I2cConfig>(
+      std::string(I2cBus::type), "an I2C adapter of the kernel",
+      [](Runtime&, const std::string& name, const I2cConfig& config) { return I2cBus(name, config); });
+  registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
+  registry.add_driver<Lm75>("lm75", "temperature of an LM75, TMP75 or the like on I2C");
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },

@@ -50,6 +50,7 @@ Neighbours::Neighbours(const Registry& registry, const std::string& configuratio
 
 void Neighbours::add(const PartPlan& part, Problems& problems) {
   if (part.publishes) check_topic(part, problems);
+  if (!part.place.bus.empty()) check_place(part, problems);
   if (part.stores) {
     if (!part.stores->path.empty() && part.stores->path != "-") check_path(part, problems);
     storing_.push_back({&part});
@@ -67,6 +68,17 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   problems.add(problem_of_name(part, "duplicate-name",
                                "there is a " + part.kind + " \"" + part.name + "\" already, at " +
                                    place_of_name(first) + "; give each a `name` of its own"));
+}
+
+void Neighbours::check_place(const PartPlan& part, Problems& problems) {
+  const auto [known, is_new] = places_.try_emplace({part.place.bus, part.place.text}, &part);
+  if (is_new) return;
+  const std::string key = part.place.text.substr(0, part.place.text.find(' '));
+  problems.add(child_or_self(part.item, key)
+                   .problem("duplicate-place", part.kind + " " + known->second->name + ", at " +
+                                                   place_of(known->second->item) + ", has " + part.place.text +
+                                                   " of the bus \"" + part.place.bus +
+                                                   "\" already; give each chip its own"));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {

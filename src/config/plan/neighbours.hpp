@@ -49,6 +49,8 @@ class Neighbours {
   const std::vector<const PartPlan*>& publishers(const std::string& topic) const;
 
  private:
+  /// Two sensors on one place of a bus.
+  void check_place(const PartPlan& part, Problems& problems);
   struct KnownFile {
     WrittenFile file;
     const PartPlan* part;  ///< null: the log
@@ -71,6 +73,7 @@ class Neighbours {
   const Registry& registry_;
   std::optional<FileIdentity> configuration_;
   std::map<std::pair<std::string, std::string>, const PartPlan*> names_;
+  std::map<std::pair<std::string, std::string>, const PartPlan*> places_;  // on buses, by bus and place
   std::map<std::string, const PartPlan*, std::less<>> topics_;
   std::map<std::string, const PartPlan*> topic_by_lower_case_;
   std::map<std::string, std::vector<const PartPlan*>> publishers_;

@@ -9,13 +9,16 @@ namespace rtdata::detail {
 Lanes::Lanes(LoopCore& loop) noexcept : loop_(loop) {}
 Lanes::~Lanes() = default;
 
-Lane& Lanes::of(const std::string& key, Duration give_up_after) {
+Lane& Lanes::of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread) {
   for (auto& [name, lane] : by_key_) {
     if (name != key) continue;
-    lane->allow(give_up_after);
-    return *lane;
+    if (thread == nullptr || lane->uses(*thread)) return *lane;
+    if (lane->is_deserted()) {  // of a bus of this name that was closed
+      lane = std::make_unique<Lane>(loop_, key, give_up_after, thread);
+      return *lane;
+    }
   }
-  by_key_.emplace_back(key, std::make_unique<Lane>(loop_, key, give_up_after));
+  by_key_.emplace_back(key, std::make_unique<Lane>(loop_, key, give_up_after, thread));
   return *by_key_.back().second;
 }
 

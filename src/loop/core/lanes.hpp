@@ -14,6 +14,7 @@
 namespace rtdata::detail {
 
 class Lane;
+class LaneThread;
 class LoopCore;
 
 /// Thread: the loop's.
@@ -24,8 +25,9 @@ class Lanes {
   Lanes& operator=(const Lanes&) = delete;
   ~Lanes();
 
-  /// One for each key (a physical device), made when first asked for, with the longest limit of all that ask.
-  Lane& of(const std::string& key, Duration give_up_after);
+  /// One for each key (a physical device), made when first asked for. The limit is that of jobs that are submitted without
+  /// one. `thread`: of a bus, which other loops use too.
+  Lane& of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread = nullptr);
   // Each lane lists itself.
   void add(Lane& lane) { listed_.push_back(&lane); }
   void remove(Lane& lane) noexcept;

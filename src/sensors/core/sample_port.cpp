@@ -14,6 +14,18 @@ void SamplePort::publish(void* payload, Time time) {
   if (is_of_read) pushed_ = span_between(time, row);
 }
 
+void SamplePort::publish_at(void* payload, MonotonicTime time) {
+  if (sensor_ != nullptr) publish(payload, sensor_->time_of(time));
+}
+
+void SamplePort::lost(std::uint64_t count) {
+  if (sensor_ == nullptr || count == 0) return;
+  sensor_->count_lost(count);
+  error_ = Error{Errc::backlog, "samples are lost", sensor_->blame_name(),
+                 "the device dropped " + std::to_string(count) + " before they were read",
+                 "read it more often, or let it measure more slowly"};
+}
+
 void SamplePort::repeated() noexcept {
   if (sensor_ == nullptr) return;
   is_usable_ = true;

@@ -1,6 +1,7 @@
 // The side of a sensor whose device may block: it is opened, read and closed on its lane.
 #include <utility>
 
+#include <algorithm>
 #include "loop/support/no_thread.hpp"
 #include "sensors/core/sensor_node.hpp"
 
@@ -25,10 +26,11 @@ class Closing final : public LaneJob {
 
 void Transaction::run() noexcept {
   if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
-  began_ = loop_ != nullptr ? loop_->now() : std::chrono::steady_clock::now();
+  if (!is_resumed_) began_ = lane_now();
   is_under_way_.store(true, std::memory_order_relaxed);
   transact();
   is_under_way_.store(false, std::memory_order_release);
+  ended_ = lane_now();
 }
 
 void Transaction::close_unless_hung() noexcept {
@@ -36,6 +38,7 @@ void Transaction::close_unless_hung() noexcept {
 }
 
 void Transaction::done(Outcome outcome) {
+  if (outcome != Outcome::finished) given_up();
   if (owner_ != nullptr) owner_->transaction_done(*this, outcome);
 }
 
@@ -75,6 +78,11 @@ void SensorNode::wait_for_start() {
   }
 }
 
+void SensorNode::find_lane() {
+  LaneDevice& device = *lane_side()->device;
+  lane_side()->lane = &loop()->lanes.of(device.lane_key(), device.give_up_after(), device.lane_thread());
+}
+
 Result<void> SensorNode::submit_opening() {
   LaneSide& side = *lane_side();
   side.lane = nullptr;  // what is opened may be another physical device than before
@@ -83,9 +91,8 @@ Result<void> SensorNode::submit_opening() {
     side.opening = side.device->make_opening();
     if (side.opening == nullptr) return {};
     side.opening->owner_ = this;
-    side.opening->loop_ = loop()->is_manual() ? loop() : nullptr;
-    side.lane = &loop()->lanes.of(side.device->lane_key(), side.device->give_up_after());
-    if (side.lane->submit(side.opening)) return {};
+    find_lane();
+    if (side.lane->submit(side.opening, side.device->give_up_after())) return {};
   } catch (...) {
     side.opening = nullptr;
     return thrown("open() threw");
@@ -181,11 +188,10 @@ void SensorNode::submit_read() {
       return fail_in_flight(thrown("preparing to read threw"));
     }
     side.transaction->owner_ = this;
-    side.transaction->loop_ = loop()->is_manual() ? loop() : nullptr;
   }
   try {
-    if (side.lane == nullptr) side.lane = &loop()->lanes.of(side.device->lane_key(), side.device->give_up_after());
-    if (side.lane->submit(side.transaction)) return;
+    if (side.lane == nullptr) find_lane();
+    if (side.lane->submit(side.transaction, side.device->give_up_after())) return;
   } catch (...) {
     return fail_in_flight(thrown("handing its read to a lane threw"));
   }
@@ -208,6 +214,8 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
     lane_side()->transaction = nullptr;
     return fail_in_flight(error);
   }
+  if (const auto pause = transaction.goes_on_after()) return resume_after(transaction, *pause);
+  transaction.is_resumed_ = false;
   SamplePort port(*this, due, loop()->runtime.event_time(transaction.began_), nullptr);
   Sampled sampled;
   try {
@@ -221,11 +229,26 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   took(sampled, port);
 }
 
+void SensorNode::resume_after(Transaction& transaction, Duration pause) noexcept {
+  transaction.is_resumed_ = true;
+  LaneSide& side = *lane_side();
+  side.resume.due = std::max(later(transaction.ended_, pause), loop()->now());
+  loop()->deadlines.insert(side.resume);
+}
+
+void SensorNode::LaneSide::Resume::fire(MonotonicTime) {
+  Call call(node);
+  node.loop()->nodes.begins(&node);
+  node.loop()->deadlines.remove(*this);
+  node.submit_read();
+}
+
 // ---- closing
 
 void SensorNode::cancel_transaction() noexcept {
   if (lane_side() == nullptr || lane_side()->transaction == nullptr || origin_.counts.in_flight == 0) return;
   const auto transaction = lane_side()->transaction;
+  loop()->deadlines.remove(lane_side()->resume);
   origin_.fail_read(stopped, lane_side()->due);
   transaction->owner_ = nullptr;
   transaction->is_unwanted_.store(true, std::memory_order_relaxed);

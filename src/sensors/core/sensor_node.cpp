@@ -28,7 +28,8 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
       RateMember(config.rate.period()) {
-  seldom().lane_side = std::make_unique<LaneSide>(std::move(device));
+  seldom().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
+  loop.deadlines.reserve_one();
   set_settings(config);
 }
 
@@ -205,6 +206,7 @@ void SensorNode::held(Duration took) {
 
 void SensorNode::on_close() noexcept {
   stop();
+  if (lane_side() != nullptr) loop()->deadlines.release_one();
   leave();
 }
 

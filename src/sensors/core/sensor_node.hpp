@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "loop/support/deadline.hpp"
 #include "loop/support/retry.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sensors/transaction.hpp"
@@ -46,6 +47,11 @@ class SensorNode final : public SourceNode, public RateMember {
     ++origin_.counts.received;
     ++origin_.counts.repeated;
   }
+  Time time_of(MonotonicTime at) noexcept { return loop()->runtime.event_time(at); }
+  void count_lost(std::uint64_t count) noexcept {
+    origin_.counts.lost_is_known = true;
+    origin_.counts.lost += count;
+  }
   void count_unreadable() noexcept {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
@@ -88,6 +94,9 @@ class SensorNode final : public SourceNode, public RateMember {
   /// Gives the lane an opening, or opens at once what needs none. Errors: neither is possible.
   Result<void> submit_opening();
   void tick_on_lane(const Tick& tick);
+  void find_lane();
+  /// Runs the transaction again after the pause that the device needs.
+  void resume_after(Transaction& transaction, Duration pause) noexcept;
   /// Reads for the tick that is in flight.
   void submit_read();
   Error cannot_submit() const;
@@ -112,7 +121,13 @@ class SensorNode final : public SourceNode, public RateMember {
 
   /// A device that is read on a lane.
   struct LaneSide {
-    explicit LaneSide(std::unique_ptr<LaneDevice> device_) : device(std::move(device_)) {}
+    LaneSide(SensorNode& node, std::unique_ptr<LaneDevice> device_) : device(std::move(device_)), resume(node) {}
+    /// When a transaction goes on for which the device needed time.
+    struct Resume final : Deadline {
+      explicit Resume(SensorNode& node_) : node(node_) {}
+      void fire(MonotonicTime now) override;
+      SensorNode& node;
+    };
     std::unique_ptr<LaneDevice> device;
     Lane* lane = nullptr;                      // the loop's; found when the device is opened
     std::shared_ptr<Transaction> opening;      // under way
@@ -121,6 +136,7 @@ class SensorNode final : public SourceNode, public RateMember {
     std::shared_ptr<Transaction> transaction;  // under way, or for the next read
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick
+    Resume resume;
   };
   /// What a sensor read on the loop, with the usual settings, does not need until it fails.
   struct Seldom final : Rare {

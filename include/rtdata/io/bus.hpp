@@ -1,0 +1,81 @@
+/// Bus: what several devices are connected to, with one lane for all of them.
+///
+/// It belongs to the runtime: sensors of all loops may be on it. Whatever they do with their devices is done on the one
+/// thread of the bus's lane, in the order in which it was asked for, one job at a time; a job that hangs is given up after
+/// `give_up_after`, and the others go on with a fresh thread.
+///
+/// A bus of your own (CAN, an FT232H) derives from it, and its devices from `BusDevice`:
+///
+///     class Wire;
+///     class WireDevice : public rtdata::BusDevice {
+///      public:
+///       using Bus = Wire;
+///       struct Place { unsigned number = 1; parameters(...) };      // where on the bus; in configurations, beside `bus`
+///       rtdata::Result<double> ask();                                // blocks; on the lane
+///     };
+///     class Wire : public rtdata::Bus {
+///      public:
+///       static constexpr std::string_view type = "wire";             // as in configurations
+///       WireDevice device(const WireDevice::Place& place);           // on the lane too
+///       static std::string text_of(const WireDevice::Place& place);  // "number 1"; no two sensors have the same
+///     };
+///
+/// What a device does to its bus must not need the Bus, which may be destroyed while a job hangs: both share it.
+///
+/// Owner: the program, or the System; it must outlive the sensors on it. Thread: `device` of a bus: any; devices: that on
+/// which they are used, one at a time.
+#pragma once
+
+#include <atomic>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata {
+
+namespace detail {
+class LaneThread;
+}
+
+class Bus {
+ public:
+  Bus(const Bus&) = delete;
+  Bus& operator=(const Bus&) = delete;
+  /// As errors and the lane show it: "i2c1".
+  const std::string& name() const noexcept { return name_; }
+  /// Of each job of a sensor on it.
+  Duration give_up_after() const noexcept { return give_up_after_; }
+
+  /// Of a place on the bus; free again when the last copy goes. SetupError (busy): somebody has it.
+  std::shared_ptr<void> claim(const std::string& place);
+  const std::shared_ptr<detail::LaneThread>& lane_thread() const noexcept { return lane_thread_; }
+
+ protected:
+  Bus(std::string name, Duration give_up_after);
+  ~Bus();
+
+ private:
+  struct Claims;
+  std::string name_;
+  Duration give_up_after_;
+  std::shared_ptr<detail::LaneThread> lane_thread_;
+  std::shared_ptr<Claims> claims_;
+};
+
+/// What all devices on buses have.
+class BusDevice {
+ public:
+  /// Nobody waits for it any more: a job that hung and comes back must leave the bus alone. Any thread.
+  void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
+  bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
+  /// Blocks for so long, as chips need after a reset. On a manual loop, virtual time passes.
+  void wait(Duration duration) const noexcept;
+
+ private:
+  std::shared_ptr<std::atomic<bool>> is_abandoned_ = std::make_shared<std::atomic<bool>>(false);
+};
+
+}  // namespace rtdata

@@ -1,0 +1,156 @@
+/// I2cBus, I2cDevice: chips on an I2C adapter of the kernel (/dev/i2c-1), or on whatever stands in for one.
+///
+///     rtdata::I2cBus bus({.device = "/dev/i2c-1"});
+///     rtdata::I2cDevice chip = bus.device({.address = 0x76});
+///     const auto id = chip.read_register(0xd0).or_throw();
+///
+/// All transfers block the thread that calls them: a program that has a loop gives the bus to sensors (DriverSensor,
+/// driver.hpp), which use it on its lane. `write_read` is one transfer, with a repeated start and without a stop between;
+/// where the adapter knows SMBus only, the transfers that SMBus has are made of its commands.
+///
+/// Addresses have 7 bits, as on Linux: 0x08 to 0x77. Data sheets that give 8 bits (0xec to write, 0xed to read) mean the
+/// half of it.
+///
+/// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver of
+/// the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a transfer
+/// that the adapter cannot do), closed (of a job that was given up), io-failed.
+///
+/// Thread: I2cBus: any. I2cDevice: one at a time.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/config_value.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/io/bus.hpp"
+
+namespace rtdata {
+
+/// Of 7 bits. In configurations 118 or "0x76".
+struct I2cAddress {
+  static constexpr unsigned first = 0x08;  ///< those below, and above the last, are reserved
+  static constexpr unsigned last = 0x77;
+  unsigned number = 0;
+  constexpr I2cAddress() = default;
+  constexpr I2cAddress(unsigned number_) : number(number_) {}
+  constexpr bool operator==(const I2cAddress&) const = default;
+};
+/// "0x76"
+std::string to_string(I2cAddress address);
+/// Why it is none, and what is meant when it has 8 bits; empty: it is one.
+std::string mistake_in(I2cAddress address);
+
+template <>
+struct ConfigValue<I2cAddress> {
+  static bool read(const ConfigItem& item, I2cAddress& out, Problems& problems);
+  static void write(I2cAddress value, ConfigItem& item) { item.set(to_string(value)); }
+};
+
+/// What carries the transfers: the kernel's adapter, the fake of tests (fake_i2c.hpp), or one of your own.
+/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
+class I2cTransport {
+ public:
+  virtual ~I2cTransport() = default;
+  /// Writes, then reads; either may be empty. 0, or the errno of what went wrong: ENXIO when nothing acknowledges.
+  virtual int transfer(unsigned address, std::span<const std::uint8_t> write,
+                       std::span<std::uint8_t> read) noexcept = 0;
+  /// Before the first transfer of a sensor with this chip. 0, or an errno: EBUSY when somebody else has it.
+  virtual int look_at(unsigned) noexcept { return 0; }
+};
+
+struct I2cConfig {
+  std::string device = {};  ///< the adapter, "/dev/i2c-1"
+  unsigned retries = 0;     ///< of a transfer that failed; not where reading twice loses data, as of FIFOs
+  Duration timeout = std::chrono::seconds{1};  ///< what a sensor does on the bus at a time; longer, it is given up
+
+  friend constexpr auto parameters(type_tag<I2cConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("device", &I2cConfig::device, "the adapter, such as /dev/i2c-1", required, TextIs::device),
+        parameter("retries", &I2cConfig::retries, "of a transfer that failed", range(0, 10)),
+        parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer is given up",
+                  range(Duration{1ms}, Duration{1h})));
+  }
+};
+
+/// What one address has cost the bus.
+struct I2cCounts {
+  std::uint64_t transfers = 0;  ///< with those that failed, and without retries
+  std::uint64_t failed = 0;     ///< after all retries
+  std::uint64_t retried = 0;
+  Duration busy{0};  ///< the bus was held
+  Duration longest{0};
+};
+
+class I2cBus;
+
+class I2cDevice : public BusDevice {
+ public:
+  using Bus = I2cBus;
+  struct Place {
+    I2cAddress address = {};
+    friend constexpr auto parameters(type_tag<Place>) {
+      return parameter_list(parameter("address", &Place::address, "of the chip on the bus, 7 bits, such as \"0x76\""));
+    }
+  };
+
+  I2cAddress address() const noexcept { return address_; }
+  Result<void> write(std::span<const std::uint8_t> bytes) { return write_read(bytes, {}); }
+  Result<void> read(std::span<std::uint8_t> bytes) { return write_read({}, bytes); }
+  /// Writes, then reads without a stop between.
+  Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
+
+  /// From a register of 8 bits on.
+  Result<void> read_registers(std::uint8_t first, std::span<std::uint8_t> bytes) {
+    return write_read({&first, 1}, bytes);
+  }
+  Result<std::uint8_t> read_register(std::uint8_t number);
+  Result<void> write_register(std::uint8_t number, std::uint8_t value);
+  /// Registers of 16 bits, the high byte first.
+  Result<std::uint16_t> read_word(std::uint8_t number);
+  Result<void> write_word(std::uint8_t number, std::uint16_t value);
+  /// Whether the chip can be used: not by a driver of the kernel, for one.
+  Result<void> look_at();
+
+  /// An error of this chip, for drivers: "cannot read the BMP280: bus i2c1, 0x76: ...".
+  Error error(Errc code, std::string what, std::string why, std::string advice = {}) const;
+
+ private:
+  friend class I2cBus;
+  struct Core;
+  I2cDevice(std::shared_ptr<Core> core, I2cAddress address) : core_(std::move(core)), address_(address) {}
+  Error failure(int errno_value) const;
+  std::shared_ptr<Core> core_;
+  I2cAddress address_;
+};
+
+class I2cBus : public Bus {
+ public:
+  static constexpr std::string_view type = "i2c";
+  /// Named as its device. The adapter is opened by the first transfer, and again after it was gone.
+  explicit I2cBus(I2cConfig config);
+  I2cBus(std::string name, I2cConfig config);
+  /// Of another transport; `device` is not used.
+  I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config = {});
+
+  /// SetupError (bad-argument): no address of 7 bits.
+  I2cDevice device(const I2cDevice::Place& place) const;
+  static std::string text_of(const I2cDevice::Place& place) { return "address " + to_string(place.address); }
+  /// Any thread.
+  I2cCounts counts(I2cAddress address) const;
+
+ private:
+  std::shared_ptr<I2cDevice::Core> core_;
+};
+
+/// The kernel's adapter.
+std::shared_ptr<I2cTransport> make_kernel_i2c(std::string device);
+
+}  // namespace rtdata

@@ -1,0 +1,275 @@
+/// DriverSensor: a sensor made of a driver, which is plain blocking code for one chip on a bus.
+///
+///     class Lm75 {
+///      public:
+///       using Config = Lm75Config;                  // its parameters
+///       using Value = Temperature;                  // what it publishes
+///       using Device = rtdata::I2cDevice;           // how it talks to the chip
+///       static constexpr I2cDevice::Place place{0x48};          // where it is unless the user says otherwise
+///       explicit Lm75(const Lm75Config& config);
+///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration, settings
+///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
+///       rtdata::Duration conversion_time() const;               // ... which takes so long, the bus being free meanwhile
+///       rtdata::Reading<Temperature> read(I2cDevice& chip);     // or Temperature, or Result<Temperature>
+///       void close(I2cDevice& chip);                            // optional
+///     };
+///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
+///
+/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. Configurations
+/// know a driver by `registry.add_driver<Lm75>("lm75", "...")`.
+///
+/// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one at a
+/// time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device does
+/// nothing more), and a fresh driver goes on.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: DriverSensor: the loop's; the bus must outlive it.
+#pragma once
+
+#include <algorithm>
+#include <concepts>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "rtdata/io/bus.hpp"
+#include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sensors/transaction.hpp"
+
+namespace rtdata {
+
+/// What one read brings, in order. Used on the lane, by the driver.
+template <class T>
+class Samples {
+ public:
+  /// With the time at which the read began.
+  void add(T value) { samples_.push_back({std::move(value), std::nullopt}); }
+  /// With its own time; one in the future becomes that at which the read ended.
+  void add(T value, MonotonicTime time) { samples_.push_back({std::move(value), time}); }
+  /// The chip has dropped so many before it was read (its FIFO was full).
+  void lost(std::uint64_t count) { lost_ += count; }
+  /// The chip gave something that cannot be decoded.
+  void unreadable(Error error) { unreadable_.push_back(std::move(error)); }
+  /// The time on the lane: for the times of samples.
+  static MonotonicTime now() noexcept { return detail::lane_now(); }
+
+ private:
+  template <class Driver>
+  friend class DriverDevice;
+  struct Sample {
+    T value;
+    std::optional<MonotonicTime> time;
+  };
+  void clear() {
+    samples_.clear();
+    unreadable_.clear();
+    lost_ = 0;
+  }
+  std::vector<Sample> samples_;
+  std::vector<Error> unreadable_;
+  std::uint64_t lost_ = 0;
+};
+
+template <class D>
+concept Driver = requires(D driver, typename D::Device& device) {
+  requires std::is_base_of_v<BusDevice, typename D::Device>;
+  requires std::constructible_from<D, const typename D::Config&>;
+  typename D::Value;
+  typename D::Device::Place;
+  typename D::Device::Bus;
+  requires requires { driver.read(device); } || requires(Samples<typename D::Value> & out) {
+    driver.read(device, out);
+  };
+};
+
+/// Where a driver's chip is unless it is said.
+template <Driver D>
+constexpr typename D::Device::Place default_place() {
+  if constexpr (requires { D::place; }) {
+    return D::place;
+  } else {
+    return {};
+  }
+}
+
+/// A driver as the sensor's base sees it. All calls are on the loop.
+template <class D>
+class DriverDevice final : public detail::LaneDevice {
+  using Value = typename D::Value;
+  using Device = typename D::Device;
+  using BusOf = typename Device::Bus;
+
+  /// A driver and its chip, of one opening. On the lane, until it is left behind.
+  struct Session {
+    Session(const typename D::Config& config, Device device_) : driver(config), device(std::move(device_)) {}
+    D driver;
+    Device device;
+    bool is_open = false;
+
+    Result<void> open() {
+      if constexpr (requires { device.look_at(); }) {
+        if (auto usable = device.look_at(); !usable) return usable;
+      }
+      if constexpr (requires { driver.open(device); }) {
+        if (auto opened = driver.open(device); !opened) return opened;
+      }
+      is_open = true;
+      return {};
+    }
+    void close() noexcept {
+      if (!std::exchange(is_open, false)) return;
+      if constexpr (requires { driver.close(device); }) {
+        try {
+          driver.close(device);
+        } catch (...) {  // there is nobody to tell
+        }
+      }
+    }
+  };
+
+  template <class Function>
+  static Result<void> guarded(const char* what, Function&& function) noexcept {
+    try {
+      try {
+        return function();
+      } catch (const std::exception& e) {
+        return Error{Errc::handler_threw, what, "", e.what(), ""};
+      } catch (...) {
+        return Error{Errc::handler_threw, what, "", "an exception that is no std::exception", ""};
+      }
+    } catch (...) {  // no memory for the error
+      return Error{Errc::handler_threw, "", "", "", ""};
+    }
+  }
+
+  class Opening final : public detail::Transaction {
+   public:
+    explicit Opening(std::shared_ptr<Session> session_) : session(std::move(session_)) {}
+    void transact() noexcept override {
+      result = guarded("open() of the driver threw", [this] { return session->open(); });
+    }
+    void given_up() noexcept override { session->device.abandon(); }
+    std::shared_ptr<Session> session;
+    Result<void> result;
+  };
+
+  class ReadJob final : public detail::Transaction {
+   public:
+    explicit ReadJob(std::shared_ptr<Session> session_) : session(std::move(session_)) {}
+    void transact() noexcept override {
+      if (!std::exchange(is_converting, false)) {
+        samples.clear();
+        has_news = true;
+        if (!session->is_open) {  // the one before it was left behind
+          result = guarded("open() of the driver threw", [this] { return session->open(); });
+          if (!result) return;
+        }
+        if constexpr (requires { session->driver.start(session->device); }) {
+          result = guarded("start() of the driver threw", [this] { return session->driver.start(session->device); });
+          is_converting = static_cast<bool>(result);
+          if (is_converting) pause = session->driver.conversion_time();
+          return;
+        }
+      }
+      result = guarded("read() of the driver threw", [this] { return read(); });
+      ended = detail::lane_now();
+    }
+    std::optional<Duration> goes_on_after() override {
+      return is_converting ? std::optional<Duration>(pause) : std::nullopt;
+    }
+    void close() noexcept override { session->close(); }
+    void given_up() noexcept override { session->device.abandon(); }
+
+    Result<void> read() {
+      if constexpr (requires { session->driver.read(session->device, samples); }) {
+        return session->driver.read(session->device, samples);
+      } else {
+        Reading<Value> reading(session->driver.read(session->device));
+        if (Value* value = reading.value()) {
+          samples.add(std::move(*value));
+        } else if (Error* error = reading.error()) {
+          return std::move(*error);
+        } else if (Unreadable* unreadable = reading.unreadable()) {
+          samples.unreadable(std::move(unreadable->error));
+        } else {
+          has_news = false;
+        }
+        return {};
+      }
+    }
+
+    std::shared_ptr<Session> session;
+    Samples<Value> samples;
+    Result<void> result;
+    bool is_converting = false;
+    bool has_news = true;
+    Duration pause{0};
+    MonotonicTime ended{};
+  };
+
+ public:
+  DriverDevice(BusOf& bus, typename Device::Place place, typename D::Config config)
+      : bus_(bus), place_(std::move(place)), config_(std::move(config)), claim_(bus.claim(BusOf::text_of(place_))) {
+    (void)make_session();  // what is wrong with place and Config is told at once
+  }
+
+  std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Opening>(make_session()); }
+  Result<void> take_opening(detail::Transaction& opening) override {
+    auto& done = static_cast<Opening&>(opening);
+    session_ = done.result ? done.session : nullptr;
+    return done.result;
+  }
+  std::shared_ptr<detail::Transaction> make_transaction() override {
+    auto session = std::exchange(session_, nullptr);
+    return std::make_shared<ReadJob>(session != nullptr ? std::move(session) : make_session());
+  }
+  detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
+    auto& read = static_cast<ReadJob&>(transaction);
+    Samples<Value>& samples = read.samples;
+    if (samples.lost_ > 0) port.lost(samples.lost_);
+    for (auto& sample : samples.samples_) {
+      if (sample.time) {
+        port.publish_at(&sample.value, std::min(*sample.time, read.ended));
+      } else {
+        port.publish(&sample.value);
+      }
+    }
+    for (Error& error : samples.unreadable_) port.unreadable(std::move(error));
+    if (!read.result) return port.fail(read.result.error());
+    if (!samples.unreadable_.empty()) return detail::Sampled::failed;
+    return read.has_news && !samples.samples_.empty() ? detail::Sampled::value : detail::Sampled::nothing_new;
+  }
+  std::string lane_key() const override { return "bus " + bus_.name(); }
+  std::shared_ptr<detail::LaneThread> lane_thread() const override { return bus_.lane_thread(); }
+  Duration give_up_after() const override { return bus_.give_up_after(); }
+  Error given_up_error() const override {
+    return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + ", " + BusOf::text_of(place_),
+            "no answer within " + to_string(bus_.give_up_after()),
+            "look at the chip and its wires; `timeout` of the bus sets how long to wait"};
+  }
+
+ private:
+  std::shared_ptr<Session> make_session() const { return std::make_shared<Session>(config_, bus_.device(place_)); }
+
+  BusOf& bus_;
+  const typename Device::Place place_;
+  const typename D::Config config_;
+  const std::shared_ptr<void> claim_;
+  std::shared_ptr<Session> session_;  // opened, for the first read
+};
+
+template <Driver D>
+class DriverSensor : public AnySensor {
+ public:
+  DriverSensor() noexcept = default;
+  /// SetupError: as `Sensor`; what the driver's constructor throws; a place on the bus that is none, or that is taken.
+  DriverSensor(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
+               typename D::Device::Place place = default_place<D>(), typename D::Config config = {})
+      : AnySensor(detail::make_sensor(loop, std::move(sensor), detail::payload_type<typename D::Value>(),
+                                      std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)))) {}
+};
+
+}  // namespace rtdata

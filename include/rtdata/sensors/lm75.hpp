@@ -1,0 +1,41 @@
+/// Lm75: a thermometer LM75, LM75A, LM75B, TMP75 or another of this family on I2C.
+///
+///     rtdata::DriverSensor<rtdata::Lm75> room(loop, {.name = "room", .rate = 1_Hz}, bus, {.address = 0x48});
+///
+/// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); what lies outside is unreadable. Addresses:
+/// 0x48 to 0x4f. It measures by itself, some ten times a second. It has no identity and no checksum.
+///
+/// Driver (driver.hpp): used on the bus's lane.
+#pragma once
+
+#include <cstdint>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/io/i2c.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+struct TemperatureReading {
+  double temperature = 0;
+  friend constexpr auto describe(type_tag<TemperatureReading>) {
+    return record("temperature", field("temperature", &TemperatureReading::temperature, "Cel"));
+  }
+};
+
+class Lm75 {
+ public:
+  struct Config {
+    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
+  };
+  using Value = TemperatureReading;
+  using Device = I2cDevice;
+  static constexpr I2cDevice::Place place{0x48};
+  explicit Lm75(const Config&) {}
+
+  Reading<TemperatureReading> read(I2cDevice& chip);
+  /// Degrees Celsius of the register's word.
+  static double decode(std::uint16_t word) noexcept { return static_cast<std::int16_t>(word) / 256.0; }
+};
+
+}  // namespace rtdata

@@ -1,0 +1,160 @@
+#include "rtdata/io/i2c.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <mutex>
+
+#include "rtdata/loop/lane.hpp"
+
+namespace rtdata {
+
+std::string to_string(I2cAddress address) {
+  constexpr std::string_view digits = "0123456789abcdef";
+  std::string text;
+  for (unsigned left = address.number; left != 0 || text.size() < 2; left /= 16) text.insert(0, 1, digits[left % 16]);
+  return "0x" + text;
+}
+
+std::string mistake_in(I2cAddress address) {
+  const unsigned number = address.number;
+  if (number >= I2cAddress::first && number <= I2cAddress::last) return "";
+  if (number > 0x7f && number <= 0xff && number / 2 >= I2cAddress::first && number / 2 <= I2cAddress::last)
+    return to_string(address) + " is an address of 8 bits, with that for reading or writing; without it, it is " +
+           to_string(I2cAddress(number / 2));
+  if (number == 0) return "the address of the chip is missing: such as 0x76";
+  return to_string(address) + " is no address of 7 bits for a chip: 0x08 to 0x77";
+}
+
+bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Problems& problems) {
+  unsigned number = 0;
+  if (item.kind() == ConfigItem::Kind::string) {
+    std::string_view text;
+    if (!config_detail::read_string(item, text, problems)) return false;
+    const bool is_hex = text.starts_with("0x") || text.starts_with("0X");
+    const std::string_view digits = text.substr(is_hex ? 2 : 0);
+    const auto [end, status] = std::from_chars(digits.data(), digits.data() + digits.size(), number, is_hex ? 16 : 10);
+    if (status != std::errc{} || end != digits.data() + digits.size()) {
+      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is no address: write it as \"0x76\""));
+      return false;
+    }
+  } else if (!ConfigValue<unsigned>::read(item, number, problems)) {
+    return false;
+  }
+  out = I2cAddress(number);
+  const std::string mistake = mistake_in(out);
+  if (!mistake.empty()) problems.add(item.problem("bad-value", mistake));
+  return mistake.empty();
+}
+
+/// Shared by the bus and its devices, which may hang and outlive it.
+struct I2cDevice::Core {
+  Core(std::string bus_, std::shared_ptr<I2cTransport> transport_, I2cConfig config_)
+      : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
+  const std::string bus;
+  const std::shared_ptr<I2cTransport> transport;
+  const I2cConfig config;
+  mutable std::mutex mutex;  // of the counts
+  std::array<I2cCounts, 128> counts{};
+};
+
+Error I2cDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
+  return {code, std::move(what), "bus " + core_->bus + ", " + to_string(address_), std::move(why), std::move(advice)};
+}
+
+Error I2cDevice::failure(int errno_value) const {
+  constexpr const char* what = "cannot talk to the chip";
+  switch (errno_value) {
+    case ENXIO:
+    case EREMOTEIO:
+      return error(Errc::disconnected, what, "nothing acknowledges this address",
+                   "look at its wires and its supply; `i2cdetect -y` shows who answers");
+    case ETIMEDOUT:
+      return error(Errc::timed_out, what, "the adapter waited in vain",
+                   "a chip may hold SCL or SDA: switch it off and on");
+    case EAGAIN:
+      return error(Errc::busy, what, "arbitration was lost", "another master is on the bus");
+    case EBUSY:
+      return error(Errc::busy, what, "a driver of the kernel has it",
+                   "use what that offers (`analog`, `host`), or unbind it in /sys/bus/i2c/drivers");
+    case EOPNOTSUPP:
+      return error(Errc::bad_argument, what, "the adapter can do SMBus only, which has no such transfer",
+                   "an adapter with I2C is needed for this chip");
+    default:
+      break;
+  }
+  const std::string device = core_->config.device.empty() ? "bus " + core_->bus : core_->config.device;
+  return system_error(errno_value, what, device + ", " + to_string(address_),
+                      "`ls -l /dev/i2c-*` lists the adapters and who may use them");
+}
+
+Result<void> I2cDevice::look_at() {
+  const int status = core_->transport->look_at(address_.number);
+  return status == 0 ? Result<void>() : Result<void>(failure(status));
+}
+
+Result<void> I2cDevice::write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) {
+  int status = 0;
+  unsigned tries = 0;
+  const MonotonicTime began = detail::lane_now();
+  do {
+    if (is_abandoned()) return error(Errc::closed, "cannot talk to the chip", "this reading was given up before");
+    status = core_->transport->transfer(address_.number, write, read);
+  } while (status != 0 && tries++ < core_->config.retries);
+  const Duration took = detail::lane_now() - began;
+  {
+    const std::lock_guard lock(core_->mutex);
+    I2cCounts& counts = core_->counts[address_.number];
+    ++counts.transfers;
+    if (status != 0) ++counts.failed;
+    counts.retried += status != 0 ? core_->config.retries : tries;
+    counts.busy += took;
+    counts.longest = std::max(counts.longest, took);
+  }
+  return status == 0 ? Result<void>() : Result<void>(failure(status));
+}
+
+Result<std::uint8_t> I2cDevice::read_register(std::uint8_t number) {
+  std::uint8_t value = 0;
+  if (auto done = write_read({&number, 1}, {&value, 1}); !done) return std::move(done).error();
+  return value;
+}
+
+Result<void> I2cDevice::write_register(std::uint8_t number, std::uint8_t value) {
+  const std::array<std::uint8_t, 2> bytes{number, value};
+  return write(bytes);
+}
+
+Result<std::uint16_t> I2cDevice::read_word(std::uint8_t number) {
+  std::array<std::uint8_t, 2> bytes{};
+  if (auto done = write_read({&number, 1}, bytes); !done) return std::move(done).error();
+  return static_cast<std::uint16_t>(bytes[0] << 8 | bytes[1]);
+}
+
+Result<void> I2cDevice::write_word(std::uint8_t number, std::uint16_t value) {
+  const std::array<std::uint8_t, 3> bytes{number, static_cast<std::uint8_t>(value >> 8),
+                                          static_cast<std::uint8_t>(value & 0xff)};
+  return write(bytes);
+}
+
+I2cBus::I2cBus(I2cConfig config) : I2cBus(std::string(config.device), config) {}
+
+I2cBus::I2cBus(std::string name, I2cConfig config)
+    : I2cBus(std::move(name), make_kernel_i2c(config.device), std::move(config)) {}
+
+I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config)
+    : Bus(name, config.timeout),
+      core_(std::make_shared<I2cDevice::Core>(std::move(name), std::move(transport), std::move(config))) {}
+
+I2cDevice I2cBus::device(const I2cDevice::Place& place) const {
+  if (std::string mistake = mistake_in(place.address); !mistake.empty())
+    throw SetupError({Errc::bad_argument, "cannot use this address", "bus " + name(), std::move(mistake), ""});
+  return {core_, place.address};
+}
+
+I2cCounts I2cBus::counts(I2cAddress address) const {
+  const std::lock_guard lock(core_->mutex);
+  return address.number < core_->counts.size() ? core_->counts[address.number] : I2cCounts{};
+}
+
+}  // namespace rtdata

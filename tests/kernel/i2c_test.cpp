@@ -1,0 +1,76 @@
+// Drivers of user space on the kernel's I2C adapters: I2C_RDWR, and an adapter that has SMBus only.
+#include <doctest/doctest.h>
+
+#include <cerrno>
+#include <string>
+#include <vector>
+
+#include "kernel/bench.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/io/i2c.hpp"
+#include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/lm75.hpp"
+
+using namespace bench;
+
+TEST_SUITE("drivers") {
+  TEST_CASE(
+      "US-12 NFR-3 bmp280: a configuration records the data sheet's worked example, through faults, and verifies") {
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop;
+      const Chip chip("i2c-76");
+      const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": ")" + device("I2C") +
+                               R"("}}, "sensors": [{"name": "air", "type": "bmp280", "rate": "20 Hz", "bus": "i2c1",
+          "address": "0x76", "faulted_after": 10}], "sinks": [{"type": "sqlite", "path": ")" +
+                               path + "\"}]}";
+      std::vector<std::string> errors;
+      loop.on_error([&](const ErrorReport& report) {
+        if (report.object == "sensor air") errors.emplace_back(report.error.id());
+      });
+      System system(loop, standard_registry(), parse_config(text, "weather.json"));
+      int before = 0, after = 0;
+      const auto heard = loop.subscribe<BarometerReading>("air", [&](const Event<BarometerReading>& event) {
+        CHECK(event->pressure == doctest::Approx(100653.27).epsilon(1e-6));
+        CHECK(event->temperature == doctest::Approx(25.08).epsilon(0.001));
+        if (errors.empty()) {
+          if (++before == 5) chip.fail(3, ENXIO);
+        } else if (++after == 5) {
+          loop.stop();
+        }
+      });
+      const Timer patience = limit(loop);
+      loop.run();
+      CHECK(after == 5);
+      REQUIRE(!errors.empty());  // those that are alike are told as one
+      CHECK(errors.front() == "disconnected");
+      REQUIRE(loop.runtime().sensors().size() == 1);
+      CHECK(loop.runtime().sensors()[0].counts.failed == 3);
+      CHECK(loop.runtime().sensors()[0].health == Health::ok);
+      close_balanced(loop);
+    }
+    check_verifies(path);
+  }
+
+  TEST_CASE("US-12 NFR-3 i2c: an address without a chip, a chip that the kernel has, and an adapter with SMBus only") {
+    I2cBus bus({.device = device("I2C")});
+    CHECK(bus.device({0x10}).read_register(0).error().code == Errc::disconnected);
+    CHECK(bus.device({0x48}).look_at().error().code == Errc::busy);
+    CHECK(bus.device({0x76}).read_register(0xd0).or_throw() == 0x58);
+    I2cBus smbus({.device = device("I2C_STUB")});
+    I2cDevice chip = smbus.device({0x68});
+    chip.write_register(7, 42).or_throw();
+    CHECK(chip.read_register(7).or_throw() == 42);
+    chip.write_word(8, 0x1234).or_throw();
+    CHECK(chip.read_word(8).or_throw() == 0x1234);
+    std::array<std::uint8_t, 3> bytes{};
+    const std::array<std::uint8_t, 4> four{20, 1, 2, 3};
+    chip.write(four).or_throw();
+    chip.read_registers(20, bytes).or_throw();
+    CHECK(bytes == std::array<std::uint8_t, 3>{1, 2, 3});
+    std::array<std::uint8_t, 40> many{};
+    CHECK(chip.read_registers(0, many).error().code == Errc::bad_argument);
+  }
+}

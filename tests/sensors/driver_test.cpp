@@ -1,0 +1,318 @@
+// Drivers on buses: the chips that are shipped, by their data sheets and on a fake bus; and what all drivers inherit.
+#include <doctest/doctest.h>
+
+#include <array>
+#include <cerrno>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/io/fake_i2c.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/lm75.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+namespace {
+
+/// The data sheet's worked example (BST-BMP280-DS001, 3.12).
+void put_example(FakeI2cChip& chip) {
+  chip.set(0xd0, {0x58});
+  std::array<int, 12> trimming{27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000};
+  for (std::size_t i = 0; i < trimming.size(); ++i) {
+    const auto word = static_cast<std::uint16_t>(trimming[i]);
+    chip.set(static_cast<std::uint8_t>(0x88 + 2 * i),
+             {static_cast<std::uint8_t>(word & 0xff), static_cast<std::uint8_t>(word >> 8)});
+  }
+  constexpr unsigned pressure = 415148, temperature = 519888;
+  const auto part = [](unsigned code, unsigned shift) { return static_cast<std::uint8_t>(code << 4 >> shift & 0xff); };
+  chip.set(0xf7, {part(pressure, 16), part(pressure, 8), part(pressure, 0), part(temperature, 16), part(temperature, 8),
+                  part(temperature, 0)});
+}
+
+FakeI2cChip& put_lm75(FakeI2c& wires, unsigned address, double degrees) {
+  FakeI2cChip& chip = wires.chip(address);
+  chip.set_width(FakeI2cChip::Width::words);
+  chip.set_word(0, static_cast<std::uint16_t>(static_cast<std::int16_t>(degrees * 256)));
+  return chip;
+}
+
+struct Bench {
+  std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
+  I2cBus bus{"i2c1", wires, {.timeout = 100ms}};
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> errors;
+  Bench() {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+  }
+};
+
+using Barometer = DriverSensor<Bmp280>;
+using Thermometer = DriverSensor<Lm75>;
+
+}  // namespace
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-12 BMP280: the data sheet's worked example") {
+    FakeI2c wires;
+    put_example(wires.chip(0x76));
+    std::array<std::uint8_t, 24> trimming{};
+    std::array<std::uint8_t, 6> data{};
+    const std::array<std::uint8_t, 1> from{0x88}, data_from{0xf7};
+    REQUIRE(wires.transfer(0x76, from, trimming) == 0);
+    REQUIRE(wires.transfer(0x76, data_from, data) == 0);
+    const auto calibration = Bmp280::Calibration::decode(trimming);
+    const BarometerReading reading = Bmp280::decode(data, calibration).or_throw();
+    CHECK(reading.temperature == doctest::Approx(25.08).epsilon(0.0002));
+    CHECK(reading.pressure == doctest::Approx(100653.27).epsilon(1e-7));
+    data = {0x80, 0, 0, 0x80, 0, 0};  // as after a reset
+    CHECK(Bmp280::decode(data, calibration).error().code == Errc::bad_data);
+  }
+
+  TEST_CASE("US-12 LM75: the data sheet's table of temperatures") {
+    CHECK(Lm75::decode(0x7d00) == 125);
+    CHECK(Lm75::decode(0x1900) == 25);
+    CHECK(Lm75::decode(0x0080) == 0.5);
+    CHECK(Lm75::decode(0x0000) == 0);
+    CHECK(Lm75::decode(0xff80) == -0.5);
+    CHECK(Lm75::decode(0xe700) == -25);
+    CHECK(Lm75::decode(0xc900) == -55);
+  }
+
+  TEST_CASE("a barometer's event has the time of the start, and comes when the conversion is over") {
+    Bench bench;
+    put_example(bench.wires->chip(0x76));
+    std::vector<Duration> heard_at, times;
+    const auto begin = bench.loop.now();
+    const auto heard = bench.loop.subscribe<BarometerReading>("air", [&](const Event<BarometerReading>& event) {
+      CHECK(event->pressure == doctest::Approx(100653.27).epsilon(1e-7));
+      heard_at.push_back(bench.loop.now() - begin);
+      times.push_back(event.time - Time{std::chrono::seconds{1'700'000'000}});
+    });
+    Barometer air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.bus, {.address = 0x76},
+                  {.pressure_oversampling = 16, .temperature_oversampling = 2});
+    bench.loop.advance(199ms);
+    const Duration conversion = 1250us + 2 * 2300us + 16 * 2300us + 575us;
+    CHECK(times == std::vector<Duration>{0ms, 100ms});
+    CHECK(heard_at == std::vector<Duration>{conversion, 100ms + conversion});
+    CHECK(bench.wires->chip(0x76).get(0xf4) == (2 << 5 | 5 << 2 | 1));
+    CHECK(air.counts().taken == 2);
+    CHECK(air.counts().late == 0);
+    CHECK(bench.loop.runtime().balances());
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-27 a chip of another identity, without settings, without an answer is told, and comes back") {
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x76);
+    put_example(chip);
+    chip.set(0xd0, {0x60});
+    Barometer air(bench.loop, {.name = "air", .rate = 100_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus);
+    CHECK(air.health() == Health::faulted);
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(bench.errors[0] ==
+          "cannot use the chip as a BMP280: bus i2c1, 0x76: its identity is 0x60, that of a BMP280 is 0x58: 0x60 is a "
+          "BME280");
+    chip.set(0xd0, {0x58});
+    bench.loop.advance(100ms);
+    CHECK(air.health() == Health::ok);
+    CHECK(air.counts().published > 0);
+    chip.on_write(0xf4, [&](std::uint16_t) {});
+    chip.set(0xf7, {0x80, 0, 0, 0x80, 0, 0});
+    bench.loop.advance(50ms);
+    CHECK(air.counts().unreadable > 0);
+    put_example(chip);
+    chip.unplug();
+    bench.loop.advance(100ms);
+    CHECK(air.health() == Health::faulted);
+    CHECK(air.status().reason.find("nothing acknowledges this address") != std::string::npos);
+    chip.plug_in();
+    bench.loop.advance(100ms);
+    CHECK(air.health() == Health::ok);
+    air.stop();
+    CHECK(air.counts().balances());
+    CHECK(bench.bus.counts(0x76).failed > 0);
+    CHECK(bench.bus.counts(0x77).transfers == 0);
+  }
+
+  TEST_CASE("NFR-1 four barometers convert side by side on one bus") {
+    Bench bench;
+    std::vector<Barometer> all;
+    for (unsigned i = 0; i < 4; ++i) {
+      put_example(bench.wires->chip(0x70 + i));
+      bench.wires->chip(0x70 + i).set_duration(1ms);
+    }
+    for (unsigned i = 0; i < 4; ++i) {  // each needs 76 ms of every 100
+      all.emplace_back(bench.loop, SensorConfig{.name = "b" + std::to_string(i), .rate = 10_Hz}, bench.bus,
+                       I2cDevice::Place{0x70 + i},
+                       Bmp280::Config{.pressure_oversampling = 16, .temperature_oversampling = 16});
+    }
+    bench.loop.advance(2s);
+    for (Barometer& one : all) {
+      CHECK(one.counts().missed + one.counts().failed == 0);
+      CHECK(one.counts().published >= 19);
+    }
+    const auto log = bench.wires->log();
+    for (std::size_t i = 1; i < log.size(); ++i) CHECK(log[i].began >= log[i - 1].began + log[i - 1].took);
+  }
+
+  TEST_CASE("NFR-1 a chip that hangs is given up, its readings alone; a dead one does not starve the bus") {
+    Bench bench;
+    put_lm75(*bench.wires, 0x48, 20.5);
+    FakeI2cChip& slow = put_lm75(*bench.wires, 0x49, 21);
+    auto other_wires = std::make_shared<FakeI2c>();
+    I2cBus other_bus("i2c2", other_wires, {.timeout = 100ms});
+    put_lm75(*other_wires, 0x48, 22);
+    Thermometer good(bench.loop, {.name = "good", .rate = 10_Hz}, bench.bus);
+    Thermometer bad(bench.loop, {.name = "bad", .rate = 10_Hz}, bench.bus, {.address = 0x49});
+    Thermometer other(bench.loop, {.name = "other", .rate = 100_Hz}, other_bus);
+    bench.loop.advance(1s);
+    CHECK(bad.health() == Health::ok);
+    slow.set_duration(1h);
+    bench.loop.advance(10s);
+    CHECK(bad.health() == Health::faulted);
+    CHECK(bad.status().reason.find("no answer within 100 ms") != std::string::npos);
+    CHECK(good.counts().published > 80);  // it waits for 100 ms each time that the other one is tried
+    CHECK(good.counts().failed == 0);
+    CHECK(other.counts().taken == other.counts().scheduled);
+    CHECK(other.counts().late == 0);
+    slow.set_duration(0ms);
+    bench.loop.advance(40s);
+    CHECK(bad.health() == Health::ok);
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("two tiers on one bus: one transfer at a time, in the order in which they were asked for") {
+    for (const std::uint64_t seed : {0u, 1u, 2u, 3u}) {
+      CAPTURE(seed);
+      auto wires = std::make_shared<FakeI2c>();
+      I2cBus bus("i2c1", wires);
+      put_lm75(*wires, 0x48, 20).set_duration(3ms);
+      put_lm75(*wires, 0x49, 21).set_duration(4ms);
+      std::vector<FakeI2c::Transfer> log;
+      {
+        Loop loop{Loop::Manual{.seed = seed}};
+        be_quiet(loop);
+        Tier fast(loop, {.name = "fast"});
+        Thermometer here(loop, {.name = "here", .rate = 100_Hz}, bus, {.address = 0x48});
+        Thermometer there(fast.loop(), {.name = "there", .rate = 100_Hz}, bus, {.address = 0x49});
+        fast.start();
+        loop.advance(1s);
+        CHECK(there.counts().published > 90);
+        CHECK(here.counts().published > 90);
+        there.close();
+        here.close();
+        log = wires->log();
+      }
+      REQUIRE(log.size() > 180);
+      std::size_t overlaps = 0;
+      for (std::size_t i = 1; i < log.size(); ++i)
+        if (log[i].began < log[i - 1].began + log[i - 1].took) ++overlaps;
+      CHECK(overlaps == 0);
+    }
+  }
+
+  TEST_CASE("on threads: two loops on one bus share its one thread") {
+    auto wires = std::make_shared<FakeI2c>();
+    I2cBus bus("i2c1", wires);
+    put_lm75(*wires, 0x48, 20);
+    put_lm75(*wires, 0x49, 21);
+    Loop loop;
+    be_quiet(loop);
+    Tier fast(loop, {.name = "fast"});
+    std::uint64_t heard = 0;
+    const auto subscription = loop.subscribe("#", [&](const EventView&) {
+      if (++heard == 400) loop.stop();
+    });
+    Thermometer here(loop, {.name = "here", .rate = 1_kHz}, bus, {.address = 0x48});
+    Thermometer there(fast.loop(), {.name = "there", .rate = 1_kHz}, bus, {.address = 0x49});
+    loop.run();
+    CHECK(bus.counts(0x48).transfers > 0);
+    CHECK(bus.counts(0x49).transfers > 0);
+    there.close();
+    here.close();
+    fast.stop();
+    CHECK(loop.close() == 0);
+    CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-12 a place on a bus is one sensor's, and an address has seven bits") {
+    Bench bench;
+    put_lm75(*bench.wires, 0x48, 20);
+    Thermometer first(bench.loop, {.name = "a", .rate = 10_Hz}, bench.bus);
+    CHECK_THROWS_WITH_AS(Thermometer(bench.loop, {.name = "b", .rate = 10_Hz}, bench.bus),
+                         doctest::Contains("address 0x48: another sensor has it"), SetupError);
+    first.close();
+    Thermometer second(bench.loop, {.name = "b", .rate = 10_Hz}, bench.bus);
+    CHECK_THROWS_WITH_AS(bench.bus.device({0x90}),
+                         doctest::Contains("8 bits, with that for reading or writing; "
+                                           "without it, it is 0x48"),
+                         SetupError);
+    CHECK_THROWS_AS(bench.bus.device({0x03}), SetupError);
+    CHECK_THROWS_AS(
+        Barometer(bench.loop, {.name = "c", .rate = 10_Hz}, bench.bus, {0x76}, {.pressure_oversampling = 3}),
+        SetupError);
+  }
+
+  TEST_CASE("a bus retries as often as it is told, and counts for each address") {
+    auto wires = std::make_shared<FakeI2c>();
+    I2cBus bus("i2c1", wires, {.retries = 2});
+    FakeI2cChip& chip = wires->chip(0x50);
+    chip.set(7, {42});
+    I2cDevice device = bus.device({0x50});
+    chip.fail(2, EIO);
+    CHECK(device.read_register(7).or_throw() == 42);
+    chip.fail(3, ETIMEDOUT);
+    CHECK(device.read_register(7).error().code == Errc::timed_out);
+    CHECK(bus.counts(0x50).transfers == 2);
+    CHECK(bus.counts(0x50).failed == 1);
+    CHECK(bus.counts(0x50).retried == 4);
+    device.abandon();
+    CHECK(device.read_register(7).error().code == Errc::closed);
+    I2cBus none({.device = "/dev/i2c-that-is-not-there"});
+    CHECK(none.device({0x50}).read_register(0).error().code == Errc::not_found);
+  }
+
+  TEST_CASE("US-12 NFR-6 chips in a configuration: buses, addresses, and what is wrong with them") {
+    const Registry registry = standard_registry();
+    const auto problems = [&](const std::string& sensors) {
+      return plan_system(registry,
+                         parse_config(R"({"buses": {"i2c1": {"type": "i2c", "device": "/dev/i2c-9"}}, "sensors": [)" +
+                                          sensors + "]}",
+                                      "f.json"))
+          .problems.text();
+    };
+    const std::string first = R"({"name": "a", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x48"})";
+    CHECK(problems(first) == "");
+    CHECK(problems(first + R"(, {"name": "b", "type": "bmp280", "rate": "1 Hz", "bus": "i2c1", "address": 118})") ==
+          "");
+    CHECK(problems(first + R"(, {"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1"})")
+              .find("has address 0x48 of the bus \"i2c1\" already; give each chip its own") != std::string::npos);
+    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x90"})")
+              .find("0x90 is an address of 8 bits, with that for reading or writing; without it, it is 0x48") !=
+          std::string::npos);
+    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is no address") !=
+          std::string::npos);
+    CHECK(problems(R"({"name": "b", "type": "bmp280", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
+              .find("3 is none of 1, 2, 4, 8, 16") != std::string::npos);
+    CHECK(
+        problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c2"})").find("there is no bus \"i2c2\"") !=
+        std::string::npos);
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    loop.on_error([](const ErrorReport&) {});
+    System system(loop, registry,
+                  parse_config(R"({"buses": {"i2c1": {"type": "i2c", "device": "/dev/i2c-that-is-not-there"}},
+                                   "sensors": [)" +
+                                   first + "]}",
+                               "f.json"));
+    loop.advance(1s);
+    CHECK(loop.runtime().balances());
+  }
+}
