@@ -11,6 +11,7 @@
 #include "rtdata/app/standard.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/recordings.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -292,6 +293,22 @@ TEST_SUITE("config") {
       INFO(report.text());
       CHECK(report.verdict() == Verdict::balanced);
     }
+  }
+
+  TEST_CASE("US-26 a text of a configuration that was changed afterwards is found") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db";
+    {
+      Running run(R"({"sensors": [)" + counter + R"(], "sinks": [{"type": "sqlite", "path": ")" + path + R"("}]})");
+      run.loop.advance(100ms);
+      run.system.add_sensor(parse_config(R"({"name": "late", "type": "counter", "rate": "10 Hz"})", "x").or_throw());
+      run.loop.advance(100ms);
+      run.loop.close(1s);
+    }
+    const auto verdict = [&] { return verify(Recording::open(path).or_throw()).or_throw().verdict(); };
+    CHECK(verdict() == Verdict::balanced);
+    recordings::sql(path, "UPDATE rtdata_configuration SET text = replace(text, '10', '20')");
+    CHECK(verdict() == Verdict::not_balanced);
   }
 
   TEST_CASE(
