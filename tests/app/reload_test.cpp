@@ -26,7 +26,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("rig.json", rig("100 Hz", ""));
     Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
-    REQUIRE(run.wait_for("running rig: 2 sensors, 1 sink, 1 bus"));
+    REQUIRE(run.wait_for("running rig: 2 sensors, 1 sink"));
     folder.write("rig.json", rig("50 Hz", R"(, {"name": "new", "type": "counter", "rate": "10 Hz"})"));
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("rig.json is applied"));

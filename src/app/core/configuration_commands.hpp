@@ -14,7 +14,7 @@ inline constexpr int exit_other = 1;
 inline constexpr int exit_configuration = 2;
 inline constexpr int exit_loss = 3;
 
-/// "2 sensors, 1 sink": of each kind; those that neither publish nor store only if there are any.
+/// "2 sensors, 1 sink": of each kind that publishes or stores.
 std::string counts_text(const Registry& registry, const SystemPlan& plan);
 
 enum class OnLoss { ignore, fail };
