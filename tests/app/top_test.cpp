@@ -37,6 +37,19 @@ nlohmann::json ask(ControlClient& client) {
 }  // namespace
 
 TEST_SUITE("app") {
+  TEST_CASE("NFR-6 top shows a bus with its type and what uses it") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("bus.json", R"({"buses": {"wire": {"type": "loopback"}, "idle": {"type": "loopback"}},
+      "sensors": [{"name": "w", "type": "wired", "bus": "wire", "rate": "10 Hz"}], "sinks": [{"type": "discard"}]})");
+    Process run(folder, program, {"run", "bus.json"});
+    REQUIRE(run.wait_for("running bus"));
+    Process top(folder, program, {"top", "--once"});
+    CHECK(top.end() == 0);
+    CHECK(has(top.out, "bus wire                       loopback         sensor w"));
+    CHECK(has(top.out, "bus idle                       loopback         -"));
+  }
+
   TEST_CASE("NFR-5 a run answers on its socket how its sensors and sinks do") {
     const RuntimeFolder runtime;
     const Folder folder;

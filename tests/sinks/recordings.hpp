@@ -67,7 +67,7 @@ inline void make_older(const std::string& path, int format) {
   sql(path,
       "DROP VIEW \"rtdata_gap~utc\"; DROP VIEW \"rtdata_health~utc\"; DROP VIEW \"rtdata_error~utc\"; DROP VIEW "
       "rtdata_field;"
-      "DROP TABLE rtdata_escaped;"
+      "DROP TABLE rtdata_escaped; DROP TABLE rtdata_configuration;"
       "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
       "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
       "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; ALTER TABLE rtdata_ledger DROP COLUMN one_a_read;"

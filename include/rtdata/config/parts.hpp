@@ -28,6 +28,9 @@
 namespace rtdata {
 
 class Parts;
+namespace config_detail {
+class PlanApplication;
+}
 
 /// Owns what a part was made into, of any type. Destroying it closes the part. Move-only; empty when default-made or
 /// moved from.
@@ -114,6 +117,10 @@ struct PartPlan {
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 
+  /// What takes a new value of a key of the item while the part runs, by that key; the plan that it is called of has the
+  /// value. A part of which another key is changed is made anew. May throw SetupError: then the old value is given again.
+  std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
+
   /// The tier that it runs on; empty: the main loop.
   std::string_view tier() const noexcept;
   /// "sensor chamber"
@@ -137,9 +144,12 @@ class Parts {
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
+  /// Of all, in that order. Valid until the system changes.
+  std::vector<const PartPlan*> plans() const;
 
  private:
   friend class System;
+  friend class config_detail::PlanApplication;
   struct Part {
     PartPlan plan;
     PartObject object;

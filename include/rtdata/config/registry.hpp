@@ -28,7 +28,7 @@
 ///     }
 ///
 /// Owner: the program; nothing is global. Filled by one thread, then read by any.
-/// Errors: adding a type twice throws SetupError (bad_argument).
+/// Errors: adding a type or a kind twice throws SetupError (bad_argument).
 #pragma once
 
 #include <concepts>
@@ -54,12 +54,21 @@ struct PartKind {
     list,     ///< of objects, each with a `name` of its own or one by default
     by_name,  ///< an object; its keys are the names
   };
+  /// What its parts do that others are compared with, also while their items have mistakes.
+  enum class Does {
+    nothing_known,
+    publishes,  ///< on `topic`, or else on the topic of its name
+    stores,     ///< what `topics` match, in the file `path`
+  };
   std::string name;  ///< "sensor"
   std::string key;   ///< "sensors"
   std::string doc;
   Written written = Written::list;
   /// A plan is made from the item and, where parts are written by name, their name.
   TypeRegistry<PartPlan, const std::string&> types;
+  Does does = Does::nothing_known;
+  /// That items of every type have: what is known of one whose type is not.
+  std::vector<ParameterInfo> common = {};
 };
 
 namespace config_detail {
@@ -172,6 +181,9 @@ class Registry {
       plan.name = all.common.name;
       plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
       plan.publishes->load = config_detail::load_of(all.common, all.own);
+      if constexpr (is_scheduled) {
+        plan.live["rate"] = [rate = all.common.rate](const PartObject& part) { part.as<AnySensor>()->set_rate(rate); };
+      }
       plan.make = [make, all](Loop& loop, const Parts& parts) {
         return PartObject::made_by<AnySensor>(
             [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
@@ -245,6 +257,17 @@ class Registry {
     });
   }
 
+  /// A kind of parts of the program's own, made after those that there are. `key`: of the file. `doc`: a phrase.
+  void add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,
+                PartKind::Does does = PartKind::Does::nothing_known);
+  /// A type of any kind. `plan(PartPlan&, const C&)` is given a plan that has kind, type, item and, where parts are
+  /// written by name, name; it says the rest, of which `make` is required.
+  template <Configurable C>
+  void add_part(std::string_view kind, const std::string& type, std::string doc,
+                std::function<void(PartPlan&, const C&)> plan) {
+    add_type<C>(kind, type, std::move(doc), std::move(plan));
+  }
+
   const TypeRegistryBase& sensors() const { return types("sensor"); }
   const TypeRegistryBase& sinks() const { return types("sink"); }
   const TypeRegistryBase& buses() const { return types("bus"); }
@@ -255,6 +278,8 @@ class Registry {
 
  private:
   const TypeRegistryBase& types(std::string_view kind) const;
+  /// SetupError (not-found).
+  PartKind& kind_named(std::string_view name);
   template <Configurable C>
   void add_type(std::string_view kind, const std::string& type, std::string doc,
                 std::function<void(PartPlan&, const C&)> plan) {
@@ -266,8 +291,7 @@ class Registry {
       plan(made, config);
       return made;
     };
-    for (PartKind& known : kinds_)
-      if (known.name == kind) known.types.template add<C>(type, std::move(doc), make_plan);
+    kind_named(kind).types.template add<C>(type, std::move(doc), make_plan);
   }
 
   std::vector<PartKind> kinds_;

@@ -9,6 +9,7 @@
 ///     system.sensor("chamber").set_rate(50_Hz);
 ///     system.add_sensor(item);
 ///     system.remove_sensor("chamber");
+///     system.apply(plan_system(registry, load_config("bench.json")));   // what has changed in the file
 ///     loop.run_for(10s);
 ///
 /// A plan is made without touching a device: it finds every mistake of the whole file, those of single items as well as
@@ -39,9 +40,13 @@
 
 namespace rtdata {
 
+struct PlanChange;  // config/change.hpp
+
 namespace config_detail {
 class Neighbours;
-}
+class PlanApplication;
+struct ComparedPlans;
+}  // namespace config_detail
 
 /// Everything that a configuration says, checked. Only one without problems can be made into a System.
 struct SystemPlan {
@@ -93,29 +98,43 @@ class System {
   std::vector<std::string> sensor_names() const { return parts_.names("sensor"); }
   std::vector<std::string> sink_names() const { return parts_.names("sink"); }
 
-  /// Makes one more, from an item as in the lists of the file. It is checked as if it stood in the file: throws ConfigError
+  /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its name.
+  /// `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file: throws ConfigError
   /// with every mistake of it and with the parts that are there (names, payloads of topics, files), or SetupError, what
-  /// making it threw; then the system is as it was.
-  AnySensor& add_sensor(const ConfigItem& item);
-  Sink& add_sink(const ConfigItem& item);
-  /// A bus is written by name.
-  void add_bus(const std::string& name, const ConfigItem& item);
+  /// making it threw; then the system is as it was. Recordings keep the item and the time.
+  std::string add(std::string_view kind, const ConfigItem& item, const std::string& name = {});
+  AnySensor& add_sensor(const ConfigItem& item) { return sensor(add("sensor", item)); }
+  Sink& add_sink(const ConfigItem& item) { return sink(add("sink", item)); }
+  void add_bus(const std::string& name, const ConfigItem& item) { add("bus", item, name); }
   /// Afterwards not one more event of it appears; a sink stores what is queued first. SetupError (not-found); (busy):
-  /// another part uses it.
+  /// another part uses it. Recordings keep the time.
+  void remove(std::string_view kind, std::string_view name);
   void remove_sensor(std::string_view name) { remove("sensor", name); }
   void remove_sink(std::string_view name) { remove("sink", name); }
   void remove_bus(std::string_view name) { remove("bus", name); }
 
+  /// What `apply` would do to each part. Those that were added are parts of this system as all others.
+  PlanChange change_to(const SystemPlan& next) const;
+  /// Makes the system what the plan says, in this turn of the loop: closes what is removed or restarted, makes what is
+  /// restarted or added, then changes live what can be (config/change.hpp). What is unchanged goes on; handles of parts that
+  /// were closed are not valid any more. Closing a sink waits for what it has queued, at most its `close_deadline`, and for
+  /// parts on tiers the tier; ticks that are missed meanwhile are counted. Recordings keep the text and the time.
+  ///
+  /// Throws before anything is changed: ConfigError, the plan has mistakes; SetupError (busy), something is refused.
+  /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot be,
+  /// is gone, and named in the error.
+  PlanChange apply(const SystemPlan& next);
+
  private:
+  friend class config_detail::PlanApplication;
   void make(std::unique_ptr<Parts::Part> part);
-  /// Returns the name.
-  std::string add(std::string_view kind, const std::string& name, const ConfigItem& item);
-  void remove(std::string_view kind, std::string_view name);
   config_detail::Neighbours& neighbours();
+  config_detail::ComparedPlans compared_to(const SystemPlan& next) const;
 
   Loop& loop_;
   const Registry& registry_;
   std::string configuration_;  // the file; empty: none
+  ConfigItem root_;
   LogSettings log_;
   std::unique_ptr<config_detail::Neighbours> neighbours_;  // what the parts have taken; null: to be made anew
   Parts parts_;

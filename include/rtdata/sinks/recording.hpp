@@ -137,6 +137,14 @@ struct RecordedEscapes {
   std::uint64_t texts = 0;
 };
 
+/// A change of the configuration since RunInfo::configuration.
+struct RecordedConfiguration {
+  Time time{};
+  std::string object;       ///< "sensor chamber": the part that was added, changed or removed; empty: the whole
+  std::string text;         ///< of the part or of the whole; empty: the part was removed
+  std::uint64_t count = 0;  ///< changes of the object up to this one, joined since there were too many
+};
+
 /// See health.hpp.
 struct RecordedHealth {
   Time time{};
@@ -215,6 +223,7 @@ class Recording {
   Result<UtcLine> utc_line(std::int64_t run) const;
   /// Those of whom texts were stored with escapes, since they were no UTF-8. Formats before 5 have none.
   Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
+  Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
   /// Every change of health, in order of time. Formats before 3 have none.
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;

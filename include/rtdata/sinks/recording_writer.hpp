@@ -13,6 +13,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/loop/configuration_change.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {
@@ -65,10 +66,11 @@ struct Account {
   std::vector<ErrorEntry> errors;
   std::vector<ClockPair> clock;
   std::vector<HealthEntry> health;  ///< changes since the last account
+  std::vector<ConfigurationChange> configurations;
 
   bool is_empty() const noexcept {
     return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && health.empty() &&
-           !is_last;
+           configurations.empty() && !is_last;
   }
 };
 

@@ -293,6 +293,10 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
                      {"health", health_json(sink.health, sink.reason)}});
   }
 
+  Json& parts = json["parts"] = Json::array();
+  for (const Info::Part& part : now.info->parts)
+    parts.push_back({{"kind", part.kind}, {"name", part.name}, {"type", part.type}, {"users", part.users}});
+
   Json& topics = json["topics"] = Json::array();
   for (const TopicStatus& topic : now.topics) {
     topics.push_back(

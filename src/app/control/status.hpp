@@ -43,8 +43,16 @@ class StatusSource {
     std::string name;           ///< of the set-up
     std::string configuration;  ///< path of its file
     std::map<std::string, std::string> sink_paths = {};
+    /// Of kinds that have no status of their own, such as buses.
+    struct Part {
+      std::string kind, name, type;
+      std::vector<std::string> users;  ///< "sensor chamber"
+    };
+    std::vector<Part> parts = {};
   };
   StatusSource(Loop& loop, Info info);
+  /// Another configuration.
+  void set(Info info) { info_ = std::make_shared<const Info>(std::move(info)); }
 
   /// `{"request":"status"}` gives the status; anything else {"error": why}. What is returned makes the text, one line
   /// without its end, on any thread, also when this object is gone.

@@ -108,6 +108,16 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
       add_health(tail, sink);
     }
   }
+  if (status.contains("parts") && !status["parts"].empty()) {
+    tail.push_back("");
+    tail.push_back("part                           type             used by");
+    for (const Json& part : status["parts"]) {
+      std::string users;
+      for (const Json& user : part.at("users")) users += (users.empty() ? "" : ", ") + text_of(user);
+      tail.push_back(left(text_of(part.at("kind")) + " " + text_of(part.at("name")), 30) + " " +
+                     left(text_of(part.at("type")), 16) + " " + (users.empty() ? "-" : users));
+    }
+  }
   if (!status.at("callbacks").empty()) {
     tail.push_back("");
     tail.push_back("callback                       loop         count     total       max");

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "rtdata/config/registry.hpp"
+#include "rtdata/config/system.hpp"
 
 namespace rtdata::app {
 
@@ -12,6 +13,9 @@ inline constexpr int exit_good = 0;
 inline constexpr int exit_other = 1;
 inline constexpr int exit_configuration = 2;
 inline constexpr int exit_loss = 3;
+
+/// "2 sensors, 1 sink": of each kind that publishes or stores.
+std::string counts_text(const Registry& registry, const SystemPlan& plan);
 
 enum class OnLoss { ignore, fail };
 enum class Talk { normal, quiet };
@@ -25,7 +29,11 @@ struct RunOptions {
 };
 
 int run(const Registry& registry, const RunOptions& options);
-int check(const Registry& registry, const std::string& file);
+struct CheckOptions {
+  std::string file;
+  std::string against;  ///< the configuration of a running system that it is to take the place of; empty: none
+};
+int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
 enum class TypesAs { text, schema };
 /// `name`: only this type; empty: all.

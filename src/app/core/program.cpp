@@ -117,12 +117,19 @@ Action prepare_run(CLI::App& command) {
 }
 
 Action prepare_check(CLI::App& command) {
-  const auto file = std::make_shared<std::string>();
-  command.footer("example:\n  rtdata check bench.json\nexit status:\n  0  no mistake, perhaps warnings\n  2  mistakes");
-  command.add_option("FILE", *file, "The configuration")->required();
-  return [file](const Registry& registry) {
+  const auto options = std::make_shared<app::CheckOptions>();
+  command.footer(
+      "examples:\n  rtdata check bench.json\n  rtdata check new.json --against bench.json\nexit status:\n"
+      "  0  no mistake, perhaps warnings\n"
+      "  1  with --against: a running system cannot change to it\n  2  mistakes");
+  command.add_option("FILE", options->file, "The configuration")->required();
+  command
+      .add_option("--against", options->against,
+                  "Also say what becomes of each part when it takes the place of this one in a running system")
+      ->type_name("FILE");
+  return [options](const Registry& registry) {
     const ForPeople wrapped;
-    return app::check(registry, *file);
+    return app::check(registry, *options);
   };
 }
 

@@ -156,6 +156,7 @@ struct Content {
   std::vector<RecordedError> errors;
   std::vector<RecordedHealth> health;
   std::vector<RecordedEscapes> escaped;
+  std::vector<RecordedConfiguration> configurations;
   std::vector<RecordedGap> gaps;
   UtcLine line{{}};  // of the run that is shown
 };
@@ -188,6 +189,9 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto escaped = recording.escaped(content.shown->run);
   if (!escaped) return std::move(escaped).error();
   content.escaped = std::move(*escaped);
+  auto configurations = recording.configurations(content.shown->run);
+  if (!configurations) return std::move(configurations).error();
+  content.configurations = std::move(*configurations);
   if (gaps == InfoOptions::Gaps::counted) return content;
   auto listed = recording.gaps(content.shown->run);
   if (!listed) return std::move(listed).error();
@@ -271,6 +275,21 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     }
     if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
   }
+  if (!content.configurations.empty()) {
+    constexpr std::size_t most = 20;
+    out << "\nchanges of the configuration in run " << content.shown->run << " (texts: --json)\n";
+    for (std::size_t i = 0; i < content.configurations.size() && i < most; ++i) {
+      const RecordedConfiguration& change = content.configurations[i];
+      std::string line;
+      detail::wrap(line, "  ",
+                   short_time(change.time) + " " +
+                       (change.object.empty() ? "a new text of " + std::to_string(change.text.size()) + " bytes"
+                                              : change.object + (change.text.empty() ? ": removed" : ": added")) +
+                       (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : ""));
+      out << line;
+    }
+    if (content.configurations.size() > most) out << "  and " << content.configurations.size() - most << " more\n";
+  }
   out << "\nfields\n";
   print_fields(content.topics, out);
 }
@@ -305,6 +324,14 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   json["escaped"] = Json::array();
   for (const RecordedEscapes& of : content.escaped)
     json["escaped"].push_back(Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}});
+  json["configuration"] = content.shown ? Json(content.shown->configuration) : Json();
+  json["configurations"] = Json::array();
+  for (const RecordedConfiguration& change : content.configurations) {
+    json["configurations"].push_back(Json{{"time", to_nanoseconds(change.time)},
+                                          {"object", change.object},
+                                          {"text", change.text},
+                                          {"count", change.count}});
+  }
   if (gaps == InfoOptions::Gaps::listed) {
     json["gaps"] = Json::array();
     for (const RecordedGap& gap : content.gaps) {

@@ -3,13 +3,43 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/log_file.hpp"
+#include "rtdata/config/change.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata::app {
 
-int check(const Registry& registry, const std::string& file) {
-  SystemPlan plan = plan_system(registry, load_config(file));
+namespace {
+
+/// The exit status.
+int compare(const Registry& registry, const SystemPlan& plan, const std::string& against) {
+  const SystemPlan now = plan_system(registry, load_config(against));
+  if (!now.good()) {
+    std::cout << now.report() << "it cannot be compared with " << against << ", which has mistakes" << std::endl;
+    return exit_configuration;
+  }
+  const PlanChange change = plan_change(now, plan);
+  std::cout << "in the place of " << against << ", in a system that runs:\n"
+            << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
+  if (change.refused() == 0) return exit_good;
+  std::cout << "it cannot be applied while the system runs: start it again" << std::endl;
+  return exit_other;
+}
+
+}  // namespace
+
+std::string counts_text(const Registry& registry, const SystemPlan& plan) {
+  std::string text;
+  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+    if (kind->does == PartKind::Does::nothing_known) continue;
+    const std::size_t count = plan.of_kind(kind->name).size();
+    text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
+  }
+  return text;
+}
+
+int check(const Registry& registry, const CheckOptions& options) {
+  SystemPlan plan = plan_system(registry, load_config(options.file));
   check_log_file(log_file_of(plan, ""), plan);
   if (!plan.good()) {
     std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems")
@@ -32,9 +62,8 @@ int check(const Registry& registry, const std::string& file) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };
   std::cout << (plan.warnings.empty() ? "ok: " : "ok, with " + counted(plan.warnings.size(), "warning") + ": ")
-            << counted(plan.of_kind("sensor").size(), "sensor") << ", " << counted(plan.of_kind("sink").size(), "sink")
-            << std::endl;
-  return exit_good;
+            << counts_text(registry, plan) << std::endl;
+  return options.against.empty() ? exit_good : compare(registry, plan, options.against);
 }
 
 }  // namespace rtdata::app

@@ -117,10 +117,15 @@ std::string Growth::text() const {
 
 std::vector<Growth> growth_of(const SystemPlan& plan) {
   std::vector<Growth> all;
-  for (const PartPlan* sink : plan.of_kind("sink")) {
+  std::vector<const PartPlan*> publishing, storing;
+  for (const PartPlan& part : plan.parts) {
+    if (part.publishes) publishing.push_back(&part);
+    if (part.stores) storing.push_back(&part);
+  }
+  for (const PartPlan* sink : storing) {
     if (sink->type != "sqlite" && sink->type != "file") continue;
     Growth growth{sink, 0, is_limited(*sink)};
-    for (const PartPlan* sensor : plan.of_kind("sensor")) {
+    for (const PartPlan* sensor : publishing) {
       const PublishedTopic& published = *sensor->publishes;
       if (published.description == nullptr || !published.load || published.load->period <= Duration{0}) continue;
       if (!sink->stores->wants(published.topic)) continue;

@@ -21,6 +21,7 @@
 #include "app/run/stop_signals.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/config/change.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -93,30 +94,22 @@ class Run {
     Runtime runtime(plan.runtime_config());
     runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
     Loop loop(runtime, plan.loop_config());
-    std::map<std::string, std::string> paths;
-    bool uses_stdout = false;
-    Duration deadline{0};
-    for (const PartPlan& part : plan.parts) {
-      if (!part.stores) continue;
-      paths[part.name] = hide_secrets(part.stores->path, secrets_);
-      uses_stdout = uses_stdout || part.stores->path == "-";
-      deadline = std::max(deadline, part.stores->close_deadline);
-    }
-    if (!plan.settings.tiers.empty()) deadline = std::max(deadline, Duration{std::chrono::seconds{2}});
+    note_sinks(plan);
     System system(loop, registry_, plan);
+    StatusSource status(loop, status_info(plan));
     signals_.attach(
         loop, {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
-               [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); }});
+               [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); },
+               [&] { reload(loop, system, status); }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
     } const detach{signals_};
-    StatusSource status(loop, {plan.settings.name, options_.file, paths});
     std::optional<ControlSocket> control;
     open_control(control, loop, status);
     tell_start(plan);
 
-    if (options_.talk == Talk::normal && !uses_stdout && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+    if (options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
     {
       Service service(loop);
       loop.post([&] { be_ready(service); });
@@ -130,19 +123,93 @@ class Run {
       }
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
-      close_deadline_ = deadline;
       ticker.set_period(redraw_period);
-      not_stored_ = loop.close(deadline);
+      not_stored_ = loop.close(close_deadline_);
     }
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
     close_view();
-    const int exit_status = report(runtime, loop.core().runtime.unknown_end, paths, uses_stdout);
+    const int exit_status = report(runtime, loop.core().runtime.unknown_end);
     if (!hanging.empty()) {
       control.reset();
       leave_behind(hanging);
     }
     return exit_status;
+  }
+
+  /// What is told of sinks, and how long they may take in the end.
+  void note_sinks(const SystemPlan& plan) {
+    close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
+    for (const PartPlan& part : plan.parts) {
+      if (!part.stores) continue;
+      paths_[part.name] = hide_secrets(part.stores->path, secrets_);
+      uses_stdout_ = uses_stdout_ || part.stores->path == "-";
+      close_deadline_ = std::max(close_deadline_, part.stores->close_deadline);
+    }
+  }
+
+  StatusSource::Info status_info(const SystemPlan& plan) const {
+    StatusSource::Info info{plan.settings.name, options_.file, paths_};
+    std::map<std::pair<std::string_view, std::string_view>, std::vector<std::string>> users;
+    for (const PartPlan& part : plan.parts)
+      for (const PartUse& use : part.uses) users[{use.kind, use.name}].push_back(part.object());
+    for (const PartPlan& part : plan.parts) {
+      if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
+      info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}]});
+    }
+    return info;
+  }
+
+  /// On the signals' thread, so that nothing waits for the reading and checking.
+  void reload(Loop& loop, System& system, StatusSource& status) {
+    auto next = std::make_shared<SystemPlan>();
+    std::string failed;
+    try {
+      *next = plan_system(registry_, load_config(options_.file));
+      check_log_file(log_file_of(*next, options_.log_file), *next);
+      if (next->good()) warn_of_growth(*next, growth_span);
+    } catch (const std::exception& error) {
+      failed = error.what();
+    }
+    loop.post([this, &system, &status, next, failed] {
+      if (failed.empty()) return apply(system, status, *next);
+      say(LogLevel::error, "program", "SIGHUP: nothing was changed: " + failed);
+    });
+  }
+
+  void apply(System& system, StatusSource& status, const SystemPlan& next) {
+    if (is_closing_) return say(LogLevel::info, "program", "SIGHUP: it ends already; nothing was changed");
+    secrets_.insert(secrets_.end(), next.secrets.begin(), next.secrets.end());
+    for (const Problem& problem : next.problems) say(LogLevel::error, "configuration", problem.text(), problem.id);
+    if (!next.good()) {
+      return say(LogLevel::error, "program",
+                 "SIGHUP: nothing was changed: " + std::to_string(next.problems.size()) +
+                     (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file);
+    }
+    for (const Problem& warning : next.warnings) say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    const PlanChange change = system.change_to(next);
+    const bool is_refused = change.refused() != 0;
+    for (const PartChange& part : change.all) {
+      const bool is_told = is_refused ? part.fate == Fate::refused : part.fate != Fate::unchanged;
+      if (is_told) say(is_refused ? LogLevel::error : LogLevel::info, "configuration", part.text());
+    }
+    if (is_refused) {
+      return say(LogLevel::error, "program",
+                 "SIGHUP: nothing was changed: what is refused can be done by starting the program again");
+    }
+    try {
+      (void)system.apply(next);
+    } catch (const SetupError& error) {
+      return say(LogLevel::error, "program", std::string("SIGHUP: not applied: ") + error.what(), error.error().id());
+    } catch (const std::exception& error) {
+      return say(LogLevel::error, "program", std::string("SIGHUP: not applied: ") + error.what());
+    }
+    note_sinks(next);
+    if (uses_stdout_) close_view();
+    status.set(status_info(next));
+    say(LogLevel::info, "program",
+        "SIGHUP: " + options_.file + " is applied" + (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
+            counts_text(registry_, next));
   }
 
   /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
@@ -184,11 +251,7 @@ class Run {
   }
 
   void tell_start(const SystemPlan& plan) {
-    const auto counted = [](std::size_t count, const char* what) {
-      return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
-    };
-    std::string text = "running " + plan.settings.name + ": " + counted(plan.of_kind("sensor").size(), "sensor") +
-                       ", " + counted(plan.of_kind("sink").size(), "sink");
+    std::string text = "running " + plan.settings.name + ": " + counts_text(registry_, plan);
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";
@@ -315,8 +378,7 @@ class Run {
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
-  int report(const Runtime& runtime, const std::string& unknown, const std::map<std::string, std::string>& paths,
-             bool uses_stdout) {
+  int report(const Runtime& runtime, const std::string& unknown) {
     tell_log_failure();
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();
@@ -327,9 +389,9 @@ class Run {
                                                                : LogLevel::info;
     log_.write(level, "program", said);
     if (options_.talk == Talk::normal) {
-      const std::size_t columns = columns_of(uses_stdout ? STDERR_FILENO : STDOUT_FILENO);
-      const std::string text = summary(account, paths, columns) + "\n" + wrapped(said, columns) + "\n";
-      (uses_stdout ? messages_ : terminal()).write(text);
+      const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
+      const std::string text = summary(account, paths_, columns) + "\n" + wrapped(said, columns) + "\n";
+      (uses_stdout_ ? messages_ : terminal()).write(text);
     } else if (level != LogLevel::info) {
       tell("rtdata: " + std::string(name_of(level)) + ": " + said + "\n");
     }
@@ -349,7 +411,9 @@ class Run {
   std::string note_;
   MonotonicTime last_line_{};
   bool is_closing_ = false;
-  Duration close_deadline_{0};  // once it is closing
+  Duration close_deadline_{0};
+  std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
+  bool uses_stdout_ = false;
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // when it ended: they are lost

@@ -1,10 +1,12 @@
 #include "app/run/stop_signals.hpp"
 
+#include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
 #include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
 #include <condition_variable>
 #include <mutex>
 #include <system_error>
@@ -14,10 +16,22 @@
 
 namespace rtdata::app {
 
+namespace {
+
+/// False when the process has none, or it has hung up.
+bool has_terminal() noexcept {
+  const int fd = ::open("/dev/tty", O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (fd >= 0) ::close(fd);
+  return fd >= 0 || (errno != ENXIO && errno != EIO && errno != ENOENT);
+}
+
+}  // namespace
+
 struct StopSignals::State {
   sigset_t taken{};
   sigset_t mask_before{};
   int any_taken = 0;  // one of them; 0: all are ignored
+  const bool had_terminal = has_terminal();
   std::atomic<bool> is_over{false};
   std::thread thread;
 
@@ -26,6 +40,7 @@ struct StopSignals::State {
   Actions actions;
   const char* pending = nullptr;  // came before there was a loop
   int count = 0;
+  bool is_reload_pending = false;
 
   struct Answer {
     std::mutex mutex;
@@ -38,8 +53,18 @@ struct StopSignals::State {
       int signal = 0;
       if (::sigwait(&taken, &signal) != 0) continue;
       if (is_over.load()) return;
+      if (signal == SIGHUP && (!had_terminal || has_terminal())) {
+        reload();
+        continue;
+      }
       came(signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : "SIGHUP");
     }
+  }
+
+  void reload() {
+    const std::lock_guard lock(mutex);
+    is_reload_pending = loop == nullptr;
+    if (loop != nullptr && count == 0) actions.reload();
   }
 
   void came(const char* name) {
@@ -102,6 +127,8 @@ void StopSignals::attach(Loop& loop, Actions actions) {
   state_->actions = std::move(actions);
   if (state_->pending != nullptr)
     loop.post([state = state_.get(), name = state_->pending] { state->actions.first(name); });
+  else if (state_->is_reload_pending)
+    state_->actions.reload();
 }
 
 void StopSignals::detach() noexcept {

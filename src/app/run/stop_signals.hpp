@@ -1,4 +1,5 @@
-// SIGINT, SIGTERM and SIGHUP: the first one asks the run to end, a second one ends the process.
+// SIGINT and SIGTERM: the first one asks the run to end, a second one ends the process. SIGHUP reads the configuration
+// again, or, when the terminal that the program was started on has gone, is as the others.
 #pragma once
 
 #include <functional>
@@ -26,8 +27,11 @@ class StopSignals {
     std::function<std::uint64_t()> queued;
     /// On the signals' thread. `queued`: as it is now; nothing when the loop does not answer. Does not return.
     std::function<void(const char* signal, std::optional<std::uint64_t> queued)> second;
+    /// On the signals' thread, for SIGHUP: reads the configuration again.
+    std::function<void()> reload;
   };
-  /// `loop` must live until `detach`. A signal that came before counts as the first.
+  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then is
+  /// kept: the configuration may have been read before it.
   void attach(Loop& loop, Actions actions);
   void detach() noexcept;
 

@@ -30,11 +30,11 @@ PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigIte
   plan.type = text_or_empty(item, "type");
   plan.name = kind.written == PartKind::Written::by_name ? name : text_or_empty(item, "name");
   plan.item = item;
-  if (kind.name == "sensor") {
+  if (kind.does == PartKind::Does::publishes) {
     std::string topic = text_or_empty(item, "topic");
     plan.publishes = PublishedTopic{topic.empty() ? plan.name : std::move(topic), nullptr, std::nullopt};
   }
-  if (kind.name == "sink") plan.stores.emplace().path = text_or_empty(item, "path");
+  if (kind.does == PartKind::Does::stores) plan.stores.emplace().path = text_or_empty(item, "path");
   return plan;
 }
 
@@ -42,8 +42,9 @@ PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigIte
 void check_topic(const PartPlan& plan, Problems& problems) {
   const std::string& topic = plan.publishes->topic;
   std::string mistake;
-  if (!is_topic_name(topic)) mistake = topic_advice(topic) + "; give the sensor a `topic`, or another name";
-  if (topic.starts_with("$")) mistake = "topics that begin with $ are the library's own; give the sensor a `topic`";
+  if (!is_topic_name(topic)) mistake = topic_advice(topic) + "; give the " + plan.kind + " a `topic`, or another name";
+  if (topic.starts_with("$"))
+    mistake = "topics that begin with $ are the library's own; give the " + plan.kind + " a `topic`";
   if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
 }
 
@@ -78,8 +79,8 @@ const std::vector<ParameterInfo>& PartReader::parameters_of_item(const PartKind&
   if (!is_new) return known->second;
   if (const std::optional<TypeInfo> type = kind.types.find(known->first.second)) {
     known->second = type->parameters;
-  } else if (kind.name == "sensor") {
-    known->second = parameters_of<Placement>();
+  } else {
+    known->second = kind.common;
   }
   return known->second;
 }
@@ -93,7 +94,7 @@ PartPlan PartReader::read(const PartKind& kind, const std::string& name, const C
   ConfigItem named = item;
   const ConfigItem* path = child_of(item, "path");
   const std::string type = text_or_empty(item, "type");
-  if (kind.name == "sink" && path != nullptr && is_secret_reference(*path) && !type.empty() &&
+  if (kind.does == PartKind::Does::stores && path != nullptr && is_secret_reference(*path) && !type.empty() &&
       child_of(item, "name") == nullptr)
     named.set("name", type);
 

@@ -53,6 +53,12 @@ std::vector<std::string> Parts::names(std::string_view kind) const {
   return names;
 }
 
+std::vector<const PartPlan*> Parts::plans() const {
+  std::vector<const PartPlan*> plans;
+  for (const auto& part : made_) plans.push_back(&part->plan);
+  return plans;
+}
+
 void Parts::add(std::unique_ptr<Part> part) {
   by_name_[{part->plan.kind, part->plan.name}] = part.get();
   made_.push_back(std::move(part));

@@ -81,10 +81,10 @@ class Planner {
       const PartPlan& part = plan_.parts.back();
       warn_of(reader_.parameters_of_item(kind, child.item), child.item, plan_.warnings);
       plan_.secrets.insert(plan_.secrets.end(), part.secrets.begin(), part.secrets.end());
-      if (kind.name == "sink") ++sinks_;
-      if (kind.name != "sensor") continue;
-      ++sensors_;
-      if (part.make) ++good_sensors_;
+      if (kind.does == PartKind::Does::stores) ++storing_;
+      if (kind.does != PartKind::Does::publishes) continue;
+      ++publishing_;
+      if (part.make) ++good_publishing_;
     }
   }
 
@@ -96,7 +96,7 @@ class Planner {
     neighbours.check_stored_topics(plan_.problems);
     neighbours.add_log(plan_.settings.log, child_or_self(child_or_self(root(), "log"), "file"), plan_.problems);
     for (const PartPlan& part : plan_.parts) neighbours.check_uses(part, plan_.problems);
-    if (sensors_ != 0 && sensors_ == good_sensors_) {
+    if (publishing_ != 0 && publishing_ == good_publishing_) {
       warn_of_patterns(plan_.parts, neighbours, plan_.warnings);
       warn_of_units(plan_.parts, plan_.warnings);
       warn_of_tiers(plan_.parts, plan_.warnings);
@@ -111,10 +111,10 @@ class Planner {
     collect_secrets(settings, root(), plan_.secrets);
     warn_of_plain_secrets(root(), plan_.warnings);
     const auto at = [&](const char* key) -> const ConfigItem& { return child_or_self(root(), key); };
-    if (sinks_ == 0 && sensors_ != 0 && plan_.problems.empty()) {
+    if (storing_ == 0 && publishing_ != 0 && plan_.problems.empty()) {
       plan_.warnings.add(at("sinks").problem("no-sinks", "there are no sinks: what the sensors read is kept nowhere"));
     }
-    if (sensors_ == 0 && (plan_.problems.empty() || (has_good_settings_ && at("sensors").is_array()))) {
+    if (publishing_ == 0 && (plan_.problems.empty() || (has_good_settings_ && at("sensors").is_array()))) {
       plan_.warnings.add(at("sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
     }
     warn_of_load(plan_.parts, plan_.settings.loop.name, plan_.warnings);
@@ -124,9 +124,9 @@ class Planner {
   SystemPlan& plan_;
   PartReader reader_;
   bool has_good_settings_ = false;
-  std::size_t sinks_ = 0;
-  std::size_t sensors_ = 0;
-  std::size_t good_sensors_ = 0;
+  std::size_t storing_ = 0;
+  std::size_t publishing_ = 0;
+  std::size_t good_publishing_ = 0;
 };
 
 }  // namespace

@@ -41,11 +41,32 @@ std::string config_detail::sink_name(const std::string& type, const std::string&
 }
 
 Registry::Registry() {
-  using Types = TypeRegistry<PartPlan, const std::string&>;
-  kinds_.push_back({"bus", "buses", "what sensors are connected to, by name; each has a `type`",
-                    PartKind::Written::by_name, Types("bus")});
-  kinds_.push_back({"sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, Types("sink")});
-  kinds_.push_back({"sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, Types("sensor")});
+  add_kind("bus", "buses", "what sensors are connected to, by name; each has a `type`", PartKind::Written::by_name);
+  add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
+  add_kind("sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  kinds_.back().common = parameters_of<config_detail::Placement>();
+}
+
+void Registry::add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,
+                        PartKind::Does does) {
+  const auto refuse = [&](const std::string& why) {
+    throw SetupError(
+        {Errc::bad_argument, "cannot add a kind of parts", "\"" + name + "\"", why, "give it another name and key"});
+  };
+  if (name == "tier" || name == "topic") refuse("that is what tiers and topics are named by");
+  for (const ParameterInfo& setting : parameters_of<SystemSettings>())
+    if (setting.key == key) refuse("`" + key + "` is a setting of the file");
+  for (const PartKind& known : kinds_)
+    if (known.name == name || known.key == key) refuse("there is one of that name or key already");
+  TypeRegistry<PartPlan, const std::string&> types(name);
+  kinds_.push_back({std::move(name), std::move(key), std::move(doc), written, std::move(types), does, {}});
+}
+
+PartKind& Registry::kind_named(std::string_view name) {
+  const auto found = std::find_if(kinds_.begin(), kinds_.end(),
+                                  [&](const PartKind& known) { return known.name == name; });
+  if (found != kinds_.end()) return *found;
+  throw SetupError({Errc::not_found, "no such kind of parts", "\"" + std::string(name) + "\"", "", "add_kind first"});
 }
 
 const TypeRegistryBase& Registry::types(std::string_view kind) const {

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 
+#include "config/plan/change.hpp"
 #include "config/plan/neighbours.hpp"
 #include "config/plan/part_reader.hpp"
+#include "config/plan/plan_application.hpp"
 #include "config/read/mistakes.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
@@ -37,7 +39,11 @@ PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
 }  // namespace
 
 System::System(Loop& loop, const Registry& registry, const SystemPlan& plan)
-    : loop_(loop), registry_(registry), configuration_(plan.document.file), log_(plan.settings.log) {
+    : loop_(loop),
+      registry_(registry),
+      configuration_(plan.document.file),
+      root_(plan.document.root),
+      log_(plan.settings.log) {
   if (!plan.good()) throw ConfigError(plan.problems);
   for (const PartPlan& part : plan.parts) make(std::make_unique<Parts::Part>(Parts::Part{part, {}}));
 }
@@ -68,8 +74,13 @@ config_detail::Neighbours& System::neighbours() {
   return *neighbours_;
 }
 
-std::string System::add(std::string_view kind, const std::string& name, const ConfigItem& item) {
-  const PartKind& known = *config_detail::find_kind(registry_, kind);
+std::string System::add(std::string_view kind, const ConfigItem& item, const std::string& name) {
+  const PartKind* found = config_detail::find_kind(registry_, kind);
+  if (found == nullptr) {
+    throw SetupError({Errc::not_found, "cannot add a part", item.place().text(),
+                      "there is no kind \"" + std::string(kind) + "\"", "see Registry::kinds"});
+  }
+  const PartKind& known = *found;
   Problems problems;
   auto part = std::make_unique<Parts::Part>();
   part->plan = config_detail::PartReader().read(known, name, item, problems);
@@ -86,17 +97,15 @@ std::string System::add(std::string_view kind, const std::string& name, const Co
       problems.sort();
       throw ConfigError(std::move(problems));
     }
+    std::string object = part->plan.object();
     make(std::move(part));
+    loop_.runtime().core().configurations.add(std::move(object), item.to_json());
   } catch (...) {
     neighbours_.reset();  // it knows a part that does not come
     throw;
   }
   return made;
 }
-
-AnySensor& System::add_sensor(const ConfigItem& item) { return sensor(add("sensor", "", item)); }
-Sink& System::add_sink(const ConfigItem& item) { return sink(add("sink", "", item)); }
-void System::add_bus(const std::string& name, const ConfigItem& item) { add("bus", name, item); }
 
 void System::remove(std::string_view kind, std::string_view name) {
   const Parts::Part& part = parts_.part_named(kind, name);
@@ -108,7 +117,38 @@ void System::remove(std::string_view kind, std::string_view name) {
     }
   }
   neighbours_.reset();
+  std::string object = part.plan.object();
   parts_.remove(kind, name);
+  loop_.runtime().core().configurations.remove(std::move(object));
+}
+
+config_detail::ComparedPlans System::compared_to(const SystemPlan& next) const {
+  std::vector<const PartPlan*> parts;
+  for (const PartPlan& part : next.parts) parts.push_back(&part);
+  return config_detail::compare({parts_.plans(), root_}, {std::move(parts), next.document.root},
+                                {[&](const std::string& topic) -> const Description* {
+                                   const detail::TopicCore* known = loop_.runtime().core().find_topic(topic);
+                                   return known != nullptr ? known->type.description.get() : nullptr;
+                                 },
+                                 [&](const std::string& origin) {
+                                   const detail::OriginCore* known = loop_.runtime().core().find_origin(origin);
+                                   return known != nullptr ? known->topic.name : std::string();
+                                 }});
+}
+
+PlanChange System::change_to(const SystemPlan& next) const { return compared_to(next).all(); }
+
+PlanChange System::apply(const SystemPlan& next) {
+  if (!next.good()) throw ConfigError(next.problems);
+  const config_detail::ComparedPlans changes = compared_to(next);
+  PlanChange all = changes.all();
+  for (const PartChange& change : all.all) {
+    if (change.fate != Fate::refused) continue;
+    throw SetupError({Errc::busy, "cannot apply the configuration", change.object, change.why,
+                      "nothing was changed; take the change back, or start the program again"});
+  }
+  config_detail::PlanApplication(*this, next, changes).run();
+  return all;
 }
 
 }  // namespace rtdata

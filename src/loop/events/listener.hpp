@@ -7,6 +7,7 @@
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/clock.hpp"
+#include "rtdata/loop/configuration_change.hpp"
 #include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -37,6 +38,7 @@ class Listener {
 class Recorder : public Listener {
  public:
   virtual void on_clock(const ClockPair& pair) = 0;
+  virtual void on_configuration(const ConfigurationChange&) {}
   virtual SinkStatus status() const = 0;
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.
   virtual void drain(MonotonicTime deadline, Callback<void(std::uint64_t lost)> done) = 0;

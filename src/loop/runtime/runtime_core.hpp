@@ -15,6 +15,7 @@
 #include "loop/events/sensor_entry.hpp"
 #include "loop/events/topic_core.hpp"
 #include "loop/runtime/clock_log.hpp"
+#include "loop/runtime/configurations.hpp"
 #include "loop/runtime/exchange.hpp"
 #include "loop/runtime/names.hpp"
 #include "loop/runtime/reports.hpp"
@@ -50,6 +51,7 @@ class RuntimeCore {
   const Runtime::Config config;
   ClockLog clock_log;
   Reports reports;
+  Configurations configurations{*this, config.configuration};
   Names names{*this};
   Exchange exchange{*this};
 

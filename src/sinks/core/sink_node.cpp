@@ -52,6 +52,7 @@ void SinkNode::attach() {
   }
   runtime.attach(*this);
   for (const ClockPair& pair : runtime.clock_log.pairs()) account_.notes.add(pair);
+  for (const ConfigurationChange& change : runtime.configurations.changes()) account_.notes.add(change);
   loop()->schedule().add(*this);
   life_ = Life::attached;
   if (is_to_open_) {
@@ -111,6 +112,11 @@ void SinkNode::on_segment(OriginCore& origin, const Segment& segment) {
 
 void SinkNode::on_clock(const ClockPair& pair) {
   note([&] { account_.notes.add(pair); });
+}
+
+void SinkNode::on_configuration(const ConfigurationChange& change) {
+  note([&] { account_.notes.add(change); });
+  account_is_due();
 }
 
 void SinkNode::on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {

@@ -36,6 +36,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void on_gap(OriginCore& origin, const Gap& gap) override;
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_clock(const ClockPair& pair) override;
+  void on_configuration(const ConfigurationChange& change) override;
   void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   SinkStatus status() const override;

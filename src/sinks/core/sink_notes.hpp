@@ -18,6 +18,8 @@ class SinkNotes {
   static constexpr std::size_t most_segments = 16384;
   static constexpr std::size_t most_clock_pairs = 1024;
   static constexpr std::size_t most_health_changes = 1024;
+  static constexpr std::size_t most_configurations = 1024;
+  static constexpr std::size_t most_configuration_bytes = std::size_t{16} << 20;
   static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
@@ -74,8 +76,18 @@ class SinkNotes {
       health_.push_back({first, change, count, last});
     }
   }
+  void add(const ConfigurationChange& change) {
+    const std::size_t bytes = change.object.size() + change.text.size();
+    if (configurations_.size() == most_configurations || configuration_bytes_ + bytes > most_configuration_bytes) {
+      ++lost_configurations_;
+      return;
+    }
+    configurations_.push_back(change);
+    configuration_bytes_ += bytes;
+  }
   bool is_empty() const noexcept {
-    return gaps_.empty() && segments_.empty() && errors_.empty() && clock_.empty() && health_.empty();
+    return gaps_.empty() && segments_.empty() && errors_.empty() && clock_.empty() && health_.empty() &&
+           configurations_.empty();
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
@@ -85,6 +97,7 @@ class SinkNotes {
     tell_lost(at, lost_errors_, "errors");
     tell_lost(at, lost_clock_pairs_, "pairs of clocks");
     tell_lost(at, lost_health_changes_, "changes of health");
+    tell_lost(at, lost_configurations_, "changes of the configuration");
   }
   void move_into(Account& account) noexcept {
     move(gaps_, account.gaps);
@@ -92,6 +105,8 @@ class SinkNotes {
     move(errors_, account.errors);
     move(clock_, account.clock);
     move(health_, account.health);
+    move(configurations_, account.configurations);
+    configuration_bytes_ = 0;
   }
 
  private:
@@ -124,6 +139,9 @@ class SinkNotes {
   std::vector<Account::HealthEntry> health_;
   std::uint64_t lost_clock_pairs_ = 0;
   std::uint64_t lost_health_changes_ = 0;
+  std::vector<ConfigurationChange> configurations_;
+  std::size_t configuration_bytes_ = 0;
+  std::uint64_t lost_configurations_ = 0;
 };
 
 }  // namespace rtdata::detail

@@ -43,6 +43,10 @@ constexpr Table all_tables[] = {
      "last = max(rtdata_health.time, rtdata_health.last, b.time, b.last), count = rtdata_health.count + b.count "
      "FROM (SELECT state, reason, time, last, count FROM rtdata_health WHERE rowid = ?2) b "
      "WHERE rtdata_health.rowid = ?1"},
+    {"rtdata_configuration", "run, object", "length(object) + length(text)", "0", "t.time", "t.time",
+     "UPDATE rtdata_configuration SET time = b.time, text = b.text, count = rtdata_configuration.count + b.count "
+     "FROM (SELECT time, text, count FROM rtdata_configuration WHERE rowid = ?2) b "
+     "WHERE rtdata_configuration.rowid = ?1"},
 };
 
 /// An object's rows in one table.

@@ -62,6 +62,7 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
+      {configuration_, "INSERT INTO rtdata_configuration(run, time, object, text) VALUES(?,?,?,?)"},
       {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ?"},
   };
   for (const Prepared& one : all) {
@@ -183,6 +184,13 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
     if (auto done = health_.run(); !done) return done;
   }
+  for (const ConfigurationChange& change : account.configurations) {
+    configuration_.bind(1, run_)
+        .bind(2, to_nanoseconds(change.time))
+        .bind(3, std::string_view(change.object))
+        .bind(4, std::string_view(change.text));
+    if (auto done = configuration_.run(); !done) return done;
+  }
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
   run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
   return run_end_.run();
@@ -219,7 +227,8 @@ void AccountWriter::committed(const Batch& batch) noexcept {
 }
 
 void AccountWriter::close() noexcept {
-  for (Statement* statement : {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &run_end_})
+  for (Statement* statement :
+       {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &configuration_, &run_end_})
     *statement = Statement();
 }
 

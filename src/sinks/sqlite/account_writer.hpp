@@ -46,6 +46,7 @@ class AccountWriter {
   Statement clock_;
   Statement error_;
   Statement health_;
+  Statement configuration_;
   Statement run_end_;
   // Gaps under way that the recording has, by slot: when they began, and their rows.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;

@@ -28,9 +28,9 @@ struct RowSum {
 };
 
 /// The tables of the account in which each row is of a run; their first column. In this order in `RunSums`.
-inline constexpr std::array<std::string_view, 8> account_tables = {"rtdata_run",    "rtdata_schedule", "rtdata_ledger",
-                                                                   "rtdata_gap",    "rtdata_clock",    "rtdata_error",
-                                                                   "rtdata_health", "rtdata_escaped"};
+inline constexpr std::array<std::string_view, 9> account_tables = {
+    "rtdata_run",   "rtdata_schedule", "rtdata_ledger",  "rtdata_gap",          "rtdata_clock",
+    "rtdata_error", "rtdata_health",   "rtdata_escaped", "rtdata_configuration"};
 using RunSums = std::array<RowSum, account_tables.size()>;
 
 /// Takes the values of a row one after the other, each as SQLite gives it back, and hashes them. Throws bad_alloc.

@@ -312,6 +312,17 @@ Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const 
                               });
 }
 
+Result<std::vector<RecordedConfiguration>> Recording::configurations(std::int64_t run) const {
+  auto version = file_->version();
+  if (!version) return std::move(version).error();
+  if (*version < sqlite::first_version_of_configurations) return std::vector<RecordedConfiguration>{};
+  return all<RecordedConfiguration>(
+      *file_, "SELECT time, object, text, count FROM rtdata_configuration WHERE run = ? ORDER BY time, rowid", run,
+      [](const Statement& row) {
+        return RecordedConfiguration{time_of(row, 0), string_of(row, 1), string_of(row, 2), count_of(row, 3)};
+      });
+}
+
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
   auto version = file_->version();
   if (!version) return std::move(version).error();

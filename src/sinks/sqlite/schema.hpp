@@ -23,6 +23,9 @@ inline constexpr int first_version_of_own_data_account = 5;
 /// Texts of events that are no UTF-8 have escapes.
 inline constexpr int first_version_of_escapes = 5;
 
+/// Changes of the configuration within a run are kept.
+inline constexpr int first_version_of_configurations = 5;
+
 /// Rows and accounts have checksums.
 inline constexpr int first_version_with_checksums = 5;
 
@@ -119,6 +122,11 @@ CREATE TABLE IF NOT EXISTS rtdata_escaped(  -- since version 5
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
   texts INTEGER NOT NULL,           -- stored with escapes in them
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_configuration(  -- since version 5: changes since the text in rtdata_run
+  run INTEGER NOT NULL, time INTEGER NOT NULL,
+  object TEXT NOT NULL,             -- the part that was added, changed or removed; empty: the whole configuration
+  text TEXT NOT NULL,               -- of the part or of the whole; empty: the part was removed
+  count INTEGER NOT NULL DEFAULT 1);  -- changes of the object up to this one that are joined
 )sql";
 
 /// What `schema` does not do to the tables of a file of version 1.

@@ -1,0 +1,62 @@
+/// PlanChange: what becomes of each part of a running system when another configuration takes the place of its own.
+///
+///     SystemPlan next = plan_system(registry, load_config("bench.json"));
+///     PlanChange change = plan_change(plan, next);
+///     std::cout << change.text();
+///     // sensor chamber: changed while it runs (rate)
+///     // sensor door: restarted (it uses bus i2c1)
+///     // sensor attic: removed
+///     if (next.good() && change.refused() == 0) system.apply(next);
+///
+/// Parts are the same when their kind and name are. An item that says the same, in whatever order, is unchanged. One
+/// that differs in what a part can take while it runs (PartPlan::live) is changed live; otherwise the part is made anew,
+/// and so is each that uses it. What the runtime or the recordings are made with cannot change: the name, the settings
+/// of the loop and the log, tiers, and the values that a topic carries. `notes` are kept with the text.
+///
+/// Values; any thread.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/system.hpp"
+
+namespace rtdata {
+
+enum class Fate {
+  unchanged,
+  live,       ///< changed while it runs: nothing is lost
+  restarted,  ///< closed, and made anew
+  added,
+  removed,
+  refused,  ///< cannot be done in a running system: then nothing is done
+};
+std::string_view name_of(Fate fate) noexcept;
+
+struct PartChange {
+  std::string object;  ///< "sensor chamber", or the key of a setting: "loop"
+  Fate fate = Fate::unchanged;
+  std::string why = {};  ///< the keys that differ, what it uses, why it is refused; empty where the fate says all
+
+  /// "sensor chamber: restarted (file)"
+  std::string text() const;
+};
+
+struct PlanChange {
+  /// Settings that differ, then the parts of the next plan in the order in which they are made, then those removed.
+  std::vector<PartChange> all;
+
+  std::size_t count(Fate fate) const noexcept;
+  std::size_t refused() const noexcept { return count(Fate::refused); }
+  /// Nothing is to be done.
+  bool is_empty() const noexcept { return count(Fate::unchanged) == all.size(); }
+  /// A line for each that is not unchanged.
+  std::string text() const;
+};
+
+/// Both without problems.
+PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
+
+}  // namespace rtdata

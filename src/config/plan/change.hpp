@@ -1,0 +1,41 @@
+// What becomes of the parts of a system when another plan takes the place of its own. Private to src/config.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "rtdata/config/change.hpp"
+
+namespace rtdata::config_detail {
+
+/// A configuration as it is compared: its parts in the order in which they are made, and its settings.
+struct Compared {
+  std::vector<const PartPlan*> parts;
+  const ConfigItem& root;
+};
+
+/// What becomes of one part; `now` is null when it is added, `next` when it is removed.
+struct PlannedChange {
+  const PartPlan* now;
+  const PartPlan* next;
+  PartChange change;
+};
+
+struct ComparedPlans {
+  std::vector<PartChange> settings;
+  std::vector<PlannedChange> parts;  ///< as in PlanChange
+
+  PlanChange all() const;
+};
+
+/// What a run has fixed until its end.
+struct RunSoFar {
+  /// What the topic carries; null: not known.
+  std::function<const Description*(const std::string& topic)> carried;
+  /// The topic of this name's events; empty: there were none.
+  std::function<std::string(const std::string& origin)> topic_of;
+};
+
+ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar& run);
+
+}  // namespace rtdata::config_detail

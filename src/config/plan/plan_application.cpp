@@ -1,0 +1,116 @@
+#include "config/plan/plan_application.hpp"
+
+#include <algorithm>
+#include <unordered_map>
+#include <utility>
+
+#include "config/plan/neighbours.hpp"
+#include "loop/runtime/runtime_core.hpp"
+
+namespace rtdata::config_detail {
+namespace {
+
+bool ends(Fate fate) { return fate == Fate::restarted || fate == Fate::removed; }
+bool is_made(Fate fate) { return fate == Fate::restarted || fate == Fate::added; }
+
+}  // namespace
+
+void PlanApplication::run() {
+  detail::Configurations& configurations = system_.loop_.runtime().core().configurations;
+  const bool is_new_text = configurations.whole() != next_.document.text || !configurations.changes().empty();
+  const detail::Configurations::State before = configurations.state();
+  system_.neighbours_.reset();  // it knows parts that go
+  close();
+  if (is_new_text) configurations.replace(next_.document.text);
+  try {
+    make();
+    change_live();
+  } catch (const SetupError& error) {
+    Error told = error.error();
+    undo(told);
+    if (is_new_text) configurations.restore(before);
+    throw SetupError(std::move(told));
+  } catch (...) {  // no memory
+    Error ignored;
+    undo(ignored);
+    if (is_new_text) configurations.restore(before);
+    throw;
+  }
+  settle();
+}
+
+void PlanApplication::close() {
+  std::unordered_map<const PartPlan*, Fate> fates;
+  for (const PlannedChange& planned : changes_.parts)
+    if (planned.now != nullptr) fates.emplace(planned.now, planned.change.fate);
+  const std::vector<const PartPlan*> plans = system_.parts_.plans();
+  for (auto plan = plans.rbegin(); plan != plans.rend(); ++plan) {
+    if (!ends(fates.at(*plan))) continue;
+    closed_.push_back(**plan);
+    system_.parts_.remove(closed_.back().kind, closed_.back().name);
+  }
+  std::reverse(closed_.begin(), closed_.end());
+}
+
+void PlanApplication::make() {
+  for (const PlannedChange& planned : changes_.parts) {
+    if (!is_made(planned.change.fate)) continue;
+    system_.make(std::make_unique<Parts::Part>(Parts::Part{*planned.next, {}}));
+    made_.emplace_back(planned.next->kind, planned.next->name);
+  }
+}
+
+void PlanApplication::change_live() {
+  for (const PlannedChange& planned : changes_.parts) {
+    if (planned.change.fate != Fate::live) continue;
+    Parts::Part& part = system_.parts_.part_named(planned.next->kind, planned.next->name);
+    for (const auto& [key, change] : planned.next->live) {
+      const ConfigItem* now = planned.now->item.find(key);
+      const ConfigItem* next = planned.next->item.find(key);
+      if (now != nullptr && next != nullptr ? *now == *next : now == next) continue;
+      changed_.push_back({&part, &planned.now->live.at(key)});
+      change(part.object);
+    }
+  }
+}
+
+void PlanApplication::settle() {
+  std::unordered_map<const Parts::Part*, std::size_t> places;
+  std::size_t place = 0;
+  for (const PlannedChange& planned : changes_.parts) {
+    if (planned.next == nullptr) continue;
+    Parts::Part& part = system_.parts_.part_named(planned.next->kind, planned.next->name);
+    if (!is_made(planned.change.fate)) part.plan = *planned.next;
+    places.emplace(&part, place++);
+  }
+  // They are closed in the opposite order.
+  std::sort(system_.parts_.made_.begin(), system_.parts_.made_.end(),
+            [&](const auto& a, const auto& b) { return places.at(a.get()) < places.at(b.get()); });
+  system_.configuration_ = next_.document.file;
+  system_.root_ = next_.document.root;
+  system_.log_ = next_.settings.log;
+}
+
+void PlanApplication::undo(Error& error) {
+  for (const auto& [part, change_back] : changed_) {
+    try {
+      (*change_back)(part->object);
+    } catch (const SetupError&) {  // it had that value: it is as it was
+    }
+  }
+  for (auto part = made_.rbegin(); part != made_.rend(); ++part) system_.parts_.remove(part->first, part->second);
+  std::string lost;
+  for (PartPlan& plan : closed_) {
+    std::string object = plan.object();
+    try {
+      system_.make(std::make_unique<Parts::Part>(Parts::Part{std::move(plan), {}}));
+    } catch (const SetupError& failed) {
+      lost += (lost.empty() ? "" : "; ") + object + " (" + failed.what() + ")";
+    }
+  }
+  error.advice += (error.advice.empty() ? "" : "; ") +
+                  std::string(lost.empty() ? "the parts of before are running again"
+                                           : "the parts of before are running again, but not " + lost);
+}
+
+}  // namespace rtdata::config_detail

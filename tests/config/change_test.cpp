@@ -1,0 +1,336 @@
+// Another configuration takes the place of that of a running system: what becomes of each part, and what recordings keep.
+#include "rtdata/config/change.hpp"
+
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <memory>
+
+#include "app/process.hpp"
+#include "config/test_types.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/verify.hpp"
+#include "sinks/recordings.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+using test::Count;
+using test::Folder;
+
+namespace {
+
+/// On a bus too, but cannot be made when it says so.
+struct BrittleConfig {
+  std::string bus;
+  bool breaks = false;
+  friend constexpr auto parameters(type_tag<BrittleConfig>) {
+    return parameter_list(parameter("bus", &BrittleConfig::bus, "the bus that it is on", names_part("bus")),
+                          parameter("breaks", &BrittleConfig::breaks, "it cannot be made"));
+  }
+};
+
+/// A kind of a program's own.
+struct LampConfig {
+  std::string watches;
+  std::uint64_t above = 1;
+  friend constexpr auto parameters(type_tag<LampConfig>) {
+    return parameter_list(parameter("watches", &LampConfig::watches, "a topic", required, names_part("topic")),
+                          parameter("above", &LampConfig::above, "on above this number"));
+  }
+};
+struct Lamp {
+  bool is_on = false;
+  Subscription subscription;
+};
+
+Registry registry() {
+  Registry registry = standard_registry();
+  test::add_test_types(registry);
+  registry.add_sensor<BrittleConfig>(
+      "brittle", "may break", [](const BrittleConfig&) { return description_of<Count>(); },
+      [](Loop& loop, const SensorConfig& common, const BrittleConfig& config) {
+        if (config.breaks) throw SetupError({Errc::io_failed, "cannot make it", "the device", "it breaks", ""});
+        return Sensor<Count>(loop, common, [] { return Count{1}; });
+      });
+  registry.add_kind("lamp", "lamps", "what shines", PartKind::Written::by_name);
+  registry.add_part<LampConfig>("lamp", "led", "a light", [](PartPlan& plan, const LampConfig& config) {
+    plan.make = [config](Loop& loop, const Parts&) {
+      return PartObject::made_by<std::unique_ptr<Lamp>>([&] {
+        auto lamp = std::make_unique<Lamp>();
+        lamp->subscription = loop.subscribe(config.watches, [lamp = lamp.get(), config](const EventView& event) {
+          lamp->is_on = event.sequence() > config.above;
+        });
+        return lamp;
+      });
+    };
+  });
+  return registry;
+}
+
+/// "sensor a: restarted (first)\n..."
+std::string change(const std::string& now, const std::string& next) {
+  const Registry types = registry();
+  return plan_change(plan_system(types, parse_config(now, "now.json")),
+                     plan_system(types, parse_config(next, "next.json")))
+      .text();
+}
+
+std::string sensors(const std::string& list, const std::string& rest = "") {
+  return R"({"sensors": [)" + list + R"(], "sinks": [{"type": "discard"}])" + rest + "}";
+}
+
+struct Running {
+  explicit Running(const std::string& text) : plan(plan_system(types, parse_config(text, "f.json"))) {}
+  SystemPlan next(const std::string& text) const { return plan_system(types, parse_config(text, "f.json")); }
+
+  Registry types = registry();
+  SystemPlan plan;
+  Loop loop{Loop::Manual{}, plan.loop_config()};
+  System system{loop, types, plan};
+  const Runtime& runtime = loop.runtime();
+};
+
+template <class Use>
+std::string refusal(const Use& use) {
+  try {
+    use();
+  } catch (const ConfigError& error) {
+    return error.problems().text();
+  } catch (const SetupError& error) {
+    return error.what();
+  }
+  return "";
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+const std::string counter = R"({"name": "a", "type": "counter", "rate": "100 Hz"})";
+
+}  // namespace
+
+TEST_SUITE("config") {
+  TEST_CASE("NFR-6 each item of another configuration is unchanged, changed live, restarted, added or removed") {
+    CHECK(change(sensors(counter), sensors(counter)) == "");
+    CHECK(change(sensors(counter), sensors(R"({"rate": "100 Hz", "type": "counter", "name": "a"})")) == "");
+    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "counter", "rate": "50 Hz"})")) ==
+          "sensor a: changed while it runs (rate)\n");
+    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "counter", "rate": "50 Hz", "first": 7})")) ==
+          "sensor a: restarted (rate, first)\n");
+    CHECK(change(sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "first": 7})"), sensors(counter)) ==
+          "sensor a: restarted (first)\n");
+    CHECK(change(sensors(counter), sensors(R"({"name": "b", "type": "counter", "rate": "100 Hz"})")) ==
+          "sensor b: added\nsensor a: removed\n");
+  }
+
+  TEST_CASE("NFR-6 what uses a part that is restarted is restarted with it, and nothing else") {
+    const auto with = [](const std::string& type) {
+      return R"({"buses": {"x": {"type": ")" + type + R"("}, "y": {"type": "loopback"}}, "sensors": [
+        {"name": "on_x", "type": "brittle", "rate": "1 Hz", "bus": "x"},
+        {"name": "on_y", "type": "brittle", "rate": "1 Hz", "bus": "y"}], "sinks": [{"type": "discard"}]})";
+    };
+    Registry types = registry();
+    types.add_bus<NoParameters>("other", "another",
+                                [](Runtime&, const std::string&, const NoParameters&) { return 3; });
+    const auto planned = [&](const char* type) { return plan_system(types, parse_config(with(type), "f.json")); };
+    CHECK(plan_change(planned("loopback"), planned("other")).text() ==
+          "bus x: restarted (type)\nsensor on_x: restarted (it uses bus x)\n");
+  }
+
+  TEST_CASE("NFR-6 what a run has fixed is refused, with the reason") {
+    const std::string plain = sensors(counter);
+    CHECK(
+        has(change(plain, sensors(counter, R"(, "name": "other")")), "name: refused: the program is started with it"));
+    CHECK(has(change(plain, sensors(counter, R"(, "loop": {"hold_limit": "1 s"})")), "loop: refused"));
+    CHECK(has(change(plain, sensors(counter, R"(, "tiers": {"fast": {}})")),
+              "tier fast: refused: a tier is made before"));
+    CHECK(has(change(sensors(counter, R"(, "tiers": {"fast": {}})"), plain), "tier fast: refused"));
+    CHECK(change(plain, sensors(counter, R"(, "notes": "second")")) ==
+          "notes: changed while it runs (kept with the text)\n");
+    CHECK(has(change(plain, sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "b"})")),
+              "sensor a: refused: earlier in this run it published on topic a"));
+    CHECK(has(change(plain, sensors(R"({"name": "a", "type": "absent", "rate": "100 Hz"})")),
+              "sensor a: refused: the topic a carries other values"));
+    CHECK(has(change(plain, sensors(R"({"name": "a", "type": "fed"})")), "sensor a: refused: one with a schedule"));
+  }
+
+  TEST_CASE(
+      "US-5 another configuration is applied in one turn: the ledger balances, and the recording says what was "
+      "changed") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db";
+    const auto text = [&](const std::string& list) {
+      return R"({"sensors": [)" + list + R"(], "sinks": [{"type": "sqlite", "path": ")" + path + R"("}]})";
+    };
+    const std::string first = text(counter + R"(, {"name": "b", "type": "counter", "rate": "10 Hz"},
+                                                  {"name": "c", "type": "counter", "rate": "10 Hz"})");
+    const std::string second = text(R"({"name": "a", "type": "counter", "rate": "50 Hz"},
+                                       {"name": "b", "type": "counter", "rate": "10 Hz", "first": 1000},
+                                       {"name": "d", "type": "counter", "rate": "10 Hz"})");
+    {
+      Running run(first);
+      Loop& loop = run.loop;
+      System& system = run.system;
+      loop.advance(995ms);
+      const SystemPlan next = run.next(second);
+      PlanChange done;
+      loop.post([&] { done = system.apply(next); });
+      loop.advance(1s);
+      CHECK(done.text() ==
+            "sensor a: changed while it runs (rate)\nsensor b: restarted (first)\nsensor d: added\n"
+            "sensor c: removed\n");
+      CHECK(system.sensor("a").rate() == 50_Hz);
+      CHECK(system.sensor_names() == std::vector<std::string>{"a", "b", "d"});
+      CHECK(system.change_to(next).is_empty());
+      loop.close(1s);
+      CHECK(run.runtime.balances());
+      CHECK_FALSE(run.runtime.has_loss());
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const VerifyReport report = verify(recording).or_throw();
+    INFO(report.text());
+    CHECK(report.verdict() == Verdict::balanced);
+    const auto runs = recording.runs().or_throw();
+    REQUIRE(runs.size() == 1);  // the sink went on
+    const auto changes = recording.configurations(1).or_throw();
+    REQUIRE(changes.size() == 1);
+    CHECK(changes[0].object == "");
+    CHECK(changes[0].text == second);
+    CHECK(changes[0].time == runs[0].started + 995ms);
+    for (const LedgerEntry& entry : recording.ledger(1).or_throw()) {
+      CAPTURE(entry.origin);
+      if (entry.origin == "a") CHECK(entry.stored == 100 + 51);
+      if (entry.origin == "b") CHECK(entry.stored == 10 + 11);
+      if (entry.origin == "b") CHECK(entry.last_sequence == 21);  // it went on
+      if (entry.origin == "c") CHECK(entry.stored == 10);
+      if (entry.origin == "d") CHECK(entry.stored == 11);
+    }
+  }
+
+  TEST_CASE("US-5 a configuration with mistakes, or with what is refused, changes nothing") {
+    Running run(sensors(counter));
+    Loop& loop = run.loop;
+    System& system = run.system;
+    loop.advance(105ms);
+    const AnySensor* before = &system.sensor("a");
+    CHECK(has(refusal([&] { system.apply(run.next(sensors(R"({"name": "a", "type": "countr", "rate": "1 Hz"})"))); }),
+              "did you mean \"counter\"?"));
+    CHECK(has(refusal([&] {
+                system.apply(run.next(sensors(R"({"name": "a", "type": "counter", "rate": "1 Hz"})",
+                                              R"(, "loop": {"hold_limit": "1 s"})")));
+              }),
+              "cannot apply the configuration: loop: the program is started with it"));
+    CHECK(&system.sensor("a") == before);
+    CHECK(system.sensor("a").rate() == 100_Hz);
+    loop.advance(100ms);
+    CHECK(run.runtime.has_loss() == false);
+  }
+
+  TEST_CASE("US-5 what cannot be made brings back all that was before") {
+    const std::string two = sensors(counter + R"(, {"name": "b", "type": "brittle", "rate": "10 Hz"})");
+    const std::string broken = sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "first": 5},
+                                          {"name": "b", "type": "brittle", "rate": "10 Hz", "breaks": true},
+                                          {"name": "c", "type": "counter", "rate": "10 Hz"})");
+    Running run(two);
+    Loop& loop = run.loop;
+    System& system = run.system;
+    loop.advance(105ms);
+    const std::string why = refusal([&] { system.apply(run.next(broken)); });
+    CHECK(has(why, "f.json:2:"));
+    CHECK(has(why, "it breaks"));
+    CHECK(has(why, "the parts of before are running again"));
+    CHECK(system.sensor_names() == std::vector<std::string>{"a", "b"});
+    CHECK(system.change_to(run.plan).is_empty());
+    std::uint64_t seen = 0;
+    const auto subscription = loop.subscribe("a", [&](const EventView&) { ++seen; });
+    loop.advance(1s);
+    CHECK(seen >= 99);
+    loop.close(1s);
+    CHECK(run.runtime.balances());
+  }
+
+  TEST_CASE("US-7 parts that are added and removed at run time are kept with their times, also by a later recording") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db", later = folder.path() + "/later.db";
+    const auto sink = [](const std::string& file) { return R"({"type": "sqlite", "path": ")" + file + R"("})"; };
+    const std::string text = R"({"sensors": [)" + counter + R"(], "sinks": [)" + sink(path) + "]}";
+    const std::string added = R"({"name": "late", "type": "counter", "rate": "10 Hz"})";
+    {
+      Running run(text);
+      Loop& loop = run.loop;
+      System& system = run.system;
+      loop.advance(500ms);
+      CHECK(system.add("sensor", parse_config(added, "x").or_throw()) == "late");
+      loop.advance(500ms);
+      system.add("sensor", parse_config(R"({"name": "brief", "type": "counter", "rate": "10 Hz"})", "x").or_throw());
+      system.remove("sensor", "brief");
+      system.add_sink(parse_config(sink(later), "x").or_throw());
+      loop.advance(500ms);
+      system.remove_sensor("a");
+      loop.advance(500ms);
+      loop.close(1s);
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const Time started = recording.runs().or_throw()[0].started;
+    const auto changes = recording.configurations(1).or_throw();
+    REQUIRE(changes.size() == 5);
+    CHECK(changes[0].object == "sensor late");
+    CHECK(parse_config(changes[0].text, "x").or_throw() == parse_config(added, "x").or_throw());
+    CHECK(changes[0].time == started + 500ms);
+    CHECK(changes[1].object == "sensor brief");
+    CHECK(changes[2].object == "sensor brief");
+    CHECK(changes[2].text == "");
+    CHECK(changes[3].object == "sink " + later);
+    CHECK(changes[4].object == "sensor a");
+    CHECK(changes[4].time == started + 1500ms);
+    const Recording second = Recording::open(later).or_throw();
+    const auto known = second.configurations(1).or_throw();
+    REQUIRE(known.size() == 3);
+    CHECK(known[0].object == "sensor late");
+    CHECK(known[0].time == started + 500ms);
+    for (const Recording* one : {&recording, &second}) {
+      const VerifyReport report = verify(*one).or_throw();
+      INFO(report.text());
+      CHECK(report.verdict() == Verdict::balanced);
+    }
+  }
+
+  TEST_CASE("US-26 a text of a configuration that was changed afterwards is found") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db";
+    {
+      Running run(R"({"sensors": [)" + counter + R"(], "sinks": [{"type": "sqlite", "path": ")" + path + R"("}]})");
+      run.loop.advance(100ms);
+      run.system.add_sensor(parse_config(R"({"name": "late", "type": "counter", "rate": "10 Hz"})", "x").or_throw());
+      run.loop.advance(100ms);
+      run.loop.close(1s);
+    }
+    const auto verdict = [&] { return verify(Recording::open(path).or_throw()).or_throw().verdict(); };
+    CHECK(verdict() == Verdict::balanced);
+    recordings::sql(path, "UPDATE rtdata_configuration SET text = replace(text, '10', '20')");
+    CHECK(verdict() == Verdict::not_balanced);
+  }
+
+  TEST_CASE(
+      "NFR-6 a kind of parts of a program's own is read, compared, made, changed and closed as those that are "
+      "shipped") {
+    const std::string text = sensors(counter, R"(, "lamps": {"red": {"type": "led", "watches": "a", "above": 5}})");
+    Running run(text);
+    CHECK(has(run.types.schema(), "\"lamps\""));
+    CHECK(has(run.next(sensors(counter, R"(, "lamps": {"red": {"type": "led", "watches": "b"}})")).problems.text(),
+              "nothing of this configuration publishes on \"b\""));
+    CHECK(has(refusal([&] { run.types.add_kind("lamp", "more", "", PartKind::Written::list); }), "already"));
+    CHECK(has(refusal([&] { run.types.add_kind("log", "log", "", PartKind::Written::list); }), "is a setting"));
+    Loop& loop = run.loop;
+    System& system = run.system;
+    const auto is_on = [&](const char* name) { return system.parts().get<std::unique_ptr<Lamp>>("lamp", name)->is_on; };
+    CHECK(system.add("lamp", parse_config(R"({"type": "led", "watches": "a", "above": 500})", "x").or_throw(), "dim") ==
+          "dim");
+    loop.advance(1s);
+    CHECK(is_on("red"));
+    CHECK_FALSE(is_on("dim"));
+    CHECK(system.apply(run.next(sensors(counter))).text() == "lamp red: removed\nlamp dim: removed\n");
+    CHECK(system.parts().names("lamp").empty());
+    CHECK(has(refusal([&] { system.add("lmp", ConfigItem(), "x"); }), "there is no kind \"lmp\""));
+  }
+}
