@@ -1,4 +1,5 @@
-// The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in HANDLES.
+// The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in
+// HANDLES.
 #include <doctest/doctest.h>
 #include <sys/socket.h>
 #include <unistd.h>

@@ -1,5 +1,5 @@
-// Precompiled for the tests by g++ (RTDATA_PCH; meson: b_pch). Each file still includes what it uses: the builds without
-// this header prove it. Not more than what most tests include: a larger one costs g++ more than it saves.
+// Precompiled for the tests by g++ (RTDATA_PCH; meson: b_pch). Each file still includes what it uses: the builds
+// without this header prove it. Not more than what most tests include: a larger one costs g++ more than it saves.
 #include <doctest/doctest.h>
 
 #include <algorithm>

@@ -47,8 +47,8 @@ class ManualClock : public Clock {
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override { return accuracy_; }
 
-  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback of
-  /// a manual loop: that callback took this long.
+  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback
+  /// of a manual loop: that callback took this long.
   /// With tiers: the other loops run meanwhile, so that it may last longer.
   void pass(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.

@@ -1,13 +1,15 @@
 /// Lane: a worker thread of a loop for blocking work: one for each sink and each physical device.
 ///
 /// Jobs run one after the other, in order. The lane gives up a job that outlives the limit: it leaves the job's thread
-/// behind, runs the waiting jobs on a new thread, and calls the job's `done` with `given_up`. With `most_left_behind` threads
-/// left behind the lane takes no job until one of them has returned. Lanes run transactions and storage, never a user's callbacks.
+/// behind, runs the waiting jobs on a new thread, and calls the job's `done` with `given_up`. With `most_left_behind`
+/// threads left behind the lane takes no job until one of them has returned. Lanes run transactions and storage, never
+/// a user's callbacks.
 ///
 /// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
 /// called after the scripted virtual duration, and what the seed adds; given up after the limit, when that is shorter.
 ///
-/// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of both.
+/// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of
+/// both.
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
@@ -25,8 +27,8 @@ namespace rtdata::detail {
 
 class LoopCore;
 
-/// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later: `run` may
-/// touch only what the job owns.
+/// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later:
+/// `run` may touch only what the job owns.
 class LaneJob {
  public:
   virtual ~LaneJob() = default;
@@ -66,8 +68,8 @@ class Lane {
   void give_up();
   /// Calls `done` of finished jobs. The loop does so when a worker has woken it. `done` may destroy the lane.
   void collect();
-  /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a manual
-  /// loop, virtual time passes instead.
+  /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a
+  /// manual loop, virtual time passes instead.
   void wait(Duration at_most);
   /// Leaves the thread behind with the job that it runs, and starts no new one.
   void leave_behind() noexcept;

@@ -77,7 +77,8 @@ void Deadlines::fire_due() {
     while (is_due(until)) {
       Deadline& due = *heap_.top();
       const MonotonicTime due_at = due.due;
-      // `fire` throws for want of memory. Then it has moved itself before; else it is taken out, or it would fire for ever.
+      // `fire` throws for want of memory. Then it has moved itself before; else it is taken out, or it would fire for
+      // ever.
       if (!loop_.call_own("loop", [&] { due.fire(begin); }) && heap_.top() == &due && due.due == due_at) remove(due);
       begin = loop_.now();
     }

@@ -1,4 +1,5 @@
-// The lanes of a loop: those that it made, found by key, and those of other owners, which it collects finished jobs from.
+// The lanes of a loop: those that it made, found by key, and those of other owners, which it collects finished jobs
+// from.
 #pragma once
 
 #include <sched.h>

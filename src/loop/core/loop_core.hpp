@@ -133,8 +133,8 @@ class LoopCore {
     static thread_local const void* own = nullptr;
     return own;
   }
-  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only its
-  /// own thread may use.
+  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only
+  /// its own thread may use.
   class OffLimits {
    public:
     explicit OffLimits(LoopCore& core) noexcept : core_(core), before_(core.thread_.exchange(this)) {}
@@ -160,7 +160,8 @@ class LoopCore {
       report_exception(name, "an exception that is no std::exception");
     }
   }
-  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same way.
+  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same
+  /// way.
   template <class Function>
   bool call_own(std::string_view name, Function&& function) noexcept {
     bool has_ended = false;

@@ -26,7 +26,8 @@ std::string Exchange::catch_up(Duration at_most) {
     do {
       std::erase_if(silent, [&](TierCore* tier) { return tier->hear_out(std::min(left(), turn)); });
     } while (!silent.empty() && left() > Duration{0});
-    // A takeover takes all that the old holder has sent, to keep the order, and so more than it answered for: once more.
+    // A takeover takes all that the old holder has sent, to keep the order, and so more than it answered for: once
+    // more.
   } while (takeovers != known_names && left() > Duration{0});
   std::string unknown;
   for (TierCore* tier : silent) tier->add_unknown(unknown);

@@ -1,4 +1,5 @@
-// The exchange of a runtime with those of other loops: what they announce, what it wants of them, what is known of tiers.
+// The exchange of a runtime with those of other loops: what they announce, what it wants of them, what is known of
+// tiers.
 #pragma once
 
 #include <atomic>
@@ -33,8 +34,8 @@ class Exchange {
   explicit Exchange(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
   // Any thread
-  /// The loop takes announcements in this order, so that of the loops which held a name one after the other the last one
-  /// comes last.
+  /// The loop takes announcements in this order, so that of the loops which held a name one after the other the last
+  /// one comes last.
   void announce(Announcement announcement);
   void forget(const Bridge& of);
 
@@ -42,11 +43,11 @@ class Exchange {
   /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
   void report_cut_off(TopicCore& topic);
 
-  /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot know
-  /// of tiers that do not answer in time; empty: nothing.
+  /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot
+  /// know of tiers that do not answer in time; empty: nothing.
   std::string catch_up(Duration at_most);
-  /// The main loop's: what is not known now of tiers that a drain has given up, and that have not come out since; empty:
-  /// all is known.
+  /// The main loop's: what is not known now of tiers that a drain has given up, and that have not come out since;
+  /// empty: all is known.
   std::string unknown() const;
 
   /// While one lives, other loops send events of these topics, whether or not anything here takes them: all that they

@@ -121,8 +121,8 @@ class SensorNode final : public SourceNode, public RateMember {
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick
   };
-  /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when first
-  /// needed, since there may be thousands of sensors.
+  /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when
+  /// first needed, since there may be thousands of sensors.
   struct Rare {
     Duration late_after{-1};  // negative: by the rule
     std::optional<Duration> read_time;

@@ -14,8 +14,8 @@
 namespace rtdata::sqlite {
 namespace {
 
-// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a checkpoint
-// writes each of them once: the later, the less is written.
+// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a
+// checkpoint writes each of them once: the later, the less is written.
 constexpr std::uint64_t log_bytes_at_most = std::uint64_t{4} << 20;
 constexpr std::uint64_t log_bytes_when_fast = std::uint64_t{1} << 20;
 constexpr std::size_t rows_when_fast = 1000;  // in a transaction
@@ -178,7 +178,8 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
 }
 
 Result<void> SqliteWriter::configure() {
-  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a quarter.
+  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a
+  // quarter.
   std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
   sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
   switch (config_.profile) {
