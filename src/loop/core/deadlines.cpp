@@ -63,7 +63,8 @@ void Deadlines::spin() noexcept {
 }
 
 void Deadlines::fire_due() {
-  constexpr int rounds = 4;  // deadlines that come due meanwhile fire at once, but after so many rounds I/O gets its turn
+  // Deadlines that come due meanwhile fire at once, but after so many rounds I/O gets its turn.
+  constexpr int rounds = 4;
   if (firing_) return;
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {

@@ -37,7 +37,7 @@ void SensorNode::set_settings(const SensorConfig& config) {
   if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
       config.required != usual.required || config.on_overrun != usual.on_overrun) {
-    Rare& own = rare();
+    OnDemand& own = on_demand();
     own.read_time = config.read_time;
     own.late_after = config.late_after.value_or(Duration{-1});
     own.retry_first = config.retry_first;
@@ -50,23 +50,23 @@ void SensorNode::set_settings(const SensorConfig& config) {
 
 SensorNode::~SensorNode() = default;
 
-SensorNode::Rare& SensorNode::rare() {
-  if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
-  return *rare_;
+SensorNode::OnDemand& SensorNode::on_demand() {
+  if (on_demand_ == nullptr) on_demand_ = std::make_unique<OnDemand>();
+  return *on_demand_;
 }
 
-const SensorNode::Rare& SensorNode::settings() const noexcept {
-  static const Rare usual;
-  return rare_ != nullptr ? *rare_ : usual;
+const SensorNode::OnDemand& SensorNode::settings() const noexcept {
+  static const OnDemand usual;
+  return on_demand_ != nullptr ? *on_demand_ : usual;
 }
 
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
   Call call(*this);
   failures_ = 0;
-  if (rare_ != nullptr) {
-    rare_->backoff.reset();
-    rare_->retry_at = {};
+  if (on_demand_ != nullptr) {
+    on_demand_->backoff.reset();
+    on_demand_->retry_at = {};
   }
   if (device_is_open_) return begin_schedule();
   if (lane_side_ != nullptr) return start_on_lane();
@@ -157,7 +157,7 @@ void SensorNode::stop() {
 void SensorNode::set_rate(Rate rate) {
   check_rate(rate, origin_.name);
   if (!is_open()) return;
-  if (rare_ != nullptr) rare_->wanted_period = Duration{0};
+  if (on_demand_ != nullptr) on_demand_->wanted_period = Duration{0};
   if (rate.period() != period()) change_period(rate.period());
 }
 
@@ -184,10 +184,10 @@ bool SensorNode::report_times(CallbackStatus& status) const {
 
 void SensorNode::held(Duration took) {
   constexpr int slowest = 16;  // times the wanted period
-  if (rare_ == nullptr || rare_->on_overrun == OnOverrun::warn) return;
+  if (on_demand_ == nullptr || on_demand_->on_overrun == OnOverrun::warn) return;
   Call call(*this);
   const std::string lasted = "a read held the loop for " + to_string(took / 1000 * 1000);
-  if (rare_->on_overrun == OnOverrun::stop) {
+  if (on_demand_->on_overrun == OnOverrun::stop) {
     stop();
     const Error error{Errc::held_too_long, "stopped", object_name(), lasted,
                       "make its read shorter, or read it on a lane; then start it again"};
@@ -195,8 +195,8 @@ void SensorNode::held(Duration took) {
     if (is_open() && !is_running()) set_health(Health::faulted, &error);
     return;
   }
-  if (rare_->wanted_period.count() == 0) rare_->wanted_period = period();
-  const Duration wanted = rare_->wanted_period;
+  if (on_demand_->wanted_period.count() == 0) on_demand_->wanted_period = period();
+  const Duration wanted = on_demand_->wanted_period;
   const Duration next = std::min(multiple(2, period()), multiple(slowest, wanted));
   if (next == period()) return;
   change_period(next);
@@ -326,7 +326,7 @@ void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& ti
 
 void SensorNode::recovered() {
   failures_ = 0;
-  rare().backoff.reset();
+  on_demand().backoff.reset();
   set_health(Health::ok, nullptr);
 }
 
@@ -338,7 +338,7 @@ void SensorNode::complain(const Error& error) {
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
   ++failures_;
-  Rare& state = rare();
+  OnDemand& state = on_demand();
   state.fault = error.id();
   const bool is_faulted = failures_ >= state.faulted_after;
   if (is_faulted) {

@@ -123,7 +123,7 @@ class SensorNode final : public SourceNode, public RateMember {
   };
   /// What most sensors never need: settings other than the defaults, and the state of one that has failed. Made when
   /// first needed, since there may be thousands of sensors.
-  struct Rare {
+  struct OnDemand {
     Duration late_after{-1};  // negative: by the rule
     std::optional<Duration> read_time;
     Duration retry_first = SensorConfig{}.retry_first;
@@ -136,15 +136,15 @@ class SensorNode final : public SourceNode, public RateMember {
     MonotonicTime retry_at{};
     std::string_view fault;  // id of the error that opened the gap under way
   };
-  Rare& rare();
-  const Rare& settings() const noexcept;
+  OnDemand& on_demand();
+  const OnDemand& settings() const noexcept;
 
   bool device_is_open_ = false;
   unsigned failures_ = 0;                 // in a row
   std::unique_ptr<SensorDevice> device_;  // null: it is on a lane
   std::unique_ptr<LaneSide> lane_side_;   // null: read inline
   SamplePort* port_ = nullptr;            // of the read on the stack
-  std::unique_ptr<Rare> rare_;
+  std::unique_ptr<OnDemand> on_demand_;
 };
 
 inline void SensorNode::took(Sampled sampled, const SamplePort& port) {

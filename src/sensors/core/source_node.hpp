@@ -29,11 +29,11 @@ class SourceNode : public SensorEntry {
   bool is_active() const noexcept override { return is_running(); }
   Health health() const noexcept override { return health_; }
   std::string_view reason() const noexcept override {
-    return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view();
+    return on_demand_ != nullptr ? std::string_view(on_demand_->reason) : std::string_view();
   }
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
-  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error.set(std::move(handler)); }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { on_demand().on_error.set(std::move(handler)); }
 
  protected:
   ~SourceNode() override = default;
@@ -44,7 +44,7 @@ class SourceNode : public SensorEntry {
   /// To be called from a derived class's on_close.
   void leave() noexcept;
   void drop_callbacks() noexcept override {
-    if (rare_ != nullptr) rare_->on_error.reset();
+    if (on_demand_ != nullptr) on_demand_->on_error.reset();
   }
 
  private:
@@ -55,15 +55,15 @@ class SourceNode : public SensorEntry {
 
  private:
   /// What most sensors never need; made at its first use, since there may be thousands of them.
-  struct Rare {
+  struct OnDemand {
     Handler<ErrorReport> on_error;
     std::string reason;  // why it is not ok
   };
-  Rare& rare() {
-    if (rare_ == nullptr) rare_ = std::make_unique<Rare>();
-    return *rare_;
+  OnDemand& on_demand() {
+    if (on_demand_ == nullptr) on_demand_ = std::make_unique<OnDemand>();
+    return *on_demand_;
   }
-  std::unique_ptr<Rare> rare_;
+  std::unique_ptr<OnDemand> on_demand_;
 };
 
 }  // namespace rtdata::detail

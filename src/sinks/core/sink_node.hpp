@@ -131,7 +131,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   /// was handed over.
   bool begin_account();
   /// Hands over a part of the account, or all. False: there is nothing to be told; or no memory, then it is due again.
-  bool tell(SinkAccount::Part part) noexcept;
+  bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
   /// Starts it for what is next, if anything.
   void set_account_timer();
