@@ -5,12 +5,20 @@ add_library(rtdata_test_paths STATIC tests/paths.cpp)
 target_link_libraries(rtdata_test_paths PRIVATE rtdata_options)
 target_compile_definitions(rtdata_test_paths PRIVATE RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
   RTDATA_BINARY_DIR="${CMAKE_CURRENT_BINARY_DIR}")
+# Optimizing them takes longer than running them. What inlines templates of public headers as users do is optimized: the
+# examples, the allocation and fault tests.
+add_library(rtdata_test_options INTERFACE)
+target_compile_options(rtdata_test_options INTERFACE $<$<CONFIG:Release>:-O0>)
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
-target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
+target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
   $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+if(RTDATA_PCH)
+  target_precompile_headers(rtdata_tests PRIVATE <pch/tests_pch.hpp>)  # in <>: no path of this clone gets into the file
+  set_source_files_properties(tests/main.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON)  # configures doctest before including it
+endif()
 if(RTDATA_PROGRAM)
   # The program as the tests run it, with sensor and sink types of their own.
   add_executable(rtdata_test_program tests/app/test_program.cpp)
@@ -26,7 +34,7 @@ endforeach()
 if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
   rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources)
   add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
-  target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_paths rtdata::program doctest::doctest PkgConfig::sqlite3)
+  target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::program doctest::doctest PkgConfig::sqlite3)
   target_include_directories(rtdata_kernel_tests PRIVATE tests src)
   target_compile_definitions(rtdata_kernel_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
   add_dependencies(rtdata_kernel_tests rtdata_main)

@@ -1,5 +1,5 @@
-// Where the tests' own programs and data are. In one file of its own, so that what is compiled for one folder serves the
-// compiler cache in another.
+// Where the tests' own programs and data are. In one file of its own, so that what is compiled for one folder serves
+// the compiler cache in another.
 #pragma once
 
 #include <string>

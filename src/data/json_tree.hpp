@@ -1,5 +1,5 @@
-// JSON as a tree. Unlike nlohmann's it is destroyed without asking for memory: where there is none, its destructor would end
-// the program. For what is read or written while a program records.
+// JSON as a tree. Unlike nlohmann's it is destroyed without asking for memory: where there is none, its destructor
+// would end the program. For what is read or written while a program records.
 #pragma once
 
 #include <cstddef>

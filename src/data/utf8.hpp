@@ -20,8 +20,8 @@ std::string readable(std::string_view text);
 /// Whether `readable` gives the same text.
 bool is_readable(std::string_view text) noexcept;
 
-/// A text of a payload, in such a way that `unescaped` gives it back: as `readable` does, and a backslash as \x5c where it
-/// would be taken for the beginning of one of these (\x00, \x5c, \x80 to \xff).
+/// A text of a payload, in such a way that `unescaped` gives it back: as `readable` does, and a backslash as \x5c where
+/// it would be taken for the beginning of one of these (\x00, \x5c, \x80 to \xff).
 void append_escaped(std::string& out, std::string_view text);
 /// Whether a text is its own escaped form, as nearly all are.
 bool needs_escape(std::string_view text) noexcept;

@@ -21,16 +21,17 @@ namespace rtdata::detail {
 /// Owner: the node whose stream it is. Thread: the loop's.
 class TcpStream {
  public:
-  /// `owner` is its name in reports: "sensor gps". `opened` is called once for each `connect` that is not closed before, also
-  /// from within it; `ready` while the connection is readable or has ended. Both may close the stream and destroy it.
+  /// `owner` is its name in reports: "sensor gps". `opened` is called once for each `connect` that is not closed
+  /// before, also from within it; `ready` while the connection is readable or has ended. Both may close the stream and
+  /// destroy it.
   TcpStream(LoopCore& loop, std::string owner, std::function<void(const Result<void>&)> opened,
             std::function<void()> ready);
   TcpStream(const TcpStream&) = delete;
   TcpStream& operator=(const TcpStream&) = delete;
   ~TcpStream();
 
-  /// Closes what was, and connects to the first of the host's addresses that answers; each has `limit` to do so. A numeric
-  /// address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
+  /// Closes what was, and connects to the first of the host's addresses that answers; each has `limit` to do so. A
+  /// numeric address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
   void connect(const std::string& host, std::uint16_t port, Duration limit);
   bool is_connecting() const noexcept { return is_connecting_; }
   /// Blocks until `opened` has been called, at most so long. For set-up only.

@@ -69,7 +69,8 @@ TEST_SUITE("app") {
                    "100ms", "--fail-on-loss"});
       const int status = run.end();
       CAPTURE(run.err);
-      // UBSan asks by means of a pipe whether there is memory at an address: without descriptors it finds none anywhere.
+      // UBSan asks by means of a pipe whether there is memory at an address: without descriptors it finds none
+      // anywhere.
       if (run.err.find("<memory cannot be printed>") != std::string::npos) {
         ++refused;
         continue;

@@ -264,7 +264,8 @@ TEST_SUITE("app") {
 
   TEST_CASE("US-17 --fail-on-loss exits 3 for a topic that comes while it runs and that a sink cannot take") {
     const Folder folder;
-    // Its own topics are no sensor's, so that `check` cannot know of them; this one comes with the first change of health.
+    // Its own topics are no sensor's, so that `check` cannot know of them; this one comes with the first change of
+    // health.
     folder.write("bench.json", R"({
       "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
                    {"name": "gone", "type": "absent", "rate": "10 Hz", "topic": "gone"} ],

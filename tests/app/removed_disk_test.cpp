@@ -137,8 +137,8 @@ TEST_SUITE("app") {
       CHECK(again.end() == 0);
       CHECK(has(again.err, "ended without closing"));
       Process verify(folder, program, {"verify", "stick/run.db"});
-      // A disk that is shut down in the middle of a sync may have said that rows are on it which are not there afterwards:
-      // what the program knows of them has survived, and the seal counts them among the lost.
+      // A disk that is shut down in the middle of a sync may have said that rows are on it which are not there
+      // afterwards: what the program knows of them has survived, and the seal counts them among the lost.
       CHECK(verify.end() == 0);
       INFO(verify.out);
       CHECK(has(verify.out, "sealed"));

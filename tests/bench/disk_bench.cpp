@@ -1,5 +1,5 @@
-// disk_1hz, disk_10_topics, disk_10khz, disk_card: bytes written (wchar of this process) in virtual time. limit_held: how
-// large a recording with a limit becomes, in real time.
+// disk_1hz, disk_10_topics, disk_10khz, disk_card: bytes written (wchar of this process) in virtual time. limit_held:
+// how large a recording with a limit becomes, in real time.
 #include <sys/stat.h>
 
 #include <algorithm>

@@ -1,4 +1,5 @@
-// tick_*, react_p50, sensors_10k, close_10k, sensor_memory: what the loop keeps of the kernel's timing, and what a sensor costs.
+// tick_*, react_p50, sensors_10k, close_10k, sensor_memory: what the loop keeps of the kernel's timing, and what a
+// sensor costs.
 #include <fcntl.h>
 #include <malloc.h>
 #include <sys/epoll.h>
@@ -272,8 +273,8 @@ class ManyCalls {
 
 // ---- closing many sensors
 
-/// Loops, each with as many sensors in one rate group, which have begun. Returns the ns that one sensor takes to be closed
-/// and destroyed, in the order in which they were made.
+/// Loops, each with as many sensors in one rate group, which have begun. Returns the ns that one sensor takes to be
+/// closed and destroyed, in the order in which they were made.
 double closing(std::size_t loops, std::size_t sensors_each) {
   struct One {
     rtdata::Loop loop;

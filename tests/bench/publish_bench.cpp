@@ -1,5 +1,5 @@
-// publish_1, publish_10: what an event of 64 bytes costs from publishing to the last handler. handlers_100, handlers_1000:
-// what each of many handlers of one topic costs, in bursts of events.
+// publish_1, publish_10: what an event of 64 bytes costs from publishing to the last handler. handlers_100,
+// handlers_1000: what each of many handlers of one topic costs, in bursts of events.
 #include <cstring>
 #include <functional>
 #include <memory>

@@ -101,8 +101,8 @@ std::vector<double> bare_lateness(std::size_t ticks, std::int64_t due = on_grid(
   return percentiles(std::move(lateness));
 }
 
-/// A tier and two bare loops at the same time, a third of a period after each other: what the machine does to one of them
-/// it does to all, so that their tails can be compared.
+/// A tier and two bare loops at the same time, a third of a period after each other: what the machine does to one of
+/// them it does to all, so that their tails can be compared.
 Round lateness_at_once(std::size_t ticks, bool is_other_first) {
   Round round;
   std::atomic<std::int64_t> first{0};
@@ -467,8 +467,8 @@ void bench_bridge(Report& report) {
 
 #ifdef RTDATA_BENCH_SQLITE
 
-/// Spans of ticks with the disturbance and without it, turn by turn, so that what else happens to the machine happens to
-/// both. The beginning of a span, in which the last one's disturbance ends, is not looked at.
+/// Spans of ticks with the disturbance and without it, turn by turn, so that what else happens to the machine happens
+/// to both. The beginning of a span, in which the last one's disturbance ends, is not looked at.
 constexpr unsigned span_ticks = 400;
 constexpr unsigned settling_ticks = 150;
 constexpr unsigned spans_a_round = 24;
@@ -562,7 +562,8 @@ Recorded record(const std::string& folder, double rate) {
   while (sink.counts().queued > 0) loop.run_for(std::chrono::milliseconds{1});
   const double seconds = static_cast<double>(monotonic_ns() - begin) / 1e9;
   const auto counts = sink.counts();
-  // What waits at the end would fill the queue in time, unless it is little: two transactions of 1 MiB are always there.
+  // What waits at the end would fill the queue in time, unless it is little: two transactions of 1 MiB are always
+  // there.
   constexpr std::uint64_t two_transactions = 2 * 32768;
   const bool keeps_up = at_end.queued < two_transactions + at_end.offered / 20;
   return {keeps_up && missed == 0 && counts.all_dropped() == 0 && counts.stored == counts.offered,

@@ -1,4 +1,5 @@
-// Another configuration takes the place of that of a running system: what becomes of each part, and what recordings keep.
+// Another configuration takes the place of that of a running system: what becomes of each part, and what recordings
+// keep.
 #include "rtdata/config/change.hpp"
 
 #include <doctest/doctest.h>

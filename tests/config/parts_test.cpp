@@ -1,5 +1,5 @@
-// Parts of a configuration beside each other: buses as a kind that a program registers, uses, their order, and parts that are
-// added at run time.
+// Parts of a configuration beside each other: buses as a kind that a program registers, uses, their order, and parts
+// that are added at run time.
 #include <doctest/doctest.h>
 
 #include <ctime>

@@ -1,13 +1,17 @@
-// The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in HANDLES.
+// The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in
+// HANDLES.
 #include <doctest/doctest.h>
 #include <sys/socket.h>
 #include <unistd.h>
 #include <uv.h>
 
 #include <csignal>
+#include <filesystem>
+#include <fstream>
 #include <functional>
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <type_traits>
 #include <vector>
 
@@ -18,6 +22,7 @@
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/gps.hpp"
+#include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sensors/fake_gpsd.hpp"
@@ -142,6 +147,20 @@ struct OfAnalogSensor {
   }
   void provoke(Loop&, Type&) {}
 };
+struct OfHostSensor {
+  using Type = HostSensor;  // inline; its /proc/stat is none
+  OfHostSensor() {
+    std::filesystem::create_directory(directory.file("proc"));
+    std::ofstream(directory.file("proc/stat")) << "no numbers\n";
+  }
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "h", .rate = 1_kHz}, {.quantity = HostQuantity::cpu, .root = directory.file("")});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+  ScratchDirectory directory;
+};
 struct OfSerialLineSensor {
   using Type = SerialLineSensor;
   OfSerialLineSensor() { pty.plug_in(); }
@@ -187,7 +206,7 @@ struct OfSink {
 
 #define HANDLES                                                                                           \
   OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed, \
-      OfAnalogSensor, OfSerialLineSensor, OfGpsSensor, OfSink
+      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>
@@ -206,6 +225,37 @@ struct Quiet {
     be_quiet(loop);
   }
 };
+
+/// Every verb of a handle but close, with what keeps it going at the end.
+template <class Type>
+void use_verbs(Type& handle) {
+  if constexpr (std::is_same_v<Type, Timer>) {
+    handle.stop();
+    CHECK_FALSE(handle.is_running());
+    handle.start(1h);
+    CHECK(handle.is_running());
+  } else if constexpr (std::is_same_v<Type, Ticker>) {
+    handle.stop();
+    handle.set_period(2ms);
+    handle.start();
+    CHECK(handle.fired() > 0);
+  } else if constexpr (std::is_same_v<Type, FdWatch>) {
+    handle.set_events(FdWatch::writable);
+    handle.set_events(FdWatch::readable);
+  } else if constexpr (std::is_same_v<Type, Subscription>) {
+    handle.set_name("x");
+    CHECK(handle.counts().offered > 0);
+  } else if constexpr (std::is_same_v<Type, Sink>) {
+    handle.flush();
+    CHECK(handle.counts().offered > 0);
+  } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
+    handle.stop();
+    CHECK_FALSE(handle.is_running());
+    handle.start();
+    CHECK(handle.is_running());
+    CHECK_FALSE(handle.status().name.empty());
+  }
+}
 
 }  // namespace
 
@@ -395,5 +445,81 @@ TEST_SUITE("contract") {
     quiet.loop.run_for(1ms);
     handle.close();
     CHECK(probe.calls == 0);
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 8: a callback may use its own and other handles, move and assign them, and throw", Of,
+                     HANDLES) {
+    using Type = typename Of::Type;
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    int of_other = 0;
+    Timer other(quiet.loop, [&] { ++of_other; });
+    Type handle = of.make(quiet.loop, probe);
+    probe.action = [&] {
+      use_verbs(handle);
+      Type moved = std::move(handle);
+      CHECK_FALSE(handle.is_open());
+      handle = std::move(moved);
+      CHECK(handle.is_open());
+      other.start(0ns);
+      throw std::runtime_error("of the callback");
+    };
+    of.provoke(quiet.loop, handle);
+    REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0 && of_other > 0; }));
+    CHECK(handle.is_open());
+    probe.action = nullptr;
+    const int calls = probe.calls;
+    of.provoke(quiet.loop, handle);
+    CHECK(turn(quiet.loop, [&] { return probe.calls > calls; }));  // what it threw has not ended it
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 8: assigning in a callback closes the old object after the new one is there", Of,
+                     HANDLES) {
+    using Type = typename Of::Type;
+    Quiet quiet;
+    Quiet another;  // a second object of the same name would be refused on the first one
+    Of of_old;
+    Of of_new;
+    Probe of_first;
+    Probe of_second;
+    Type handle = of_old.make(quiet.loop, of_first);
+    Type second;
+    of_first.action = [&] {
+      if (second.is_open()) handle = std::move(second);
+    };
+    of_old.provoke(quiet.loop, handle);
+    second = of_new.make(another.loop, of_second);
+    REQUIRE(turn(quiet.loop, [&] { return of_first.calls > 0; }));
+    CHECK(turn(quiet.loop, [&] { return of_first.captures_are_gone(); }));
+    CHECK(handle.is_open());
+    of_new.provoke(another.loop, handle);
+    CHECK(turn(another.loop, [&] { return of_second.calls > 0; }));
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 8: a callback that runs, polls or closes its loop gets busy", Of, HANDLES) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    int refused = 0;
+    auto handle = of.make(quiet.loop, probe);
+    const auto refuses = [&](auto verb) {
+      try {
+        verb();
+      } catch (const SetupError& e) {
+        refused += e.error().code == Errc::busy ? 1 : 0;
+      }
+    };
+    probe.action = [&] {
+      if (probe.calls > 1) return;
+      refuses([&] { quiet.loop.run(); });
+      refuses([&] { quiet.loop.run_for(1ms); });
+      refuses([&] { quiet.loop.poll(); });
+      refuses([&] { quiet.loop.close(0ns); });
+    };
+    of.provoke(quiet.loop, handle);
+    REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0; }));
+    CHECK(refused == 4);
+    CHECK(handle.is_open());
   }
 }

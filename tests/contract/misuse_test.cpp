@@ -1,5 +1,5 @@
-// What cannot be refused by an exception ends the program, which says why; and running a loop in any of its callbacks is
-// refused, called while it runs or not.
+// What cannot be refused by an exception ends the program, which says why; and running a loop in any of its callbacks
+// is refused, called while it runs or not.
 #include <doctest/doctest.h>
 #include <signal.h>
 #include <sys/eventfd.h>

@@ -1,6 +1,6 @@
-// A short recording in which the n-th call of one kind fails: of operator new, of SQLite's memory, of its files. Each ends as an exception, as an error that is told, or as if nothing had been; and what is on the disk is
-// a recording. A program of its own, since it replaces operator new. Each try is a process, so that its end says what
-// became of it.
+// A short recording in which the n-th call of one kind fails: of operator new, of SQLite's memory, of its files. Each
+// ends as an exception, as an error that is told, or as if nothing had been; and what is on the disk is a recording. A
+// program of its own, since it replaces operator new. Each try is a process, so that its end says what became of it.
 //
 //     RTDATA_FAULTS="1 100000 1" rtdata_fault_tests       the first, the last, every so many-th call; default: a sample
 //     RTDATA_FAULT="17 20" rtdata_fault_tests -tc='memory:*'   20 from the 17th on, in this process: for a debugger
@@ -36,7 +36,8 @@
 
 namespace {
 
-/// Counts calls of one kind and lets some of them fail. Of the thread of the test: lanes of a manual loop have none of their own.
+/// Counts calls of one kind and lets some of them fail. Of the thread of the test: lanes of a manual loop have none of
+/// their own.
 class Fault {
  public:
   void arm(long nth, long count) {

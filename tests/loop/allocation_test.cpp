@@ -144,8 +144,8 @@ const std::vector<Stage>& stages() {
   return all;
 }
 
-/// Runs the stages into their steady state, then counts allocations in some runs more. The fewest in one of them: where the
-/// machine is slow for a while, ticks are missed and queues grow, which is not the steady state.
+/// Runs the stages into their steady state, then counts allocations in some runs more. The fewest in one of them: where
+/// the machine is slow for a while, ticks are missed and queues grow, which is not the steady state.
 std::uint64_t allocations_of(Loop& loop, const std::vector<Stage>& chosen, int runs, Duration run,
                              std::uint64_t at_least) {
   std::vector<std::function<std::uint64_t()>> counters;

@@ -1,7 +1,7 @@
-// Tiers. In virtual time, where what is tested is not the threads themselves. In real time stay: what the kernel grants a
-// thread, thread identities, processor time and spinning; and of what crosses loops so much that the thread sanitizer sees
-// the rings, the announcements and the names at work: events both ways, of different sizes, calls, names that move, tiers
-// that go.
+// Tiers. In virtual time, where what is tested is not the threads themselves. In real time stay: what the kernel grants
+// a thread, thread identities, processor time and spinning; and of what crosses loops so much that the thread sanitizer
+// sees the rings, the announcements and the names at work: events both ways, of different sizes, calls, names that
+// move, tiers that go.
 #include <doctest/doctest.h>
 #include <sched.h>
 #include <sys/wait.h>

@@ -389,7 +389,8 @@ TEST_CASE("US-5 a numbered line that cannot be used is unreadable, and not lost 
                .first_line = FirstLine::keep,
                .max_line = 64,
                .sequence_field = "n"});
-  // 2 and 3 are no use; of 5 to 8 one came, too long; what came beside the numbers explains none that are missing later.
+  // 2 and 3 are no use; of 5 to 8 one came, too long; what came beside the numbers explains none that are missing
+  // later.
   bench.run("1,1\n2,x\n3\n4,4\n6," + std::string(80, '6') + "\n9,9\nnoise\n10,10\n12,12\n", 9);
   CHECK(bench.events == Texts{"1 1", "4 4", "9 9", "10 10", "12 12"});
   const SensorCounts counts = bench.sensor.counts();

@@ -1,4 +1,5 @@
-// What the kernel says of a terminal's settings. In a file of its own: <asm/termbits.h> and <termios.h> do not go together.
+// What the kernel says of a terminal's settings. In a file of its own: <asm/termbits.h> and <termios.h> do not go
+// together.
 #pragma once
 
 struct TerminalSettings {
@@ -10,5 +11,6 @@ struct TerminalSettings {
 };
 TerminalSettings terminal_settings(int fd);
 
-/// False where no program can set up a terminal, as in an emulator of another processor that does not know how (qemu-user).
+/// False where no program can set up a terminal, as in an emulator of another processor that does not know how
+/// (qemu-user).
 bool terminals_can_be_set_up();

@@ -1,5 +1,5 @@
-// What a kill or a power cut leaves of a file: what was forced onto the disk is there, and of what was written since then a
-// part, in front of nothing or of zeros, where the disk knew the length and not the content.
+// What a kill or a power cut leaves of a file: what was forced onto the disk is there, and of what was written since
+// then a part, in front of nothing or of zeros, where the disk knew the length and not the content.
 #include <doctest/doctest.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>

@@ -11,8 +11,8 @@ using namespace std::chrono_literals;
 
 namespace {
 
-/// A closed run with something in each table: failures, missed ticks, changes of rate, a feed, one that is silent, a set
-/// clock; and another run after it.
+/// A closed run with something in each table: failures, missed ticks, changes of rate, a feed, one that is silent, a
+/// set clock; and another run after it.
 void record(const std::string& path) {
   for (int run = 0; run < 2; ++run) {
     Loop loop{Loop::Manual{}};

@@ -185,8 +185,8 @@ TEST_SUITE("sinks") {
       CHECK(published <= told->published);
       CHECK(number(path, "SELECT taken FROM rtdata_ledger WHERE run = 1") == published);
       const std::int64_t failed = number(path, "SELECT failed FROM rtdata_ledger WHERE run = 1");
-      // Two fail before the first event. Gaps that are many are joined, and what is told of one that is under way is up to
-      // a tenth of a second old.
+      // Two fail before the first event. Gaps that are many are joined, and what is told of one that is under way is up
+      // to a tenth of a second old.
       CHECK(failed >= 2);
       CHECK(check_ticks(path) >= failed);
     }

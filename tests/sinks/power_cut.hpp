@@ -1,5 +1,5 @@
-/// A disk whose power can be cut: SQLite's own file system, which keeps what is written in memory too, and makes the files
-/// that a power cut at any moment since could have left.
+/// A disk whose power can be cut: SQLite's own file system, which keeps what is written in memory too, and makes the
+/// files that a power cut at any moment since could have left.
 #pragma once
 
 #include <sqlite3.h>
@@ -14,12 +14,13 @@
 
 namespace power_cut {
 
-/// Registered as SQLite's default file system while it lives. Of each database, its rollback journal and its log it notes
-/// every change. What is synced is only noted to be so: nothing waits for the real disk.
+/// Registered as SQLite's default file system while it lives. Of each database, its rollback journal and its log it
+/// notes every change. What is synced is only noted to be so: nothing waits for the real disk.
 ///
 /// A power cut leaves, of each file, all that was written before its last sync, and of each later write all, nothing or
-/// some of its sectors of 512 bytes, whatever became of the others: so in any order. Names of files that were made or removed are
-/// there for certain once the folder was synced, which SQLite does with the first sync of a new journal or log.
+/// some of its sectors of 512 bytes, whatever became of the others: so in any order. Names of files that were made or
+/// removed are there for certain once the folder was synced, which SQLite does with the first sync of a new journal or
+/// log.
 class Disk {
  public:
   Disk();

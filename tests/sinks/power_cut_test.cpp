@@ -234,7 +234,8 @@ void read_all(const std::string& path) {
   if (auto opened = Recording::open(path)) (void)verify(*opened);
 }
 
-/// What a second power cut leaves, during or after a start on what the first one left, is what the first one left and more.
+/// What a second power cut leaves, during or after a start on what the first one left, is what the first one left and
+/// more.
 void cut_again(const std::string& path, const Promise& promise, std::mt19937& random, Memory& memory, Found& found) {
   power_cut::Disk disk;
   disk.has(path);

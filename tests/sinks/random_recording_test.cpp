@@ -1,5 +1,5 @@
-// What nobody thought of: sensors and feeds of three loops are made, moved, sped up, stopped and overrun at random while
-// two sinks record. Whatever happened, the recordings balance. In virtual time a seed chooses all of it,
+// What nobody thought of: sensors and feeds of three loops are made, moved, sped up, stopped and overrun at random
+// while two sinks record. Whatever happened, the recordings balance. In virtual time a seed chooses all of it,
 // also how the loops are interleaved, and brings it again.
 #include <array>
 #include <cstdlib>
@@ -215,8 +215,8 @@ TEST_SUITE("sinks") {
         loop.script_lane_duration(2ms);
         SqliteSink sink(loop, {.path = path});
         lane_sensor::LaneSensor<Climate> sensor(loop, {.name = "s", .rate = 200_Hz, .late_after = 1ms});
-        // Two reads may begin at 31 ms, when the loop is let go: that of 10 ms, and that of 30 ms, which is 1 ms late and
-        // so is not counted as late; but its row comes 1 ns later.
+        // Two reads may begin at 31 ms, when the loop is let go: that of 10 ms, and that of 30 ms, which is 1 ms late
+        // and so is not counted as late; but its row comes 1 ns later.
         const Timer holds(loop, 11ms, [&] { loop.manual_clock().pass(20ms); });
         loop.advance(40ms);
         if (sensor.counts().lateness % 2 == 1) ++pushed;

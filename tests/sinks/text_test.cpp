@@ -1,5 +1,5 @@
-// Whatever bytes devices and programs send: what is stored as text is UTF-8 that every reader can read, is counted, and comes
-// back equal.
+// Whatever bytes devices and programs send: what is stored as text is UTF-8 that every reader can read, is counted, and
+// comes back equal.
 #include <doctest/doctest.h>
 
 #include <span>

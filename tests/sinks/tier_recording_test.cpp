@@ -1,4 +1,5 @@
-// Sensors on tiers, recorded by a sink of the main loop; in virtual time, where what is tested is not the threads themselves.
+// Sensors on tiers, recorded by a sink of the main loop; in virtual time, where what is tested is not the threads
+// themselves.
 #include <array>
 #include <atomic>
 #include <deque>

@@ -9,9 +9,9 @@
 ///     if (next.good() && change.refused() == 0) system.apply(next);
 ///
 /// Parts are the same when their kind and name are. An item that says the same, in whatever order, is unchanged. One
-/// that differs in what a part can take while it runs (PartPlan::live) is changed live; otherwise the part is made anew,
-/// and so is each that uses it. What the runtime or the recordings are made with cannot change: the name, the settings
-/// of the loop and the log, tiers, and the values that a topic carries. `notes` are kept with the text.
+/// that differs in what a part can take while it runs (PartPlan::live) is changed live; otherwise the part is made
+/// anew, and so is each that uses it. What the runtime or the recordings are made with cannot change: the name, the
+/// settings of the loop and the log, tiers, and the values that a topic carries. `notes` are kept with the text.
 ///
 /// Values; any thread.
 #pragma once

@@ -40,8 +40,8 @@ struct ConfigDocument {
   std::string excerpt(const Problem& problem) const;
   /// Every problem in the order of the file, each with its excerpt.
   std::string report() const { return report(problems); }
-  /// The same of others, such as those of a plan, each with `prefix` before it. Takes a time that grows with the size of
-  /// the file and with the number of problems, not with their product.
+  /// The same of others, such as those of a plan, each with `prefix` before it. Takes a time that grows with the size
+  /// of the file and with the number of problems, not with their product.
   std::string report(const Problems& others, std::string_view prefix = {}) const;
 };
 

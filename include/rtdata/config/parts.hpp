@@ -93,8 +93,8 @@ struct StoredTopics {
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
   /// The file that a topic's events go to; empty: all go to `path`.
   std::function<std::string(std::string_view topic)> file_of_topic = {};
-  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has the
-  /// files that it writes and no others.
+  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has
+  /// the files that it writes and no others.
   std::function<bool(const std::string& file, const std::string& other)> is_companion_file = {};
 
   bool wants(std::string_view topic) const noexcept;
@@ -117,8 +117,9 @@ struct PartPlan {
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 
-  /// What takes a new value of a key of the item while the part runs, by that key; the plan that it is called of has the
-  /// value. A part of which another key is changed is made anew. May throw SetupError: then the old value is given again.
+  /// What takes a new value of a key of the item while the part runs, by that key; the plan that it is called of has
+  /// the value. A part of which another key is changed is made anew. May throw SetupError: then the old value is given
+  /// again.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
   /// The tier that it runs on; empty: the main loop.
@@ -135,8 +136,8 @@ class Parts {
   Parts& operator=(const Parts&) = delete;
   ~Parts();
 
-  /// The part as what its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it is removed.
-  /// SetupError: there is none of that name (not-found, with the nearest); it is no T (bad-argument).
+  /// The part as what its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it is
+  /// removed. SetupError: there is none of that name (not-found, with the nearest); it is no T (bad-argument).
   template <class T>
   T& get(std::string_view kind, std::string_view name) const {
     if (T* object = part_named(kind, name).object.as<T>()) return *object;

@@ -17,8 +17,8 @@
 ///
 /// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
 /// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
-/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it that
-/// is not known.
+/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it
+/// that is not known.
 ///
 /// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
 /// type. The part is then there when the factory is called, which takes `const Parts&` as its last argument:
@@ -208,11 +208,12 @@ class Registry {
 
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside the
-  /// Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is made. A
-  /// function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where `path` does
-  /// not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string& file, const std::string&
-  /// other)` there says which files go with one that it writes, such as a log or a lock: then they are no other sink's.
+  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside
+  /// the Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is
+  /// made. A function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where
+  /// `path` does not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string&
+  /// file, const std::string& other)` there says which files go with one that it writes, such as a log or a lock: then
+  /// they are no other sink's.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -243,9 +244,10 @@ class Registry {
   }
 
   /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
-  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from the
-  /// threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for a reading
-  /// that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in both).
+  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from
+  /// the threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for
+  /// a reading that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in
+  /// both).
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {

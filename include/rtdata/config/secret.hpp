@@ -3,10 +3,10 @@
 ///     {"type": "...", "password": {"env": "BROKER_PASSWORD"}}
 ///     {"type": "...", "token": {"file": "/run/credentials/token"}}
 ///
-/// Any text parameter may be written so, but for those that recordings hold. It is resolved when the configuration is read;
-/// the line end at the end of a file does not count. What was resolved is not in the recorded configuration, whose text
-/// keeps the reference, and is replaced by "(secret)" in errors, the log and the status (Runtime::Config::secrets). A text
-/// of less than 4 bytes is not hidden: it would be found everywhere.
+/// Any text parameter may be written so, but for those that recordings hold. It is resolved when the configuration is
+/// read; the line end at the end of a file does not count. What was resolved is not in the recorded configuration,
+/// whose text keeps the reference, and is replaced by "(secret)" in errors, the log and the status
+/// (Runtime::Config::secrets). A text of less than 4 bytes is not hidden: it would be found everywhere.
 ///
 /// Errors: cannot-resolve (no such variable, file, or nothing in it), not-a-secret (a parameter that recordings hold).
 /// Any thread. Reading a file blocks as the file system does.

@@ -13,14 +13,15 @@
 ///     loop.run_for(10s);
 ///
 /// A plan is made without touching a device: it finds every mistake of the whole file, those of single items as well as
-/// names used twice or not there, payloads that meet on one topic, and files written twice. It can be checked on another
-/// machine than the one that runs it. Relative paths are relative to the working directory.
+/// names used twice or not there, payloads that meet on one topic, and files written twice. It can be checked on
+/// another machine than the one that runs it. Relative paths are relative to the working directory.
 ///
 /// Keys of the file: $schema, name, notes, log, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
 /// description-differs, duplicate-name, duplicate-path, unknown-bus, unknown-sensor, unknown-sink, unknown-tier,
-/// unknown-topic, uses-itself, wrong-part; of warnings: late-readings, matches-nothing, no-effect, no-sensors, no-sinks,
-/// overloaded-lane, overloaded-loop, plain-secret, unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
+/// unknown-topic, uses-itself, wrong-part; of warnings: late-readings, matches-nothing, no-effect, no-sensors,
+/// no-sinks, overloaded-lane, overloaded-loop, plain-secret, unknown-placeholder, unknown-unit, unlikely-unit,
+/// unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.
@@ -78,9 +79,9 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document);
 class System {
  public:
   /// Makes all parts in the order of the plan: tiers, buses, sinks on `loop`, then sensors, which start unless they are
-  /// configured not to; a part that another uses before that one. Throws ConfigError with every problem of the plan before
-  /// anything is made; SetupError, with the place in the file, what a part threw: then nothing of the system is left on
-  /// the loop.
+  /// configured not to; a part that another uses before that one. Throws ConfigError with every problem of the plan
+  /// before anything is made; SetupError, with the place in the file, what a part threw: then nothing of the system is
+  /// left on the loop.
   System(Loop& loop, const Registry& registry, const SystemPlan& plan);
   /// On a loop of the program's own, whose settings stay as they are.
   System(Loop& loop, const Registry& registry, const ConfigDocument& document);
@@ -98,10 +99,10 @@ class System {
   std::vector<std::string> sensor_names() const { return parts_.names("sensor"); }
   std::vector<std::string> sink_names() const { return parts_.names("sink"); }
 
-  /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its name.
-  /// `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file: throws ConfigError
-  /// with every mistake of it and with the parts that are there (names, payloads of topics, files), or SetupError, what
-  /// making it threw; then the system is as it was. Recordings keep the item and the time.
+  /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its
+  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file: throws
+  /// ConfigError with every mistake of it and with the parts that are there (names, payloads of topics, files), or
+  /// SetupError, what making it threw; then the system is as it was. Recordings keep the item and the time.
   std::string add(std::string_view kind, const ConfigItem& item, const std::string& name = {});
   AnySensor& add_sensor(const ConfigItem& item) { return sensor(add("sensor", item)); }
   Sink& add_sink(const ConfigItem& item) { return sink(add("sink", item)); }
@@ -116,13 +117,14 @@ class System {
   /// What `apply` would do to each part. Those that were added are parts of this system as all others.
   PlanChange change_to(const SystemPlan& next) const;
   /// Makes the system what the plan says, in this turn of the loop: closes what is removed or restarted, makes what is
-  /// restarted or added, then changes live what can be (config/change.hpp). What is unchanged goes on; handles of parts that
-  /// were closed are not valid any more. Closing a sink waits for what it has queued, at most its `close_deadline`, and for
-  /// parts on tiers the tier; ticks that are missed meanwhile are counted. Recordings keep the text and the time.
+  /// restarted or added, then changes live what can be (config/change.hpp). What is unchanged goes on; handles of parts
+  /// that were closed are not valid any more. Closing a sink waits for what it has queued, at most its
+  /// `close_deadline`, and for parts on tiers the tier; ticks that are missed meanwhile are counted. Recordings keep
+  /// the text and the time.
   ///
   /// Throws before anything is changed: ConfigError, the plan has mistakes; SetupError (busy), something is refused.
-  /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot be,
-  /// is gone, and named in the error.
+  /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot
+  /// be, is gone, and named in the error.
   PlanChange apply(const SystemPlan& next);
 
  private:

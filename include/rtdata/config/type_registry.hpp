@@ -9,7 +9,8 @@
 ///     pumps.check(item, problems);            // every mistake of the item, nothing is made
 ///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
 ///
-/// The registry of all kinds of parts that a configuration knows is `Registry` (config/registry.hpp), which is made of these.
+/// The registry of all kinds of parts that a configuration knows is `Registry` (config/registry.hpp), which is made of
+/// these.
 ///
 /// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
 /// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.

@@ -15,8 +15,8 @@
 /// Errors: what is not there, or is of another type, throws `ConfigError` with place and path. Nothing is narrowed in
 /// silence: 3.7 is no int, 300 no uint8, true no number, and "10" no duration.
 ///
-/// `get` and `set` of a type need its `ConfigValue`: those of the standard types are in config_value.hpp, which format.hpp
-/// includes.
+/// `get` and `set` of a type need its `ConfigValue`: those of the standard types are in config_value.hpp, which
+/// format.hpp includes.
 ///
 /// Values; different items may be used by different threads, one item by one at a time.
 #pragma once

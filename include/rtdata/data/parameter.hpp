@@ -27,8 +27,9 @@
 /// it holds then are the defaults. Parameters of a base come with `include<Base>`, those of a member, without a level
 /// of their own, with `include_member(&Config::member)`.
 ///
-/// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file, and
-/// never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor permissions.
+/// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file,
+/// and never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor
+/// permissions.
 ///
 /// A mistake in a declaration is a compile error of one sentence. Values; any thread.
 #pragma once
@@ -46,8 +47,9 @@
 
 namespace rtdata {
 
-/// What a text stands for, which says more about it than its type does. An option of `parameter`: a mistake in such a text
-/// is told when it is read, and the schema has a pattern for it. An empty text stands for none, where it need not be there.
+/// What a text stands for, which says more about it than its type does. An option of `parameter`: a mistake in such a
+/// text is told when it is read, and the schema has a pattern for it. An empty text stands for none, where it need not
+/// be there.
 enum class TextIs : std::uint8_t {
   anything,
   recorded,       ///< written into recordings, such as notes
@@ -249,9 +251,9 @@ template <class... Values>
 constexpr OnlyWith only_with(std::string_view key, Values... values) {
   return {key, {std::string_view(values)...}};
 }
-/// The text is the name of another part of the configuration: one of `kind` ("bus", "tier", "sensor", "sink" or "topic",
-/// which is what any part publishes), and, if they are given, of one of these types. A part that is not there, or is of
-/// another type, is a mistake; one that is there is made first and closed last.
+/// The text is the name of another part of the configuration: one of `kind` ("bus", "tier", "sensor", "sink" or
+/// "topic", which is what any part publishes), and, if they are given, of one of these types. A part that is not there,
+/// or is of another type, is a mistake; one that is there is made first and closed last.
 template <class... Types>
 constexpr NamesPart names_part(std::string_view kind, Types... types) {
   return {kind, {std::string_view(types)...}};

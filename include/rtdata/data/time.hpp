@@ -30,12 +30,12 @@ Time wall_clock_now() noexcept;
 
 /// "2026-03-01T12:00:00.123456789Z". Nine decimals; years before 0000 or after 9999 do not occur in 64-bit ns.
 std::string to_iso8601(Time time);
-/// Reads what `to_iso8601` writes, with any number of decimals up to nine, also without seconds, "Z" or an offset such as
-/// "+02:00".
+/// Reads what `to_iso8601` writes, with any number of decimals up to nine, also without seconds, "Z" or an offset such
+/// as "+02:00".
 Result<Time> parse_iso8601(std::string_view text);
 
-/// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate, which is false, and which whoever
-/// needs one refuses.
+/// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate, which is false, and which
+/// whoever needs one refuses.
 class Rate {
  public:
   constexpr Rate() = default;

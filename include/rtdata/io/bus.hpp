@@ -1,8 +1,8 @@
 /// Bus: what several devices are connected to, with one lane for all of them.
 ///
 /// It belongs to the runtime: sensors of all loops may be on it. Whatever they do with their devices is done on the one
-/// thread of the bus's lane, in the order in which it was asked for, one job at a time; a job that hangs is given up after
-/// `give_up_after`, and the others go on with a fresh thread.
+/// thread of the bus's lane, in the order in which it was asked for, one job at a time; a job that hangs is given up
+/// after `give_up_after`, and the others go on with a fresh thread.
 ///
 /// A bus of your own (CAN, an FT232H) derives from it, and its devices from `BusDevice`:
 ///
@@ -22,8 +22,8 @@
 ///
 /// What a device does to its bus must not need the Bus, which may be destroyed while a job hangs: both share it.
 ///
-/// Owner: the program, or the System; it must outlive the sensors on it. Thread: `device` of a bus: any; devices: that on
-/// which they are used, one at a time.
+/// Owner: the program, or the System; it must outlive the sensors on it. Thread: `device` of a bus: any; devices: that
+/// on which they are used, one at a time.
 #pragma once
 
 #include <atomic>

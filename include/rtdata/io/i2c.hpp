@@ -5,15 +5,15 @@
 ///     const auto id = chip.read_register(0xd0).or_throw();
 ///
 /// All transfers block the thread that calls them: a program that has a loop gives the bus to sensors (DriverSensor,
-/// driver.hpp), which use it on its lane. `write_read` is one transfer, with a repeated start and without a stop between;
-/// where the adapter knows SMBus only, the transfers that SMBus has are made of its commands.
+/// driver.hpp), which use it on its lane. `write_read` is one transfer, with a repeated start and without a stop
+/// between; where the adapter knows SMBus only, the transfers that SMBus has are made of its commands.
 ///
-/// Addresses have 7 bits, as on Linux: 0x08 to 0x77. Data sheets that give 8 bits (0xec to write, 0xed to read) mean the
-/// half of it.
+/// Addresses have 7 bits, as on Linux: 0x08 to 0x77. Data sheets that give 8 bits (0xec to write, 0xed to read) mean
+/// the half of it.
 ///
-/// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver of
-/// the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a transfer
-/// that the adapter cannot do), closed (of a job that was given up), io-failed.
+/// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver
+/// of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a
+/// transfer that the adapter cannot do), closed (of a job that was given up), io-failed.
 ///
 /// Thread: I2cBus: any. I2cDevice: one at a time.
 #pragma once

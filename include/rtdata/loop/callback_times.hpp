@@ -1,6 +1,6 @@
 /// CallbackTimes: how long the callbacks of one object took, for blame.
 ///
-/// Values; as old as the call that gave them. Any thread.
+/// Thread: plain values, a copy made by the call that returned them; each copy belongs to the thread that has it.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,7 @@
 /// Clock: where a runtime gets its time from. The machine's, or one that a test injects.
 ///
-/// Thread: called from the thread of each loop, tiers too: several at a time.
+/// Thread: every loop of the runtime calls it on its own thread, tiers too, so a Clock of your own must allow several
+/// calls at a time.
 #pragma once
 
 #include <optional>
@@ -24,11 +25,12 @@ class Clock {
   virtual Time realtime() noexcept = 0;
   /// Changes whenever `monotonic` begins anew: the machine's boot id.
   virtual std::string boot_id() = 0;
-  /// How far `realtime` may be from UTC; none: not known, since nobody keeps it right.
+  /// How far `realtime` may be from UTC; none: not known, since no service synchronises the clock.
   virtual std::optional<Duration> accuracy() noexcept { return std::nullopt; }
 };
 
-/// The machine's clocks. Their accuracy is what the kernel was told by who keeps it right (NTP, PTP), at least 1 ms.
+/// The machine's clocks. Their accuracy is the estimated error that the NTP or PTP service gave to the
+/// kernel, at least 1 ms.
 class SystemClock : public Clock {
  public:
   MonotonicTime monotonic() noexcept override;
@@ -43,17 +45,17 @@ class ManualClock : public Clock {
   explicit ManualClock(Time realtime = Time{std::chrono::seconds{1'700'000'000}}) : realtime_(realtime) {}
   MonotonicTime monotonic() noexcept override { return monotonic_; }
   Time realtime() noexcept override { return realtime_; }
-  /// Another for each object.
+  /// Differs from object to object.
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override { return accuracy_; }
 
-  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback of
-  /// a manual loop: that callback took this long.
+  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback
+  /// of a manual loop: that callback took this long.
   /// With tiers: the other loops run meanwhile, so that it may last longer.
   void pass(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
-  /// What keeps the time of day right, or no longer.
+  /// As if a service synchronised the time of day to so much; none: as if it had stopped.
   void set_accuracy(std::optional<Duration> accuracy) noexcept { accuracy_ = accuracy; }
 
  private:

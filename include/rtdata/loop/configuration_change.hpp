@@ -1,4 +1,5 @@
-/// ConfigurationChange: what the configuration of a run says from a time on, as recordings keep it (rtdata_configuration).
+/// ConfigurationChange: what the configuration of a run says from a time on, as recordings keep it
+/// (rtdata_configuration).
 ///
 /// Values; any thread.
 #pragma once

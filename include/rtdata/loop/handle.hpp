@@ -9,17 +9,17 @@
 ///  6. Closing twice is the same as closing once.
 ///  7. On an attached loop nothing of the host is closed, stopped, walked or given data, whatever a handle does.
 ///  8. A callback may use every verb of its own and of other handles, move and assign them, and throw. Assigning closes
-///     the old object after the handle has taken the new one: when callbacks of the old object assign to the handle again,
-///     it keeps the last one assigned. A callback that runs, polls, advances or closes (`Loop::close`) its loop, or makes an
-///     object on a loop that is being destroyed, gets SetupError (busy).
+///     the old object after the handle has taken the new one: when callbacks of the old object assign to the handle
+///     again, it keeps the last one assigned. A callback that runs, polls, advances or closes (`Loop::close`) its loop,
+///     or makes an object on a loop that is being destroyed, gets SetupError (busy).
 ///
 /// Code on a lane (every call of a sink's Writer) may use `Loop::post` and `Loop::stop` alone: every other verb throws
 /// SetupError (busy). A handle that is closed or destroyed on a lane is closed by its loop in the loop's next turn, and
 /// reported.
 ///
 /// Thread: the loop's, for every member. A handle of a tier may also be closed or destroyed, and a sensor of a tier
-/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A handle
-/// is one object like any other: two threads must not use the same one at a time.
+/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A
+/// handle is one object like any other: two threads must not use the same one at a time.
 #pragma once
 
 #include <cstdint>

@@ -1,18 +1,19 @@
 /// Lane: a loop's way to a worker thread for blocking work: one for each sink and each physical device.
 ///
-/// Jobs run one after the other, in order. Each has a limit, which counts from when it runs. One that outlives it is given
-/// up: its thread is left behind, the waiting jobs go on with a new thread, and its `done` is called with `given_up`. With
-/// `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes run transactions, drivers
-/// and storage, never a user's callbacks.
+/// Jobs run one after the other, in order. Each has a limit, which counts from when it runs. One that outlives it is
+/// given up: its thread is left behind, the waiting jobs go on with a new thread, and its `done` is called with
+/// `given_up`. With `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes
+/// run transactions, drivers and storage, never a user's callbacks.
 ///
-/// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the order
-/// in which they were submitted, and each is told of on the loop that it came from.
+/// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the
+/// order in which they were submitted, and each is told of on the loop that it came from.
 ///
 /// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
-/// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds; given
-/// up after the limit, when that is shorter.
+/// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds;
+/// given up after the limit, when that is shorter.
 ///
-/// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of both.
+/// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of
+/// both.
 /// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
 #pragma once
 
@@ -36,8 +37,8 @@ MonotonicTime lane_now() noexcept;
 /// Holds the lane for so long; on a manual loop that much virtual time passes for the job.
 void lane_sleep(Duration duration) noexcept;
 
-/// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later: `run` may
-/// touch only what the job owns.
+/// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later:
+/// `run` may touch only what the job owns.
 class LaneJob {
  public:
   virtual ~LaneJob() = default;
@@ -91,8 +92,8 @@ class Lane {
   void give_up();
   /// Calls `done` of finished jobs. The loop does so when a worker has woken it. `done` may destroy the lane.
   void collect();
-  /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a manual
-  /// loop, virtual time passes instead.
+  /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a
+  /// manual loop, virtual time passes instead.
   void wait(Duration at_most);
   /// Leaves the thread behind with the job that it runs, and starts no new one.
   void leave_behind() noexcept;

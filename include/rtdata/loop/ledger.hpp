@@ -7,10 +7,10 @@
 ///   topic and sink                       offered = stored + dropped + queued      (from attachment on)
 ///   subscription                         offered = delivered + dropped + cancelled + queued
 ///
-/// One read may bring no sample, one or many. A read that brought nothing usable, an error or data that cannot be decoded,
-/// is failed; any other is taken. `late` is the part of taken that began later than due plus max(1 ms, 10 % of the
-/// period). "Repeated" means that the device itself had nothing new; an equal value is data. `lost` stands beside the
-/// equations: what the source numbered and what never came.
+/// One read may bring no sample, one or many. A read that brought nothing usable, an error or data that cannot be
+/// decoded, is failed; any other is taken. `late` is the part of taken that began later than due plus max(1 ms, 10 % of
+/// the period). "Repeated" means that the device itself had nothing new; an equal value is data. `lost` stands beside
+/// the equations: what the source numbered and what never came.
 ///
 /// Values; snapshots taken on the loop's thread between callbacks balance exactly.
 #pragma once
@@ -86,8 +86,8 @@ struct SinkCounts {
   bool balances() const noexcept { return offered == stored + all_dropped() + queued; }
 };
 
-/// A recorded absence, for one reason. With a schedule: consecutive ticks without a reading, or several such gaps joined.
-/// Without one: a stretch in which nothing could come, or nothing came.
+/// A recorded absence, for one reason. With a schedule: consecutive ticks without a reading, or several such gaps
+/// joined. Without one: a stretch in which nothing could come, or nothing came.
 struct Gap {
   enum class Kind : std::uint8_t {
     missed,        ///< ticks at which nothing was begun
@@ -105,8 +105,8 @@ struct Gap {
 };
 std::string_view name_of(Gap::Kind kind) noexcept;
 
-/// The outages of an origin without a schedule: stretches in which nothing could come, or nothing came for longer than it
-/// may. Each is a gap. What they cost is a time and no count, since nobody knows how many events would have come.
+/// The outages of an origin without a schedule: stretches in which nothing could come, or nothing came for longer than
+/// it may. Each is a gap. What they cost is a time and no count, since nobody knows how many events would have come.
 struct Outages {
   std::uint64_t number = 0;
   Duration time{0};         ///< of all together

@@ -5,11 +5,11 @@
 ///     const rtdata::LoopLoad load = fast.loop().load();
 ///     if (load.is_overloaded()) complain(load.text());  // "fast: 1 sensor, worst 200 us of 1 ms, 20 %"
 ///
-/// `worst` is the sum of the reads that come due within the loop's shortest period: each sensor once, but of sensors that
-/// share a longer period only those whose phases lie within one shortest period of each other. Sensors of different periods,
-/// without a schedule or not running are assumed to coincide. A read on a lane counts for the lane; it holds the loop only
-/// while it is decoded, at another time for each sensor, and so counts there with its share of the shortest period. Handlers
-/// are not counted.
+/// `worst` is the sum of the reads that come due within the loop's shortest period: each sensor once, but of sensors
+/// that share a longer period only those whose phases lie within one shortest period of each other. Sensors of
+/// different periods, without a schedule or not running are assumed to coincide. A read on a lane counts for the lane;
+/// it holds the loop only while it is decoded, at another time for each sensor, and so counts there with its share of
+/// the shortest period. Handlers are not counted.
 ///
 /// Values; any thread.
 #pragma once

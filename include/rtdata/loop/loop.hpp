@@ -9,22 +9,23 @@
 /// deadlines. A Loop makes a private Runtime unless it is given one.
 ///
 /// Order within one turn: what is due, then I/O, then deliveries under a time budget. A tick is late by at most the
-/// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us together;
-/// slower ones: one). Functions given to `post` have a budget of the same length: a flood of them does not hold ticks.
+/// budget plus one group of callbacks (handlers that took nanoseconds: at most 128, expected to take under 5 us
+/// together; slower ones: one). Functions given to `post` have a budget of the same length: a flood of them does not
+/// hold ticks.
 ///
-/// While the loop does not run, what is made on it waits for its opening (of a device on a lane, of a recording), and tells
-/// what failed. While it runs nothing waits: the opening goes on on a lane, what comes meanwhile is queued, and an error is
-/// reported. A loop of its own runs within `run`, `run_for`, `poll` and `advance`, and not between two calls of these: a
-/// program that polls should make things in `post`, where nothing waits. An attached loop runs from the end of its first
-/// turn, in which the host's `uv_run` has called it back, to its end: what is made before waits, what is made in callbacks
-/// of the host later does not.
+/// While the loop does not run, what is made on it waits for its opening (of a device on a lane, of a recording), and
+/// tells what failed. While it runs nothing waits: the opening goes on on a lane, what comes meanwhile is queued, and
+/// an error is reported. A loop of its own runs within `run`, `run_for`, `poll` and `advance`, and not between two
+/// calls of these: a program that polls should make things in `post`, where nothing waits. An attached loop runs from
+/// the end of its first turn, in which the host's `uv_run` has called it back, to its end: what is made before waits,
+/// what is made in callbacks of the host later does not.
 ///
-/// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its end,
-/// which never comes, so that Duration::max() means never, or without limit.
+/// Instants and spans are ns in 64 bits. Sums of them saturate: what would come after the end of time is due at its
+/// end, which never comes, so that Duration::max() means never, or without limit.
 ///
-/// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Destroying it in one of
-/// its own callbacks, before its tiers, or while another thread runs it ends the program (std::abort), having said so.
-/// While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
+/// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Destroying it in one
+/// of its own callbacks, before its tiers, or while another thread runs it ends the program (std::abort), having said
+/// so. While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
 /// Thread: the one that runs it. From other threads, and from a sink's Writer: `post` and `stop` only.
 #pragma once
 
@@ -80,8 +81,8 @@ class Loop {
     /// 0: in a fixed order, without delays. Any other: what can happen at one instant happens in an order that the seed
     /// chooses, and what threads would do a little later may happen later, see `jitter`.
     std::uint64_t seed = 0;
-    /// With a seed: a loop sees what another one has sent at most so much later, in its order; a lane's job takes at most
-    /// so much longer, within its limit.
+    /// With a seed: a loop sees what another one has sent at most so much later, in its order; a lane's job takes at
+    /// most so much longer, within its limit.
     Duration jitter = std::chrono::milliseconds{1};
   };
   static constexpr std::size_t post_backlog = 10'000;  ///< functions given to `post` that may wait without a report
@@ -101,10 +102,10 @@ class Loop {
   Loop(const Loop&) = delete;
   Loop& operator=(const Loop&) = delete;
 
-  /// Runs until `stop`, or until nothing is left that could happen; at once when `stop` was called since the last run. On an
-  /// attached loop the host runs it instead (SetupError otherwise). SetupError (busy) when called from one of its callbacks,
-  /// also from those that are called while it does not run (`open` of a device that is made, a report of that), as for
-  /// `run_for`, `poll` and `advance`.
+  /// Runs until `stop`, or until nothing is left that could happen; at once when `stop` was called since the last run.
+  /// On an attached loop the host runs it instead (SetupError otherwise). SetupError (busy) when called from one of its
+  /// callbacks, also from those that are called while it does not run (`open` of a device that is made, a report of
+  /// that), as for `run_for`, `poll` and `advance`.
   void run();
   /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
   void run_for(Duration duration);
@@ -112,21 +113,21 @@ class Loop {
   void poll();
   /// Ends `run`. Thread-safe. On an attached loop: nothing.
   void stop() noexcept;
-  /// Manual loops: lets time pass, and runs what comes due in order of time, then of start. An endless chain at one instant
-  /// does not stop the time: handlers that publish for each other get 100 rounds at an instant, and after 1000 turns at one
-  /// instant (a timer of zero that starts itself) each further turn takes 1 us. Tiers that run do what comes
-  /// due on them; without a seed, all that they send by then has been taken when this returns.
+  /// Manual loops: lets time pass, and runs what comes due in order of time, then of start. An endless chain at one
+  /// instant does not stop the time: handlers that publish for each other get 100 rounds at an instant, and after 1000
+  /// turns at one instant (a timer of zero that starts itself) each further turn takes 1 us. Tiers that run do what
+  /// comes due on them; without a seed, all that they send by then has been taken when this returns.
   void advance(Duration duration);
   /// Manual loops: the clock, to let a callback "take" time or to set the time of day. SetupError on others.
   ManualClock& manual_clock();
   /// Manual loops: how long each lane job is to take.
   void script_lane_duration(Duration duration);
 
-  /// Runs the function on this loop, after those posted before. Any thread; allocates; blocks for one short lock at most.
-  /// The queue has no limit, so that no function is lost: it is counted instead. `LoopStatus::posts` says how many were
-  /// posted, were run and wait, and the loop reports (backlog) more than `Loop::post_backlog` waiting ones. In one turn
-  /// the loop runs them for `delivery_budget` at most, and goes on with the others in its next turn, after what came due.
-  /// A loop that is being destroyed destroys the function unrun.
+  /// Runs the function on this loop, after those posted before. Any thread; allocates; blocks for one short lock at
+  /// most. The queue has no limit, so that no function is lost: it is counted instead. `LoopStatus::posts` says how
+  /// many were posted, were run and wait, and the loop reports (backlog) more than `Loop::post_backlog` waiting ones.
+  /// In one turn the loop runs them for `delivery_budget` at most, and goes on with the others in its next turn, after
+  /// what came due. A loop that is being destroyed destroys the function unrun.
   void post(Callback<void()> function);
 
   MonotonicTime now() noexcept;
@@ -149,12 +150,12 @@ class Loop {
   template <class T, class F>
   [[nodiscard]] Subscription subscribe(std::string_view pattern, F&& handler);
 
-  /// Called with each error met at run time whose object has no `on_error` of its own. Default: the runtime's log. A loop
-  /// that is being destroyed does not call it any more; `drain` and `close` report the errors that were held back.
+  /// Called with each error met at run time whose object has no `on_error` of its own. Default: the runtime's log. A
+  /// loop that is being destroyed does not call it any more; `drain` and `close` report the errors that were held back.
   void on_error(Callback<void(const ErrorReport&)> handler);
 
-  /// The times that callbacks of the objects on this loop took, in the order in which the objects were made. A sensor counts
-  /// its reads on the loop, not those on its lane.
+  /// The times that callbacks of the objects on this loop took, in the order in which the objects were made. A sensor
+  /// counts its reads on the loop, not those on its lane.
   std::vector<CallbackStatus> callbacks() const;
   /// How long the sensors on this loop may hold it, by what their devices or configurations say: see load.hpp. Of a
   /// tier that runs, ask in `Tier::call`.
@@ -164,9 +165,10 @@ class Loop {
   /// then calls `done` with the number of events that could not be stored by the deadline. For attached loops; `close`
   /// is the same, blocking, for owned ones.
   void drain(Duration deadline, Callback<void(std::uint64_t lost)> done);
-  /// See `drain`. Returns the number of events lost; when `stop` ended the wait, of those still queued. SetupError from a
-  /// callback of this loop (busy) and on an attached one (bad-argument). std::bad_alloc when there is no memory to begin
-  /// with, as of `drain`: then it may be called again, and what is not closed by then closes when it is destroyed.
+  /// See `drain`. Returns the number of events lost; when `stop` ended the wait, of those still queued. SetupError from
+  /// a callback of this loop (busy) and on an attached one (bad-argument). std::bad_alloc when there is no memory to
+  /// begin with, as of `drain`: then it may be called again, and what is not closed by then closes when it is
+  /// destroyed.
   std::uint64_t close(Duration deadline = std::chrono::seconds{10});
 
   detail::LoopCore& core() noexcept { return *core_; }

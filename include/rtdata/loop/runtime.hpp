@@ -1,13 +1,15 @@
-/// Runtime: what a loop has beside its turns: topics, the ledger, the clock, the run, the log, and the exchange with others.
+/// Runtime: what a loop has beside its turns: topics, the ledger, the clock, the run, the log, and the exchange with
+/// others.
 ///
 /// A Loop makes a private one unless it is given one; one loop at a time uses it. Nothing is global to the process.
 ///
-/// The main loop's runtime knows all its tiers: it has a copy of each of their topics, sensors and losses, which come over
-/// the rings between the loops. A tier's own runtime, `tier.loop().runtime()`, holds the tier's sensors and subscriptions and
-/// the topics that other loops announced to it; no sink, and no other loop. Only the tier's thread may use it.
+/// The main loop's runtime knows all its tiers: it has a copy of each of their topics, sensors and losses, which come
+/// over the rings between the loops. A tier's own runtime, `tier.loop().runtime()`, holds the tier's sensors and
+/// subscriptions and the topics that other loops announced to it; no sink, and no other loop. Only the tier's thread
+/// may use it.
 ///
-/// Owner: the user, or the loop that made it; it must outlive its loop: destroying it before, or in its own `on_log`, ends
-/// the program (std::abort), having said so. Thread: the loop's.
+/// Owner: the user, or the loop that made it; it must outlive its loop: destroying it before, or in its own `on_log`,
+/// ends the program (std::abort), having said so. Thread: the loop's.
 #pragma once
 
 #include <memory>
@@ -115,8 +117,8 @@ class Runtime {
   const Config& config() const noexcept;
   /// Where log records go. Default: warnings and errors to standard error, a line each.
   void on_log(Callback<void(const LogRecord&)> handler);
-  /// Records what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. It sets no clock:
-  /// recordings keep the pair, and derive the UTC of their rows from the most accurate pairs that they have.
+  /// Records what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. It sets no
+  /// clock: recordings keep the pair, and derive the UTC of their rows from the most accurate pairs that they have.
   ///
   ///     loop.runtime().note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy =
   ///     1us}).or_throw();
@@ -126,8 +128,9 @@ class Runtime {
   /// that is not positive; a 17th source).
   Result<void> note_wall_clock(const ClockPair& pair);
 
-  /// Notes the place (file, line, path) that configures the object of that name ("sensor chamber"): reports of callbacks that
-  /// held the loop name it. A system made from a configuration file notes the places of its sensors and sinks.
+  /// Notes the place (file, line, path) that configures the object of that name ("sensor chamber"): reports of
+  /// callbacks that held the loop name it. A system made from a configuration file notes the places of its sensors and
+  /// sinks.
   void note_place(std::string object, std::string place);
 
   std::vector<SensorStatus> sensors() const;
@@ -136,9 +139,9 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The runtime's own first, then its tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant. False while the account of a tier is unknown: it did not stop in the
-  /// time that a drain gave it, which was reported, and has neither come out of its callback nor been stopped since. Here and
-  /// in `has_loss`, a running tier counts as it was when the main loop was drained last.
+  /// Every equation of the ledger holds at this instant. False while the account of a tier is unknown: it did not stop
+  /// in the time that a drain gave it, which was reported, and has neither come out of its callback nor been stopped
+  /// since. Here and in `has_loss`, a running tier counts as it was when the main loop was drained last.
   bool balances() const;
   /// Something was missed, failed or lost, a source without a schedule had an outage, a sink dropped something or a
   /// subscription on a tier, or something could not be taken from a tier, which was reported.

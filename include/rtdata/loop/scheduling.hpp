@@ -1,10 +1,11 @@
 /// Scheduling: the policy and priority of threads, as the kernel keeps them (sched(7)).
 ///
 ///     rtdata::PriorityRange range = rtdata::priority_range(rtdata::SchedulingPolicy::fifo);   // 1 to 99
-///     if (auto set = rtdata::set_scheduling({rtdata::SchedulingPolicy::fifo, 80}); !set) std::cerr << set.error().text();
+///     if (auto set = rtdata::set_scheduling({rtdata::SchedulingPolicy::fifo, 80}); !set)
+///       std::cerr << set.error().text();
 ///
-/// Real-time policies need permission: run as root, or with CAP_SYS_NICE (`setcap cap_sys_nice,cap_ipc_lock+ep PROGRAM`),
-/// or with `rtprio` in /etc/security/limits.conf, or `LimitRTPRIO=` in a systemd unit.
+/// Real-time policies need permission: run as root, or with CAP_SYS_NICE (`setcap cap_sys_nice,cap_ipc_lock+ep
+/// PROGRAM`), or with `rtprio` in /etc/security/limits.conf, or `LimitRTPRIO=` in a systemd unit.
 ///
 /// Values and free functions; each acts on the thread that calls it.
 #pragma once
@@ -37,8 +38,8 @@ PriorityRange priority_range(SchedulingPolicy policy) noexcept;
 /// Of the calling thread.
 Scheduling current_scheduling() noexcept;
 
-/// Of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK). Errors: not-permitted,
-/// which says what to set; bad-argument for a priority out of range.
+/// Of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK). Errors:
+/// not-permitted, which says what to set; bad-argument for a priority out of range.
 Result<void> set_scheduling(Scheduling scheduling) noexcept;
 
 }  // namespace rtdata

@@ -1,7 +1,8 @@
 /// Tier: a loop on a thread of its own, with a scheduling policy, a priority and a processor.
 ///
 ///     rtdata::Loop loop;                                     // the normal tier: sinks, slow handlers
-///     rtdata::Tier fast(loop, {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus = {1}});
+///     rtdata::Tier fast(loop,
+///         {.name = "fast", .policy = rtdata::SchedulingPolicy::fifo, .priority = 80, .cpus = {1}});
 ///     rtdata::Sensor<Pressure> chamber(fast.loop(), {.name = "chamber", .rate = 1_kHz}, read_adc);
 ///     auto s = loop.subscribe("chamber", [](const rtdata::EventView& e) { ... });  // runs on `loop`
 ///     rtdata::SqliteSink sink(loop, {.path = "run.db"});
@@ -11,7 +12,8 @@
 /// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
 /// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or as often as so much was
 /// published that it should begin. Only payloads
-/// that are trivially copyable cross: of others, subscribing on another loop is a SetupError, or is reported when it is by name.
+/// that are trivially copyable cross: of others, subscribing on another loop is a SetupError, or is reported when it is
+/// by name.
 ///
 /// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
 /// to set, and so does the log.
@@ -22,14 +24,14 @@
 /// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
 /// incomplete, with the callback's name and the time up to which the tier's account is known.
 ///
-/// On a manual loop a tier shares its virtual time, and runs whenever the main loop's thread waits: in `advance`, `run`,
-/// `close`, `call`, `stop`, and in `ManualClock::pass`. One of them runs at a time, in an order that `Loop::Manual` chooses.
-/// A callback there must wait for another loop in no other way (`manual_clock().pass(1ms)` until it is so), nor hold a lock that
-/// another one takes while it posts. `policy`, `cpus` and the like mean nothing.
+/// On a manual loop a tier shares its virtual time, and runs whenever the main loop's thread waits: in `advance`,
+/// `run`, `close`, `call`, `stop`, and in `ManualClock::pass`. One of them runs at a time, in an order that
+/// `Loop::Manual` chooses. A callback there must wait for another loop in no other way (`manual_clock().pass(1ms)`
+/// until it is so), nor hold a lock that another one takes while it posts. `policy`, `cpus` and the like mean nothing.
 ///
-/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not; in a callback of the main
-/// loop too, but not in one of its own, nor on another thread, nor in a call of a sink's Writer: that ends the program,
-/// having said so. Thread: the main loop's.
+/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not; in a callback of the
+/// main loop too, but not in one of its own, nor on another thread, nor in a call of a sink's Writer: that ends the
+/// program, having said so. Thread: the main loop's.
 #pragma once
 
 #include <memory>
@@ -54,9 +56,9 @@ class Tier {
     SchedulingPolicy policy = SchedulingPolicy::other;
     int priority = 0;            ///< 1 to 99 for real-time policies
     std::vector<int> cpus = {};  ///< processors that it may run on; empty: any
-    bool lock_memory = true;  ///< with a real-time policy: mlockall, so that no page of the process is ever taken away again
+    bool lock_memory = true;     ///< with a real-time policy: mlockall, so that no page of the process is swapped out
     std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
-    bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, for all processors
+    bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, all processors
     Duration spin{0};  ///< wait so long, to 10 ms, before a deadline spinning: costs as much of a processor a tick
     Duration hold_limit = Loop::Config{}.hold_limit;
     Duration delivery_budget = Loop::Config{}.delivery_budget;
@@ -92,9 +94,10 @@ class Tier {
   std::string doing() const;
   bool is_running() const noexcept;
 
-  /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier does not
-  /// run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a callback for 1 s, a
-  /// warning names it. SetupError (busy) in a call of a sink's Writer, which may hold what the tier waits for.
+  /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier
+  /// does not run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a
+  /// callback for 1 s, a warning names it. SetupError (busy) in a call of a sink's Writer, which may hold what the tier
+  /// waits for.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;

@@ -64,8 +64,8 @@ class Ticker : public Handle {
 
   void start();
   void stop();
-  /// A new schedule from now on; from within its own callback, the first tick of it comes a period from now. Nothing when the
-  /// period is the same.
+  /// A new schedule from now on; from within its own callback, the first tick of it comes a period from now. Nothing
+  /// when the period is the same.
   void set_period(Duration period);
   bool is_running() const noexcept;
   /// Over all starts of this handle.

@@ -58,7 +58,8 @@ class Topic {
     detail::attach(loop.core(), *node, core_);
     return subscription;
   }
-  /// Publishes with the origin "program:TOPIC" (on a tier "program:TOPIC@TIER"); a `Feed` has an origin and a ledger of its own.
+  /// Publishes with the origin "program:TOPIC" (on a tier "program:TOPIC@TIER"); a `Feed` has an origin and a ledger of
+  /// its own.
   void publish(detail::PublishedAs<T> payload) const { detail::publish_from_program(*core_, &payload); }
 
   detail::TopicCore& core() const noexcept { return *core_; }

@@ -20,9 +20,9 @@ struct FdEvent {
   bool hung_up = false;  ///< the other side closed, or the device went away
 };
 
-/// Calls back while the descriptor is ready (level-triggered). The descriptor stays the user's: it becomes non-blocking, is not
-/// closed, and must not be closed before the watch is. One watch a descriptor. After an error of the descriptor (the last call
-/// said `hung_up`) it is silent until `set_events`.
+/// Calls back while the descriptor is ready (level-triggered). The descriptor stays the user's: it becomes
+/// non-blocking, is not closed, and must not be closed before the watch is. One watch a descriptor. After an error of
+/// the descriptor (the last call said `hung_up`) it is silent until `set_events`.
 class FdWatch : public Handle {
  public:
   enum Events : unsigned { readable = 1, writable = 2, readable_and_writable = 3 };

@@ -10,14 +10,15 @@
 ///     span  = 2^bits * span_value_voltage / span_voltage
 ///     value = (adc - zero) * scale / span
 ///
-/// This default takes `span_value_voltage` as the width of the sensor's range. `AnalogConversion::two_point` takes it as
-/// the voltage at which the value is exactly `scale`:
+/// This default takes `span_value_voltage` as the width of the sensor's range. `AnalogConversion::two_point` takes it
+/// as the voltage at which the value is exactly `scale`:
 ///
 ///     span  = 2^bits * (span_value_voltage - zero_value_voltage) / span_voltage
 ///
 /// The two differ whenever `zero_value_voltage` is not 0, by the factor span_value_voltage / (span_value_voltage -
-/// zero_value_voltage): a pressure sensor of 0.5 V at 0 bar and 4.5 V at 10 bar needs `two_point` (or, with the default,
-/// span_value_voltage = 4). A converter whose range does not begin at 0 V (`zero_voltage`) moves `zero` in both alike.
+/// zero_value_voltage): a pressure sensor of 0.5 V at 0 bar and 4.5 V at 10 bar needs `two_point` (or, with the
+/// default, span_value_voltage = 4). A converter whose range does not begin at 0 V (`zero_voltage`) moves `zero` in
+/// both alike.
 ///
 /// Events: a record "analog" of `value` (double, in `unit`) and `raw` (int64, the code); `analog_reading` reads them. A
 /// reading that is missing, empty, no number or out of the converter's range is an error and a gap, never a value. Ids:

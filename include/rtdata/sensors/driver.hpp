@@ -15,12 +15,12 @@
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
-/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. Configurations
-/// know a driver by `registry.add_driver<Lm75>("lm75", "...")`.
+/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead.
+/// Configurations know a driver by `registry.add_driver<Lm75>("lm75", "...")`.
 ///
-/// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one at a
-/// time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device does
-/// nothing more), and a fresh driver goes on.
+/// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
+/// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device
+/// does nothing more), and a fresh driver goes on.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: DriverSensor: the loop's; the bus must outlive it.
 #pragma once

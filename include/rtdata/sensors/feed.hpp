@@ -64,8 +64,8 @@ class Feed : public AnyFeed {
   Feed(Loop& loop, FeedConfig config)
       : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
-  /// With the time of now, or the given one; a time not after the last event's is moved to just after it, one in the last
-  /// day that can be said to the beginning of that.
+  /// With the time of now, or the given one; a time not after the last event's is moved to just after it, one in the
+  /// last day that can be said to the beginning of that.
   void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload); }
   void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, time); }
 };

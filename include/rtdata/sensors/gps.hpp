@@ -5,19 +5,20 @@
 ///       if (fix->lat && fix->lon) std::printf("%.7f %.7f\n", *fix->lat, *fix->lon);
 ///     });
 ///
-/// Each report of a fix (TPV) becomes one event, whose time is that of the read which brought its end; the receiver's own
-/// time is a field. The numbers of satellites are those of the receiver's last report of them (SKY).
+/// Each report of a fix (TPV) becomes one event, whose time is that of the read which brought its end; the receiver's
+/// own time is a field. The numbers of satellites are those of the receiver's last report of them (SKY).
 ///
 /// - What gpsd does not say is no value, never 0.
 /// - A report whose text, its time included, is that of the last one of its receiver is counted as repeated, and not
-///   published. A line that is no report, or longer than 64 KiB, is counted as unreadable and reported, and costs no other
-///   line anything. Reports of other kinds, and of other receivers than `device`, are not counted.
-/// - gpsd that is absent, or goes away, makes the sensor faulted; it is connected to again after `retry_first`, doubling to
-///   `retry_longest`. Absent at the start: the same, unless it is `required`. The time without it is a gap (disconnected).
-/// - Without a report of a fix for longer than `silence` it is degraded until one comes, and has a gap (silent). gpsd is
-///   asked for a sign of life then; when it gives none for as long again, the connection counts as lost.
-/// - The receiver's time moves no schedule. When five reports of a fix in a row agree, and nothing speaks against it, it is
-///   noted as a source of the time of day ("gps", see Runtime::note_wall_clock).
+///   published. A line that is no report, or longer than 64 KiB, is counted as unreadable and reported, and costs no
+///   other line anything. Reports of other kinds, and of other receivers than `device`, are not counted.
+/// - gpsd that is absent, or goes away, makes the sensor faulted; it is connected to again after `retry_first`,
+///   doubling to `retry_longest`. Absent at the start: the same, unless it is `required`. The time without it is a gap
+///   (disconnected).
+/// - Without a report of a fix for longer than `silence` it is degraded until one comes, and has a gap (silent). gpsd
+///   is asked for a sign of life then; when it gives none for as long again, the connection counts as lost.
+/// - The receiver's time moves no schedule. When five reports of a fix in a row agree, and nothing speaks against it,
+///   it is noted as a source of the time of day ("gps", see Runtime::note_wall_clock).
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -33,8 +34,8 @@
 
 namespace rtdata {
 
-/// What a receiver says of where it is. The names are gpsd's, which explains them: `man gpsd_json`. Uncertainties are of
-/// 95 % confidence.
+/// What a receiver says of where it is. The names are gpsd's, which explains them: `man gpsd_json`. Uncertainties are
+/// of 95 % confidence.
 struct GpsFix {
   text<128> device = {};                      ///< the receiver, as gpsd names it
   std::uint8_t mode = 0;                      ///< of the fix: 0 not known, 1 none, 2 without height, 3 with height
@@ -120,8 +121,8 @@ ReadTime read_time(const GpsConfig& config);
 class GpsSensor : public AnySensor {
  public:
   GpsSensor() noexcept = default;
-  /// SetupError: as `Feed`; bad-argument for a configuration that cannot work; the error of connecting when it is required,
-  /// for which this waits 2 s at most.
+  /// SetupError: as `Feed`; bad-argument for a configuration that cannot work; the error of connecting when it is
+  /// required, for which this waits 2 s at most.
   GpsSensor(Loop& loop, FeedConfig feed, GpsConfig config);
 
  private:

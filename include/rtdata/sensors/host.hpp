@@ -1,16 +1,17 @@
 /// HostSensor: what this computer knows of itself.
 ///
-///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz}, {.quantity = HostQuantity::cpu});
+///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz},
+///                             {.quantity = rtdata::HostQuantity::cpu});
 ///     auto s = loop.topic<rtdata::HostCpu>("host/cpu").subscribe(loop, [](const auto& e) { use(e->busy); });
 ///
-/// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity that it
-/// does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`. A disk, network or
-/// processor of another name is found missing by the first read, which fails.
+/// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity that
+/// it does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`. A disk,
+/// network or processor of another name is found missing by the first read, which fails.
 ///
-/// Files of /proc stay open and are read inline: a read costs microseconds (`process` the least: fit for 1 kHz and more,
-/// and it always changes). Files of /sys may ask a slow chip: they are read on a lane, and given up after `timeout`.
-/// Shares of time are made of the difference of two reads: the first read gives nothing (repeated), nor does one so soon
-/// that the kernel's clock (10 ms mostly) has not moved.
+/// Files of /proc stay open and are read inline: a read costs microseconds (`process` the least: fit for 1 kHz and
+/// more, and it always changes). Files of /sys may ask a slow chip: they are read on a lane, and given up after
+/// `timeout`. Shares of time are made of the difference of two reads: the first read gives nothing (repeated), nor does
+/// one so soon that the kernel's clock (10 ms mostly) has not moved.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

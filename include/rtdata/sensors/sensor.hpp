@@ -19,8 +19,8 @@
 ///
 /// The life of a sensor:
 ///   1. made: it starts at once; `stop` and `start` any number of times.
-///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published, repeated,
-///      filtered or unreadable (ledger.hpp).
+///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published,
+///      repeated, filtered or unreadable (ledger.hpp).
 ///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
 ///   opened
 ///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
@@ -227,8 +227,8 @@ class AnySensor : public Handle {
  public:
   AnySensor() noexcept = default;
 
-  /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when the
-  /// sensor is `required` and the device cannot be opened.
+  /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when
+  /// the sensor is `required` and the device cannot be opened.
   void start();
   /// Ends its activity: see "The life of a sensor".
   void stop();

@@ -5,24 +5,25 @@
 ///                                   .fields = {{.name = "ax", .unit = "m/s2"}, {.name = "count", .type = Kind::u32}},
 ///                                   .sequence_field = "count"});
 ///
-/// Each line becomes one event, whose fields are the configured ones; its time is that of the read which brought its end.
+/// Each line becomes one event, whose fields are the configured ones; its time is that of the read which brought its
+/// end.
 ///
-/// - CSV as in RFC 4180, a row a line: one column a field, in order; a field without a name is a column that is not kept.
-///   Blanks around a column do not count, nor do double quotes around it; in them a separator belongs to the column and a
-///   quote is written twice. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a field's `key` reaches
-///   into nested objects.
-/// - An empty column (JSON: null, or no such key) is no value in a field that is `optional`, and else a mistake, but for a
-///   text, which it leaves empty. Numbers become the nearest that there is: 1e-400 is 0. A bool is true, false, 1 or 0, in
-///   upper or lower case. A byte order mark at the beginning does not count.
+/// - CSV as in RFC 4180, a row a line: one column a field, in order; a field without a name is a column that is not
+///   kept. Blanks around a column do not count, nor do double quotes around it; in them a separator belongs to the
+///   column and a quote is written twice. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a
+///   field's `key` reaches into nested objects.
+/// - An empty column (JSON: null, or no such key) is no value in a field that is `optional`, and else a mistake, but
+///   for a text, which it leaves empty. Numbers become the nearest that there is: 1e-400 is 0. A bool is true, false, 1
+///   or 0, in upper or lower case. A byte order mark at the beginning does not count.
 /// - A line ends with a newline, a carriage return before it does not count. Empty lines and those that begin with
 ///   `comment` are skipped, as are the first `skip_lines` lines after opening.
-/// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line` is
-///   `keep`. It is not counted.
-/// - A line that cannot be used (columns missing, no number, out of its type's range, longer than `max_line`) is counted
-///   as unreadable and reported, and costs no other line anything.
-/// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines in
-///   between that came and could not be used; equal numbers as repeated (and not published). A number that goes back is a restart of the device, unless it is the wrap of the
-///   field's type.
+/// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line`
+///   is `keep`. It is not counted.
+/// - A line that cannot be used (columns missing, no number, out of its type's range, longer than `max_line`) is
+///   counted as unreadable and reported, and costs no other line anything.
+/// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines
+///   in between that came and could not be used; equal numbers as repeated (and not published). A number that goes back
+///   is a restart of the device, unless it is the wrap of the field's type.
 /// - A device that goes away makes the sensor faulted; it is opened again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it wherever it is plugged in again. Absent at the start:
 ///   the same, unless it is `required`. The time without it is a gap (disconnected).

@@ -1,12 +1,12 @@
 /// Transaction: one access to a device that may block, done on the device's lane.
 ///
-/// A sensor whose device can block (a kernel ADC file, an I2C bus) is a transaction and a decode: `transact` touches the
-/// device on the lane's thread and leaves bytes or an error in itself; `decode`, a pure function on the loop, makes the
-/// payload of them. A transaction that outlives the lane's limit is given up and a fresh one made; it must own all that
-/// `transact` touches.
+/// A sensor whose device can block (a kernel ADC file, an I2C bus) is a transaction and a decode: `transact` touches
+/// the device on the lane's thread and leaves bytes or an error in itself; `decode`, a pure function on the loop, makes
+/// the payload of them. A transaction that outlives the lane's limit is given up and a fresh one made; it must own all
+/// that `transact` touches.
 ///
-/// Opening is a transaction too, and closing is done on the lane as well: a device that takes a second for either holds no
-/// loop. Only while the loop does not run (loop.hpp), or when the sensor is `required`, does starting wait for the
+/// Opening is a transaction too, and closing is done on the lane as well: a device that takes a second for either holds
+/// no loop. Only while the loop does not run (loop.hpp), or when the sensor is `required`, does starting wait for the
 /// opening, so that a program knows at its start which devices are missing.
 ///
 /// Owner: the sensor and the lane. Thread: `run`, `transact` and `close`: the lane's; the destructor: either; all else
@@ -32,11 +32,11 @@ class Transaction : public LaneJob {
 
   /// The device's turn. On the lane's thread.
   virtual void transact() noexcept = 0;
-  /// Gives back what it holds of the device; what it has read stays for `decode`. On the lane's thread, after `transact`.
-  /// Not called when the lane takes no more, or has given it up: then the destructor does it.
+  /// Gives back what it holds of the device; what it has read stays for `decode`. On the lane's thread, after
+  /// `transact`. Not called when the lane takes no more, or has given it up: then the destructor does it.
   virtual void close() noexcept {}
-  /// Asked on the loop when it has run: how long the device needs before the transaction is run again, the lane being free
-  /// for others meanwhile. None: it is done, and can be decoded.
+  /// Asked on the loop when it has run: how long the device needs before the transaction is run again, the lane being
+  /// free for others meanwhile. None: it is done, and can be decoded.
   virtual std::optional<Duration> goes_on_after() { return {}; }
   /// The loop has given it up: it hangs on the lane, or will never run there. Once, on the loop's thread.
   virtual void given_up() noexcept {}

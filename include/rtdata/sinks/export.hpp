@@ -39,13 +39,13 @@ struct ExportCount {
   Error refusal = {};         ///< why the first of them does not fit
 };
 
-/// All rows to one stream; CSV has its header also when there are none. A format that does not name topics (CSV) takes the rows of one description only: otherwise
-/// bad-argument, before anything is written.
+/// All rows to one stream; CSV has its header also when there are none. A format that does not name topics (CSV) takes
+/// the rows of one description only: otherwise bad-argument, before anything is written.
 Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
 
-/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description; of JSON
-/// lines room/climate.jsonl. A file that is there already is an error (bad-argument), and nothing is written, unless
-/// `existing` says to replace it.
+/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description; of
+/// JSON lines room/climate.jsonl. A file that is there already is an error (bad-argument), and nothing is written,
+/// unless `existing` says to replace it.
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
                                               const std::string& folder,
                                               const CodecRegistry& registry = CodecRegistry::standard());

@@ -4,8 +4,8 @@
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
 ///
 /// The file is made when it is not there and appended to when it is. Half an event that a kill or a power cut left at
-/// its end is seen to at the next start, and reported: half an event could be taken for values that were never measured,
-/// so it is moved to FILE.half. (To find the end, CSV and raw bytes are read through once at the start.)
+/// its end is seen to at the next start, and reported: half an event could be taken for values that were never
+/// measured, so it is moved to FILE.half. (To find the end, CSV and raw bytes are read through once at the start.)
 ///
 /// `{topic}` in the file's name stands for the topic, its `/` written as `-`: a file each. A format with a header (CSV)
 /// holds one topic a file: a second topic on one path is an error that says so. The header is written into a new or
@@ -17,9 +17,10 @@
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
 /// reported. A file that somebody deletes or moves is made anew, and that is reported, at the next batch.
 ///
-/// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which sorts before
-/// "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole. When no new file can be made,
-/// the old one grows on, and that is reported. After a restart, the time of a file from before is that of its last change.
+/// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which
+/// sorts before "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole.
+/// When no new file can be made, the old one grows on, and that is reported. After a restart, the time of a file from
+/// before is that of its last change.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
 /// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,

@@ -187,8 +187,8 @@ struct RecordingFile;
 struct RowsMerge;
 }  // namespace detail
 
-/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory: a row
-/// a topic. While it lives it sees the recording as it was when it was made.
+/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory: a
+/// row a topic. While it lives it sees the recording as it was when it was made.
 class Rows {
  public:
   Rows(Rows&&) noexcept;

@@ -1,5 +1,5 @@
-/// RecordingWriter: a writer that keeps an account of what it stores, as SqliteSink does; most writers need none of this
-/// and derive from Writer (sink.hpp).
+/// RecordingWriter: a writer that keeps an account of what it stores, as SqliteSink does; most writers need none of
+/// this and derive from Writer (sink.hpp).
 ///
 /// Beside storing records it may refuse topics before their first event, set the pace at which it is given batches and
 /// accounts, warn, and keep the counts of the loop where they survive a kill.
@@ -82,13 +82,15 @@ struct LiveCounts {
 
 /// How a writer wants what it stores, where each storing costs something however little it stores.
 struct StorePace {
-  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when it
-  /// takes so much memory of the queue.
+  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when
+  /// it takes so much memory of the queue.
   std::size_t bytes = 0;
-  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last one.
+  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last
+  /// one.
   Duration account_time{0};
   std::uint64_t account_events = 0;
-  /// `RecordingWriter::sync` is called when so much time has gone since the first storing after the last call; 0: never.
+  /// `RecordingWriter::sync` is called when so much time has gone since the first storing after the last call; 0:
+  /// never.
   Duration sync_time{0};
 };
 
@@ -110,19 +112,19 @@ class RecordingWriter : public Writer {
   virtual Opening opening() const { return Opening::with_first_batch; }
   /// Once, before the first batch.
   virtual StorePace pace() const { return {}; }
-  /// Before the first event of a topic: from the sink's constructor, or later, while the lane may be at work. `number` is
-  /// that of the slots to come. An error: no event of the topic comes here, each is counted as refused, and the sink is
-  /// faulted; the constructor throws it.
+  /// Before the first event of a topic: from the sink's constructor, or later, while the lane may be at work. `number`
+  /// is that of the slots to come. An error: no event of the topic comes here, each is counted as refused, and the sink
+  /// is faulted; the constructor throws it.
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
-  /// At set-up of a slot: where to count what is offered, or null for the sink's own memory. Of a writer that is opened at
-  /// set-up, not before it is open: then once for each slot that there is, in order.
+  /// At set-up of a slot: where to count what is offered, or null for the sink's own memory. Of a writer that is opened
+  /// at set-up, not before it is open: then once for each slot that there is, in order.
   virtual LiveCounts* live_counts(std::uint32_t slot);
   /// Until the last account is handed over: an origin's account as it stands, when something has happened that an event
   /// does not tell: a tick without one, a change of its schedule. A writer may keep it where it survives a kill.
   /// `closed`: the gaps that have closed and may be in no account that is stored, as one; null: none.
   virtual void keep(const OriginAccount& now, const Gap* closed);
-  /// Of a writer that is opened at set-up: what was counted before it was open is where `live_counts` and `keep` have put
-  /// it, and is kept up to date from here on.
+  /// Of a writer that is opened at set-up: what was counted before it was open is where `live_counts` and `keep` have
+  /// put it, and is kept up to date from here on.
   virtual void begin_counting() {}
 
   // ---- on the lane

@@ -139,8 +139,8 @@ class Batch {
   /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals hold
   /// only if the batch succeeds.
   void refuse(const Record& record, const Error& why);
-  /// As `refuse`; no other record of its topic can be stored either, so that the sink is faulted for as long as it lives,
-  /// with this reason. The others' records are stored. To be called for each record of the topic.
+  /// As `refuse`; no other record of its topic can be stored either, so that the sink is faulted for as long as it
+  /// lives, with this reason. The others' records are stored. To be called for each record of the topic.
   void refuse_topic(const Record& record, const Error& why);
 
  private:
@@ -157,10 +157,10 @@ struct TopicToRecord {
   const Description* description;  ///< null: not known yet
 };
 
-/// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop it
-/// may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp). A call that
-/// has not returned when the sink's `close_deadline` is over is left behind on its thread, together with the writer: it
-/// goes on after the sink and its loop are gone, of which it must use nothing then.
+/// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop
+/// it may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp). A call
+/// that has not returned when the sink's `close_deadline` is over is left behind on its thread, together with the
+/// writer: it goes on after the sink and its loop are gone, of which it must use nothing then.
 class Writer {
  public:
   virtual ~Writer() = default;
@@ -182,7 +182,8 @@ class Sink : public Handle {
  public:
   Sink() noexcept = default;
   /// SetupError: a pattern that is none, a topic without a description under an exact name, a topic that the writer
-  /// refuses; of a writer that is opened at set-up (recording_writer.hpp), what its opening met while the loop did not run.
+  /// refuses; of a writer that is opened at set-up (recording_writer.hpp), what its opening met while the loop did not
+  /// run.
   Sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
   /// Zeros once it is closed.

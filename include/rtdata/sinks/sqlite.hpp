@@ -2,18 +2,19 @@
 ///
 ///     rtdata::SqliteSink recording(loop, {.path = "run.db"});
 ///
-/// One table a topic, named as the topic, one column a field, plus run, time (ns since the epoch), origin and sequence. The
-/// tables rtdata_run, _topic, _schedule, _ledger, _gap, _clock and _error hold what is needed to check it
+/// One table a topic, named as the topic, one column a field, plus run, time (ns since the epoch), origin and sequence.
+/// The tables rtdata_run, _topic, _schedule, _ledger, _gap, _clock and _error hold what is needed to check it
 /// (`rtdata verify`); docs/recording.md describes them. A file takes many runs. Readers may read while it records.
 ///
-/// The file is opened on the sink's lane. While the loop does not run (loop.hpp), the constructor waits for that and throws
-/// SetupError: not-a-recording, newer-version, not-permitted, busy (another process records into it: its pid is named),
-/// storage-full. In a callback it does not wait: an error is reported, and it is tried again; events wait in the queue. A
-/// run that ended without closing is sealed by the next start: what it lost is written down. While running, a failed commit
-/// is kept and tried again.
+/// The file is opened on the sink's lane. While the loop does not run (loop.hpp), the constructor waits for that and
+/// throws SetupError: not-a-recording, newer-version, not-permitted, busy (another process records into it: its pid is
+/// named), storage-full. In a callback it does not wait: an error is reported, and it is tried again; events wait in
+/// the queue. A run that ended without closing is sealed by the next start: what it lost is written down. While
+/// running, a failed commit is kept and tried again.
 ///
-/// A recording that somebody deletes or moves while it is written ends: that is reported at the next commit, the sink is
-/// faulted, and what comes is refused and counted. What was committed is in the file, wherever it is, if it is anywhere.
+/// A recording that somebody deletes or moves while it is written ends: that is reported at the next commit, the sink
+/// is faulted, and what comes is refused and counted. What was committed is in the file, wherever it is, if it is
+/// anywhere.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; all SQL runs on the sink's lane.
 #pragma once
@@ -29,8 +30,8 @@ namespace rtdata {
 
 /// What a kill and a power cut may cost. The file itself is damaged by neither, but for `fast`.
 ///
-/// A transaction holds what came within `batch_time` (1 s), so that a killed program loses that much at most, whatever the
-/// profile; the next start says how much it was.
+/// A transaction holds what came within `batch_time` (1 s), so that a killed program loses that much at most, whatever
+/// the profile; the next start says how much it was.
 enum class SqliteProfile {
   normal,  ///< WAL, synchronous=NORMAL; the log is synced each 30 s: a power cut costs as much at most
   safe,    ///< WAL, synchronous=FULL: a power cut costs what a kill costs
@@ -41,8 +42,8 @@ enum class SqliteProfile {
 struct SqliteConfig {
   std::string path;
   SqliteProfile profile = SqliteProfile::normal;
-  /// The recording as a whole, with its log: the oldest rows are deleted when it takes more, and counted as pruned; 0: no
-  /// limit, otherwise at least `least_max_bytes`.
+  /// The recording as a whole, with its log: the oldest rows are deleted when it takes more, and counted as pruned; 0:
+  /// no limit, otherwise at least `least_max_bytes`.
   std::uint64_t max_bytes = 0;
   Duration max_age{0};               ///< rows older than this are deleted, and counted as pruned; 0: no limit
   std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own

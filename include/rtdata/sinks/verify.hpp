@@ -5,20 +5,21 @@
 ///     std::cout << report.text();
 ///     return report.exit_code();
 ///
-/// Everything is computed again from the rows, the schedule and the gaps, and compared with the account that was written
-/// with the data, and with its checksums. It shows accidental loss and damage: a row, a value, a gap or an account that was
-/// deleted, added or changed. It does not prove that nobody forged the recording: whoever changes all of it alike is not
-/// noticed.
+/// Everything is computed again from the rows, the schedule and the gaps, and compared with the account that was
+/// written with the data, and with its checksums. It shows accidental loss and damage: a row, a value, a gap or an
+/// account that was deleted, added or changed. It does not prove that nobody forged the recording: whoever changes all
+/// of it alike is not noticed.
 ///
 /// What is compared, per run and (topic, origin):
-///   rows == stored - pruned; sequences ascend, each once, from first_sequence to last_sequence; what is missing of them
-///   == dropped + pruned; times ascend and lie within the run; offered == stored + dropped; published >= offered;
-///   the equations of ledger.hpp; each segment's ticks == (end - first_due) / period + 1, their sum == scheduled, no two
-///   segments of an origin overlap; counts of the gaps == missed and failed, and none has more ticks than its time;
+///   rows == stored - pruned; sequences ascend, each once, from first_sequence to last_sequence; what is missing of
+///   them == dropped + pruned; times ascend and lie within the run; offered == stored + dropped; published >= offered;
+///   the equations of ledger.hpp; each segment's ticks == (end - first_due) / period + 1, their sum == scheduled, no
+///   two segments of an origin overlap; counts of the gaps == missed and failed, and none has more ticks than its time;
 ///   of a closed run, where each read brings one sample: each tick is a row at its time, or in exactly one gap;
 ///   the checksums of values and accounts (from format 5 on). docs/recording.md has the rules in full.
-/// A run that is being recorded, or ended without closing, is compared up to its last account; offered may then be ahead
-/// of stored (what was queued), and gaps, segments and equations are only held to bounds. So are those of a sealed run.
+/// A run that is being recorded, or ended without closing, is compared up to its last account; offered may then be
+/// ahead of stored (what was queued), and gaps, segments and equations are only held to bounds. So are those of a
+/// sealed run.
 ///
 /// Thread: that of the recording. Memory: an entry an origin. Reads each row once.
 #pragma once

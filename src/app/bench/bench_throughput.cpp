@@ -178,9 +178,9 @@ bool uses(const std::string& folder) {
   return false;
 }
 
-/// A sink that could not store goes on trying when its deadline of closing passes, on a thread that is left behind: until
-/// that has ended, too, its files take room and are no other's to remove. Nothing tells when they are closed: it is looked
-/// for. False: they are not after a minute.
+/// A sink that could not store goes on trying when its deadline of closing passes, on a thread that is left behind:
+/// until that has ended, too, its files take room and are no other's to remove. Nothing tells when they are closed: it
+/// is looked for. False: they are not after a minute.
 bool wait_until_closed(const std::string& folder) {
   const auto end = SteadyClock::now() + std::chrono::minutes{1};
   while (uses(folder)) {

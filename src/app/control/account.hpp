@@ -34,8 +34,8 @@ struct RunAccount {
 
 RunAccount account_of(const Runtime& runtime);
 
-/// The tables printed at the end, at most `columns` wide where names allow (0: as wide as they are); what was unreadable
-/// has a column if there is any. `paths`: of sinks, by name.
+/// The tables printed at the end, at most `columns` wide where names allow (0: as wide as they are); what was
+/// unreadable has a column if there is any. `paths`: of sinks, by name.
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns);
 
 /// What the verdict says beside the account.
@@ -48,7 +48,8 @@ struct Ending {
 /// One sentence: what was lost and of whom, what is there, whether the ledger balances.
 ///
 ///     nothing lost: 4177 events, 131 of them late; ledger balances
-///     LOST: 666 ticks missed (host/process 660, host/cpu 6), 1 outage of 6.3 s (board); taken: 4177 events; ledger balances
+///     LOST: 666 ticks missed (host/process 660, host/cpu 6), 1 outage of 6.3 s (board); taken: 4177 events; ledger
+///     balances
 std::string verdict(const RunAccount& account, const Ending& ending);
 /// "12000 events, 0 late, 3 missed, 0 failed, 0 dropped, 12 queued"
 std::string progress(const RunAccount& account);

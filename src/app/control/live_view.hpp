@@ -44,7 +44,8 @@ class LiveView {
   };
   void note(const EventView& event);
   static std::string value_text(const Last& last, std::size_t width);
-  /// From one event to another, so that a sensor at 1 Hz is shown with 1 Hz whenever it is looked at. "-": not known yet.
+  /// From one event to another, so that a sensor at 1 Hz is shown with 1 Hz whenever it is looked at. "-": not known
+  /// yet.
   static std::string rate_text(Last& last, MonotonicTime now);
 
   Loop& loop_;

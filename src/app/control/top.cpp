@@ -48,15 +48,15 @@ std::string left(std::string_view text, std::size_t width) {
 std::string time_text(const Json& ns) { return ns.is_number() ? detail::rounded_time(ns.get<double>()) : "-"; }
 std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_text(hertz.get<double>()) : "-"; }
 std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
-std::string text_of(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
+std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
 
 /// Lines of at most `columns` for people. `rows`: at most so many lines; sensors are left out for it, and that is said.
 std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::size_t rows) {
   const Json& instance = status.at("instance");
   std::vector<std::string> head, sensors, tail;
   const auto seconds = std::chrono::seconds{static_cast<std::int64_t>(instance.at("running_for_s").get<double>())};
-  head.push_back(text_of(instance.at("name")) + "  pid " + instance.at("pid").dump() + "  running " +
-                 to_string(Duration{seconds}) + "  " + text_of(instance.at("configuration")));
+  head.push_back(text_or_dash(instance.at("name")) + "  pid " + instance.at("pid").dump() + "  running " +
+                 to_string(Duration{seconds}) + "  " + text_or_dash(instance.at("configuration")));
   head.push_back("");
   head.push_back("loop          policy    load  late p50       p99       max");
   for (const Json& loop : status.at("loops")) {
@@ -68,12 +68,12 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
     const auto lateness = [&](const char* what) {
       return right(late.is_object() ? time_text(late.at(what)) : "-", 10);
     };
-    head.push_back(left(text_of(loop.at("name")), 13) + " " +
-                   left(text_of(loop.at("policy")) + (priority > 0 ? " " + std::to_string(priority) : ""), 6) +
+    head.push_back(left(text_or_dash(loop.at("name")), 13) + " " +
+                   left(text_or_dash(loop.at("policy")) + (priority > 0 ? " " + std::to_string(priority) : ""), 6) +
                    right(load.data(), 8) + lateness("p50") + lateness("p99") + lateness("max"));
-    for (const Json& warning : loop.at("warnings")) head.push_back("  ! " + text_of(warning));
+    for (const Json& warning : loop.at("warnings")) head.push_back("  ! " + text_or_dash(warning));
     if (loop.at("hangs_in").is_string())
-      head.push_back("  ! it does not turn: it has not come out of " + text_of(loop.at("hangs_in")));
+      head.push_back("  ! it does not turn: it has not come out of " + text_or_dash(loop.at("hangs_in")));
   }
   head.push_back("");
   const auto unreadable = [](const Json& sensor) { return sensor.value("unreadable", std::uint64_t{0}); };
@@ -84,15 +84,15 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
   const auto add_health = [](std::vector<std::string>& lines, const Json& of) {
     const Json& health = of.at("health");
     if (health.at("state") != "ok")
-      lines.push_back("  ! " + text_of(health.at("state")) + ": " + text_of(health.at("reason")));
+      lines.push_back("  ! " + text_or_dash(health.at("state")) + ": " + text_or_dash(health.at("reason")));
   };
   for (const Json& sensor : status.at("sensors")) {
-    sensors.push_back(left(text_of(sensor.at("name")), 14) + " " + left(text_of(sensor.at("loop")), 7) +
+    sensors.push_back(left(text_or_dash(sensor.at("name")), 14) + " " + left(text_or_dash(sensor.at("loop")), 7) +
                       right(rate_text(sensor.at("wanted_hz")), 10) + right(rate_text(sensor.at("reached_hz")), 11) +
                       right(count_text(sensor.at("late")), 7) + right(count_text(sensor.at("missed")), 7) +
                       right(count_text(sensor.at("failed")), 7) +
                       (has_unreadable ? right(count_text(unreadable(sensor)), 7) : "") + "  " +
-                      (sensor.at("running") == true ? text_of(sensor.at("value")) : "stopped"));
+                      (sensor.at("running") == true ? text_or_dash(sensor.at("value")) : "stopped"));
     add_health(sensors, sensor);
     if (const auto number = sensor.value("outages", std::uint64_t{0}); number > 0) {
       const std::chrono::duration<double> time(sensor.value("outage_time_s", 0.0));
@@ -103,7 +103,7 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
     tail.push_back("");
     tail.push_back("sink                              queued    stored   dropped");
     for (const Json& sink : status.at("sinks")) {
-      tail.push_back(left(text_of(sink.at("name")), 30) + right(count_text(sink.at("queued")), 10) +
+      tail.push_back(left(text_or_dash(sink.at("name")), 30) + right(count_text(sink.at("queued")), 10) +
                      right(count_text(sink.at("stored")), 10) + right(count_text(sink.at("dropped")), 10));
       add_health(tail, sink);
     }
@@ -124,7 +124,7 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
     std::size_t shown = 0;
     for (const Json& callback : status.at("callbacks")) {
       if (++shown > most_callbacks) break;
-      tail.push_back(left(text_of(callback.at("name")), 30) + " " + left(text_of(callback.at("loop")), 7) +
+      tail.push_back(left(text_or_dash(callback.at("name")), 30) + " " + left(text_or_dash(callback.at("loop")), 7) +
                      right(count_text(callback.at("count")), 10) + right(time_text(callback.at("total_ns")), 10) +
                      right(time_text(callback.at("max_ns")), 10));
     }
@@ -148,7 +148,7 @@ Result<Json> status_of(const std::string& line) {
   if (status.is_object() && status.contains("instance")) return status;
   const bool says_why = status.is_object() && status.contains("error");
   return Error{Errc::io_failed, "no status", "instance",
-               says_why ? text_of(status["error"]) : "it answers something else",
+               says_why ? text_or_dash(status["error"]) : "it answers something else",
                "use the same version of the program on both sides"};
 }
 
@@ -168,8 +168,8 @@ struct Found {
     if (line && !*line) return;
     answers = true;
     const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
-    if (status) name = text_of(status->at("instance").at("name"));
-    configuration = status ? text_of(status->at("instance").at("configuration")) : status.error().text();
+    if (status) name = text_or_dash(status->at("instance").at("name"));
+    configuration = status ? text_or_dash(status->at("instance").at("configuration")) : status.error().text();
   }
 };
 

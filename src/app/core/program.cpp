@@ -43,8 +43,8 @@ exit status:
   3  run --fail-on-loss: something was missed, failed, unreadable, lost or dropped,
      or a device without a schedule was away)";
 
-/// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may print
-/// from any thread, and not around data.
+/// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may
+/// print from any thread, and not around data.
 struct ForPeople {
   app::WrappedOutput out{std::cout, STDOUT_FILENO};
   app::WrappedOutput err{std::cerr, STDERR_FILENO};
@@ -317,7 +317,8 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   program.footer(examples);
   program.require_subcommand(1);
 
-  // A subcommand that comes first is the only one that matters: the others are not even made, so that `run` starts soon.
+  // A subcommand that comes first is the only one that matters: the others are not even made, so that `run` starts
+  // soon.
   const std::string_view first = argc > 1 ? argv[1] : "";
   const bool is_named = std::any_of(std::begin(commands), std::end(commands),
                                     [&](const Command& command) { return command.name == first; });

@@ -13,12 +13,12 @@ namespace rtdata::app {
 std::size_t columns_of(int fd);
 
 /// Breaks lines that are wider than `columns` at blanks. What is broken off hangs under the last column of a line that
-/// looks like one of a table, else two to the right of its beginning. A word that is wider stays whole, so that a path can
-/// be copied; so do lines with escape sequences. `columns` 0: the text as it is.
+/// looks like one of a table, else two to the right of its beginning. A word that is wider stays whole, so that a path
+/// can be copied; so do lines with escape sequences. `columns` 0: the text as it is.
 std::string wrapped(std::string_view text, std::size_t columns);
 
-/// While it lives, lines printed to a stream are wrapped for the terminal behind `fd`, if there is one. For what is read by
-/// people, never for data. Thread: one prints.
+/// While it lives, lines printed to a stream are wrapped for the terminal behind `fd`, if there is one. For what is
+/// read by people, never for data. Thread: one prints.
 class WrappedOutput final : public std::streambuf {
  public:
   WrappedOutput(std::ostream& stream, int fd);

@@ -38,8 +38,8 @@ class AsyncWriter {
   /// Waits for what is queued, at most 2 s: a thread that is stuck in a write is left behind.
   ~AsyncWriter();
 
-  /// `fd` stays the caller's and must live as long as this. `before`: called on the thread with the size of what is written
-  /// next; it may put another file behind `fd`.
+  /// `fd` stays the caller's and must live as long as this. `before`: called on the thread with the size of what is
+  /// written next; it may put another file behind `fd`.
   void open(int fd, std::function<void(std::size_t)> before = {});
   bool is_open() const noexcept { return logger_ != nullptr; }
   void write(std::string_view text) noexcept;

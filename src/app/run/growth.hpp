@@ -21,8 +21,8 @@ struct Growth {
   std::string text() const;
 };
 
-/// Of the sinks of the shipped types that write files, in the order of the plan; none that takes nothing. Within a factor
-/// of two, where fields hold what such fields usually do.
+/// Of the sinks of the shipped types that write files, in the order of the plan; none that takes nothing. Within a
+/// factor of two, where fields hold what such fields usually do.
 std::vector<Growth> growth_of(const SystemPlan& plan);
 
 /// The file system that a path is on.

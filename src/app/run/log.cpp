@@ -41,9 +41,9 @@ int open_file(const std::string& path, mode_t permissions) noexcept {
   return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, permissions);
 }
 
-/// Puts a new file behind the descriptor when the one there is full, or is no longer where it was (logrotate). The number of
-/// the descriptor stays the same, so that a fatal signal writes to the right file at each moment; spdlog's own rotating
-/// sink has none to give.
+/// Puts a new file behind the descriptor when the one there is full, or is no longer where it was (logrotate). The
+/// number of the descriptor stays the same, so that a fatal signal writes to the right file at each moment; spdlog's
+/// own rotating sink has none to give.
 class LogFile {
  public:
   LogFile(std::string path, int fd, const LogSettings& settings)

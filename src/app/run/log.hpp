@@ -36,8 +36,8 @@ class Log {
 
 std::string_view name_of(LogLevel level) noexcept;
 
-/// While it lives, a fatal signal (SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ) waits up to half a
-/// second for the log to be written, adds a line of its own, and goes on to what it did before. One at a time in a
+/// While it lives, a fatal signal (SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ) waits up to half
+/// a second for the log to be written, adds a line of its own, and goes on to what it did before. One at a time in a
 /// process.
 class FatalSignals {
  public:

@@ -32,8 +32,9 @@ class ServiceManager {
   Duration watchdog_{0};
 };
 
-/// A run as a service. Watches the tiers that the loop has by now, and feeds the watchdog at half its time while all of them turn; the
-/// main loop feeds it itself, so it must turn too. It must be destroyed before the loop. Thread: the loop's.
+/// A run as a service. Watches the tiers that the loop has by now, and feeds the watchdog at half its time while all of
+/// them turn; the main loop feeds it itself, so it must turn too. It must be destroyed before the loop. Thread: the
+/// loop's.
 class Service {
  public:
   explicit Service(Loop& loop);

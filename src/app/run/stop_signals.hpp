@@ -11,8 +11,8 @@
 
 namespace rtdata::app {
 
-/// While it lives, the three signals are taken by a thread of its own, so that they are seen also when the loop is held.
-/// Those that are ignored stay so. Make it before any other thread: they inherit that the signals are blocked.
+/// While it lives, the three signals are taken by a thread of its own, so that they are seen also when the loop is
+/// held. Those that are ignored stay so. Make it before any other thread: they inherit that the signals are blocked.
 class StopSignals {
  public:
   StopSignals();

@@ -27,12 +27,13 @@ class Neighbours {
   /// `configuration`: the file, which no part may write; empty: none. `registry` must outlive it.
   Neighbours(const Registry& registry, const std::string& configuration);
 
-  /// Names that are taken, payloads that differ on one topic, files that another writes. The part must stay where it is as
-  /// long as this object is used.
+  /// Names that are taken, payloads that differ on one topic, files that another writes. The part must stay where it is
+  /// as long as this object is used.
   void add(const PartPlan& part, Problems& problems);
   /// After the last one: files that are made for single topics, as far as they have not been looked at.
   void check_files_of_topics(Problems& problems);
-  /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read files.
+  /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read
+  /// files.
   void check_stored_topics(Problems& problems);
   /// The topics that are there are stored already, by all that are there.
   void assume_stored();

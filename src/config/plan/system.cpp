@@ -26,7 +26,8 @@ PartObject made_at(const PartPlan& plan, const Make& make) {
   }
 }
 
-/// Makes the part on this loop. What is made of its item may meet errors, which say where it is and show no secret of it.
+/// Makes the part on this loop. What is made of its item may meet errors, which say where it is and show no secret of
+/// it.
 PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
   if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
     loop.runtime().note_place(plan.object(), std::move(place));

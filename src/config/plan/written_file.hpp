@@ -1,4 +1,5 @@
-// Files that sinks and the log write, and whether two of them are in each other's way. Private to src/config and src/app.
+// Files that sinks and the log write, and whether two of them are in each other's way. Private to src/config and
+// src/app.
 #pragma once
 
 #include <sys/types.h>

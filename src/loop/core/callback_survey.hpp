@@ -14,8 +14,8 @@ namespace rtdata::detail {
 class Node;
 class Nodes;
 
-/// The loop goes through its objects on its own thread, a few in a turn, so that it is not held. Any thread may ask for a
-/// survey (`Nodes::begin_survey`) and wait for it; a loop that hangs never finishes it.
+/// The loop goes through its objects on its own thread, a few in a turn, so that it is not held. Any thread may ask for
+/// a survey (`Nodes::begin_survey`) and wait for it; a loop that hangs never finishes it.
 class CallbackSurvey {
  public:
   static constexpr std::size_t most_in_turn = 16;

@@ -63,7 +63,8 @@ void Deadlines::spin() noexcept {
 }
 
 void Deadlines::fire_due() {
-  constexpr int rounds = 4;  // deadlines that come due meanwhile fire at once, but after so many rounds I/O gets its turn
+  // Deadlines that come due meanwhile fire at once, but after so many rounds I/O gets its turn.
+  constexpr int rounds = 4;
   if (firing_) return;
   firing_ = true;
   for (int round = 0; round < rounds; ++round) {
@@ -77,7 +78,8 @@ void Deadlines::fire_due() {
     while (is_due(until)) {
       Deadline& due = *heap_.top();
       const MonotonicTime due_at = due.due;
-      // `fire` throws for want of memory. Then it has moved itself before; else it is taken out, or it would fire for ever.
+      // `fire` throws for want of memory. Then it has moved itself before; else it is taken out, or it would fire for
+      // ever.
       if (!loop_.call_own("loop", [&] { due.fire(begin); }) && heap_.top() == &due && due.due == due_at) remove(due);
       begin = loop_.now();
     }

@@ -45,7 +45,8 @@ bool Deliveries::must_pause(MonotonicTime now, MonotonicTime limit) const noexce
 }
 
 Deliveries::Left Deliveries::deliver_round(MonotonicTime& current, MonotonicTime end) {
-  // A round that was broken off goes on, so that the rounds of handlers in a circle are counted whatever comes due between.
+  // A round that was broken off goes on, so that the rounds of handlers in a circle are counted whatever comes due
+  // between.
   std::size_t unfinished = 0;
   for (DeliveryQueue* queue = first_; queue != nullptr; queue = queue->next_ready_) {
     if (!round_is_open_) queue->begin_round();

@@ -12,8 +12,8 @@ class LoopCore;
 /// A queue of events for handlers on a loop: the loop's side of a topic.
 class DeliveryQueue {
  public:
-  /// Delivers one small group of events of the round, beginning at `begin`; returns when it ended. Between two handlers it
-  /// returns early when `Deliveries::must_pause`: the next call goes on there.
+  /// Delivers one small group of events of the round, beginning at `begin`; returns when it ended. Between two handlers
+  /// it returns early when `Deliveries::must_pause`: the next call goes on there.
   virtual MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) = 0;
 
   bool has_pending() const noexcept { return head_ != tail_; }

@@ -27,8 +27,8 @@ void LaneListener::stop_listening() noexcept {
   loop_wake = nullptr;
 }
 
-/// Shared with the threads, which may be left behind. Only one of them takes jobs: the others hang in one that was taken
-/// from them, and end when they see that.
+/// Shared with the threads, which may be left behind. Only one of them takes jobs: the others hang in one that was
+/// taken from them, and end when they see that.
 struct LaneThread::State {
   struct Place {
     std::atomic<bool> is_taken{false};

@@ -1,4 +1,5 @@
-// The thread of a lane, with the jobs on their way to it: of the one loop whose lane it is, or of all loops that use a bus.
+// The thread of a lane, with the jobs on their way to it: of the one loop whose lane it is, or of all loops that use a
+// bus.
 #pragma once
 
 #include <sched.h>
@@ -38,8 +39,8 @@ class LaneThread {
   /// No lane uses it any more: its thread ends.
   ~LaneThread();
 
-  /// Behind all that were pushed before, whichever loop did so. Waits for nobody and allocates nothing. False: there is no
-  /// room now.
+  /// Behind all that were pushed before, whichever loop did so. Waits for nobody and allocates nothing. False: there is
+  /// no room now.
   bool push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener> listener) noexcept;
   /// Makes sure that there is a thread. False: too many were left behind, or the system gives none.
   bool start(const void* runtime, const std::optional<cpu_set_t>& processors, std::size_t most_left_behind) noexcept;

@@ -1,4 +1,5 @@
-// The lanes of a loop: those that it made, found by key, and those of other owners, which it collects finished jobs from.
+// The lanes of a loop: those that it made, found by key, and those of other owners, which it collects finished jobs
+// from.
 #pragma once
 
 #include <sched.h>
@@ -25,8 +26,8 @@ class Lanes {
   Lanes& operator=(const Lanes&) = delete;
   ~Lanes();
 
-  /// One for each key (a physical device), made when first asked for. The limit is that of jobs that are submitted without
-  /// one. `thread`: of a bus, which other loops use too.
+  /// One for each key (a physical device), made when first asked for. The limit is that of jobs that are submitted
+  /// without one. `thread`: of a bus, which other loops use too.
   Lane& of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread = nullptr);
   // Each lane lists itself.
   void add(Lane& lane) { listed_.push_back(&lane); }

@@ -78,8 +78,8 @@ class LoopCore {
   void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
   /// Between the begin and the end of running. False of an attached loop, which never runs itself.
   bool is_running() const noexcept { return is_running_; }
-  /// Nothing waits for the loop yet, so that a sensor or sink may wait for its opening: it does not run, and on an attached
-  /// loop the host has not run a turn of it.
+  /// Nothing waits for the loop yet, so that a sensor or sink may wait for its opening: it does not run, and on an
+  /// attached loop the host has not run a turn of it.
   bool is_being_set_up() const noexcept { return !is_running_ && !host_has_run_; }
   /// `run` does not return while there is a reference, as with uv_ref.
   void ref() noexcept;
@@ -136,8 +136,8 @@ class LoopCore {
     static thread_local const void* own = nullptr;
     return own;
   }
-  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only its
-  /// own thread may use.
+  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only
+  /// its own thread may use.
   class OffLimits {
    public:
     explicit OffLimits(LoopCore& core) noexcept : core_(core), before_(core.thread_.exchange(this)) {}
@@ -163,7 +163,8 @@ class LoopCore {
       report_exception(name, "an exception that is no std::exception");
     }
   }
-  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same way.
+  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same
+  /// way.
   template <class Function>
   bool call_own(std::string_view name, Function&& function) noexcept {
     bool has_ended = false;

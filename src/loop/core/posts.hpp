@@ -23,11 +23,12 @@ class Posts {
   PostCounts counts() noexcept;
 
   // The loop's thread
-  /// Runs those that wait when it begins, but ends early when it is later than `end` or, time having passed, a deadline is
-  /// due. True: some are left; then the loop is woken for another call.
+  /// Runs those that wait when it begins, but ends early when it is later than `end` or, time having passed, a deadline
+  /// is due. True: some are left; then the loop is woken for another call.
   bool run(MonotonicTime end);
   bool has_some() noexcept;
-  /// Runs all that were posted before it, deadlines or not, until it is later than `end`. Returns how many are left of them.
+  /// Runs all that were posted before it, deadlines or not, until it is later than `end`. Returns how many are left of
+  /// them.
   std::uint64_t run_all(MonotonicTime end);
   /// Takes no more, and destroys those that wait.
   void drop() noexcept;

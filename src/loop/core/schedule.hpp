@@ -18,8 +18,8 @@ class RateGroup;
 /// By period and phase; several of one only while one of them has had a tick that the other has not.
 using RateGroups = std::multimap<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>>;
 
-/// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in its
-/// own tick has the next one a period after the new start, since it has just had one.
+/// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in
+/// its own tick has the next one a period after the new start, since it has just had one.
 class RateMember {
  public:
   /// `tick.missed`: ticks of this member's schedule skipped just before; `tick.index` is not set.
@@ -103,8 +103,8 @@ class RateGroup final : public Deadline {
 class Schedule {
  public:
   explicit Schedule(LoopCore& loop) : loop_(loop) {}
-  /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn, it
-  /// begins when the loop does, so that setting up takes no ticks from anybody.
+  /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn,
+  /// it begins when the loop does, so that setting up takes no ticks from anybody.
   void add(RateMember& member);
   void remove(RateMember& member) noexcept;
   /// Begins the schedules that wait for the loop to turn. Those for which there is no memory wait for the next turn.

@@ -55,8 +55,8 @@ uv_handle_t* base(UvHandle& handle) noexcept {
   throw SetupError({make_error_code(Errc::io_failed), what, "libuv", uv_strerror(status), ""});
 }
 
-/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process. So this opens as many descriptors
-/// first: libuv 1.44 takes 4, later versions also rings of io_uring.
+/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process. So this opens as many
+/// descriptors first: libuv 1.44 takes 4, later versions also rings of io_uring.
 void require_descriptors() {
   int taken[8];
   int count = 0, failure = 0;

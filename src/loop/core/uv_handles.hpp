@@ -1,4 +1,5 @@
-// The libuv handles of a loop: its timer, its wake-up, the end of each turn, and the notice that the time of day was set.
+// The libuv handles of a loop: its timer, its wake-up, the end of each turn, and the notice that the time of day was
+// set.
 #pragma once
 
 #include <uv.h>

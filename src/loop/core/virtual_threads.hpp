@@ -1,8 +1,9 @@
-// The threads of a main loop and its tiers in virtual time: one of them runs at a time, in an order that a seed chooses.
+// The threads of a main loop and its tiers in virtual time: one of them runs at a time, in an order that a seed
+// chooses.
 //
-// Each tier keeps a thread of its own, so that it can wait in the middle of a callback; but only the thread that has the
-// turn runs, until it waits. Whoever begins to wait chooses who runs next. Virtual time passes only when all wait: to the
-// earliest instant that one of them waits for.
+// Each tier keeps a thread of its own, so that it can wait in the middle of a callback; but only the thread that has
+// the turn runs, until it waits. Whoever begins to wait chooses who runs next. Virtual time passes only when all wait:
+// to the earliest instant that one of them waits for.
 //
 // The same seed makes the same choices, since there is nothing else that they depend on. A thread must not wait in any
 // other way for what another one is to do: it would wait for ever, with the turn.

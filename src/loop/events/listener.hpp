@@ -17,7 +17,8 @@ namespace rtdata::detail {
 class OriginCore;
 class TopicCore;
 
-/// Gets everything that a recording holds besides events: a sink's, or a bridge to another loop. Called on the loop's thread.
+/// Gets everything that a recording holds besides events: a sink's, or a bridge to another loop. Called on the loop's
+/// thread.
 class Listener {
  public:
   /// Error: it cannot take the topic. Then `on_refusal` is called with it, when user code may run.

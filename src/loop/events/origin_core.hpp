@@ -1,5 +1,5 @@
-// An origin: a source of events on a topic, and its account. The runtime keeps it by its name for the whole run, so that a
-// sensor that is removed and added again goes on in the same sequence.
+// An origin: a source of events on a topic, and its account. The runtime keeps it by its name for the whole run, so
+// that a sensor that is removed and added again goes on in the same sequence.
 #pragma once
 
 #include <memory>
@@ -100,8 +100,8 @@ class OriginCore {
   State state() const noexcept { return {counts, sequence, last_time, free_from(), supply, ended_outages()}; }
   /// It publishes on this loop from here on. Nothing changes when it is this loop that gave up the name.
   void adopt(const State& state);
-  /// Sets a mirror's account to the one that the origin's loop has sent. `under_way`: the segment that has not ended; period 0: none.
-  /// `gap`: under way; null: none.
+  /// Sets a mirror's account to the one that the origin's loop has sent. `under_way`: the segment that has not ended;
+  /// period 0: none. `gap`: under way; null: none.
   void mirror(const SensorCounts& sent, std::uint64_t last_sequence, const Segment& under_way, const Gap* gap) noexcept;
   /// The same of its outages: those that have ended, and when the one that lasts began.
   void mirror(const Outages& ended, Time absent_since) noexcept;

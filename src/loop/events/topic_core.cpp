@@ -13,8 +13,9 @@
 namespace rtdata::detail {
 namespace {
 
-// Events for which a handler takes a few nanoseconds share a look at the clock; one that takes some microseconds is timed
-// alone. The aim is for the events of a group in one handler: with many handlers the look costs each of them no more.
+// Events for which a handler takes a few nanoseconds share a look at the clock; one that takes some microseconds is
+// timed alone. The aim is for the events of a group in one handler: with many handlers the look costs each of them no
+// more.
 constexpr std::uint64_t most_in_group = 128;
 constexpr Duration group_aim = std::chrono::microseconds{5};
 // What takes longer than the aim once was interrupted, as a rule; beyond this it is taken for slow at once.

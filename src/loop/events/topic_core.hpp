@@ -43,8 +43,8 @@ class TopicCore final : public DeliveryQueue {
   const PayloadType type;
   const std::size_t payload_offset;  ///< from an event's start
 
-  /// Gives the event its sequence and a time after the origin's last, copies it to every tap and into the ring. `payload`
-  /// is moved from when its type is not trivially copyable.
+  /// Gives the event its sequence and a time after the origin's last, copies it to every tap and into the ring.
+  /// `payload` is moved from when its type is not trivially copyable.
   void publish(OriginCore& origin, Time time, void* payload);
 
   /// One published on another loop, as its bridge brings it.
@@ -86,7 +86,8 @@ class TopicCore final : public DeliveryQueue {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
-  /// To be called when who takes its events is, or may be, another. Other loops are told whether anybody here wants theirs.
+  /// To be called when who takes its events is, or may be, another. Other loops are told whether anybody here wants
+  /// theirs.
   void followers_changed() noexcept;
   /// To be called when the origin's passage over a channel is made.
   void find_way(OriginCore& origin) noexcept;

@@ -35,7 +35,8 @@ class ClockLog {
   bool look(const char* occasion = nullptr);
   /// See Runtime::note_wall_clock.
   Result<void> note_wall_clock(ClockPair pair);
-  /// The time of day now. Two offsets that differ by less than 1 ms count as one: that is the noise of reading two clocks.
+  /// The time of day now. Two offsets that differ by less than 1 ms count as one: that is the noise of reading two
+  /// clocks.
   ClockPair read(const char* occasion) noexcept;
   /// For a recording that begins now: the pair now, and the last ones of other sources.
   std::vector<ClockPair> pairs();

@@ -1,4 +1,5 @@
-// The exchange of a runtime with those of other loops: what they announce, what it wants of them, what is known of tiers.
+// The exchange of a runtime with those of other loops: what they announce, what it wants of them, what is known of
+// tiers.
 #pragma once
 
 #include <atomic>
@@ -21,8 +22,8 @@ struct Passage;
 class RuntimeCore;
 class TopicCore;
 
-/// The sending side of a bridge announces each topic and origin before it sends anything of it, and that it has given up the
-/// name of an origin.
+/// The sending side of a bridge announces each topic and origin before it sends anything of it, and that it has given
+/// up the name of an origin.
 struct Announcement {
   Bridge* bridge;
   Channel* channel;  ///< of a topic; null: its payload cannot cross
@@ -38,8 +39,8 @@ class Exchange {
   explicit Exchange(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
   // Any thread
-  /// The loop takes announcements in this order. Of the loops that hold a name one after the other, each has announced that
-  /// it gave up the name before the next one announces that it has it.
+  /// The loop takes announcements in this order. Of the loops that hold a name one after the other, each has announced
+  /// that it gave up the name before the next one announces that it has it.
   void announce(Announcement announcement);
   void forget(const Bridge& of);
 
@@ -47,11 +48,11 @@ class Exchange {
   /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
   void report_cut_off(TopicCore& topic);
 
-  /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot know
-  /// of tiers that do not answer in time; empty: nothing.
+  /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot
+  /// know of tiers that do not answer in time; empty: nothing.
   std::string catch_up(Duration at_most);
-  /// The main loop's: what is not known now of tiers that a drain has given up, and that have not come out since; empty:
-  /// all is known.
+  /// The main loop's: what is not known now of tiers that a drain has given up, and that have not come out since;
+  /// empty: all is known.
   std::string unknown() const;
 
   /// While one lives, other loops send events of these topics, whether or not anything here takes them: all that they

@@ -15,14 +15,15 @@ class RuntimeCore;
 
 /// Each runtime has one; that of the main loop keeps the names of all loops, under a lock that is taken at set-up only.
 /// A name goes from loop to loop in three steps: its sensor stops; its loop announces all that is left to be said of it
-/// (`BridgeSender::give_up`), then frees the name; another loop that claims it has heard that, and announces itself, which
-/// the other loops hear after it. Thread: the loop's.
+/// (`BridgeSender::give_up`), then frees the name; another loop that claims it has heard that, and announces itself,
+/// which the other loops hear after it. Thread: the loop's.
 class Names {
  public:
   explicit Names(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
   /// Claims the origin for one sensor or feed of this loop, which goes on where the last one of the name has ended.
-  /// SetupError (bad-name, busy): the name is taken, on this loop or another, or was on another topic, or of another kind.
+  /// SetupError (bad-name, busy): the name is taken, on this loop or another, or was on another topic, or of another
+  /// kind.
   OriginCore& claim(std::string_view name, TopicCore& topic, OriginCore::Supply supply);
   void release(OriginCore& origin) noexcept;
   /// Releases all of this loop, as when its tier ends.

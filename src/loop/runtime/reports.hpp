@@ -41,14 +41,14 @@ class Reports {
 
   /// Throws nothing, also when the program's handler does. Equal lines of one object are joined when there are many.
   void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
-  /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error of
-  /// the same object within a second are joined, or within a minute when it had 16 of them.
+  /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error
+  /// of the same object within a second are joined, or within a minute when it had 16 of them.
   void report(LoopCore* loop, std::string_view object, const Error& error);
   /// A change of health: to the recordings, and to the topic `$rtdata/health`.
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
-  /// A report may run user code, which may close or destroy anything. Code that iterates keeps the report, and its caller
-  /// makes it afterwards by `report_kept`.
+  /// A report may run user code, which may close or destroy anything. Code that iterates keeps the report, and its
+  /// caller makes it afterwards by `report_kept`.
   void keep(LoopCore* loop, std::string object, Error error) {
     kept_.push_back({nullptr, loop, std::move(object), std::move(error)});
   }
@@ -65,7 +65,8 @@ class Reports {
   /// `flush` of those due is called at this instant, or earlier.
   void flush_at(MonotonicTime due) noexcept;
 
-  /// On a tier: the main loop calls the function. More than 1000 that it has not taken yet are dropped, counted and logged.
+  /// On a tier: the main loop calls the function. More than 1000 that it has not taken yet are dropped, counted and
+  /// logged.
   void post_to_main(Callback<void()> function);
 
   // The runtime's loop begins and ends

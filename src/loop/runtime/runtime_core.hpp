@@ -115,8 +115,8 @@ class RuntimeCore {
   /// The loop ends: its topics cancel what is queued, and the log gets the reports that were kept for it.
   void forget(LoopCore& loop) noexcept;
 
-  // Tiers. Each has a runtime core of its own; a thread touches only that of its loop. What a tier publishes comes to the
-  // others through bridges.
+  // Tiers. Each has a runtime core of its own; a thread touches only that of its loop. What a tier publishes comes to
+  // the others through bridges.
   RuntimeCore* hub = nullptr;     ///< of the main loop; null: this is it
   std::vector<TierCore*> tiers;   ///< the main loop's
   std::vector<Bridge*> outbound;  ///< from this loop

@@ -1,5 +1,5 @@
-// The monotonic clock read through the processor's own counter, which costs less: between two reads of the kernel's clock
-// the time is interpolated. For times of one after another of thousands of sensors.
+// The monotonic clock read through the processor's own counter, which costs less: between two reads of the kernel's
+// clock the time is interpolated. For times of one after another of thousands of sensors.
 #pragma once
 
 #if defined(__x86_64__)
@@ -12,9 +12,9 @@
 
 namespace rtdata::detail {
 
-/// Agrees with the kernel's clock to some 100 ns. Where the kernel does not take its own time from a counter that can be
-/// read here, each call reads the kernel's clock. Should the counters of two processors differ, it is off by 100 us at most,
-/// and may go back by that when the thread moves. One thread.
+/// Agrees with the kernel's clock to some 100 ns. Where the kernel does not take its own time from a counter that can
+/// be read here, each call reads the kernel's clock. Should the counters of two processors differ, it is off by 100 us
+/// at most, and may go back by that when the thread moves. One thread.
 class CycleClock {
  public:
   CycleClock();

@@ -7,7 +7,8 @@
 
 namespace rtdata::detail {
 
-/// Puts as much of a text as fits into `most` bytes, whole characters only; what is cut ends with "...". Returns its size.
+/// Puts as much of a text as fits into `most` bytes, whole characters only; what is cut ends with "...". Returns its
+/// size.
 inline std::size_t put_fitting(char* to, std::size_t most, std::string_view text) noexcept {
   constexpr std::string_view mark = "...";
   std::size_t size = text.size();

@@ -7,8 +7,8 @@
 
 namespace rtdata::detail {
 
-/// Removing one leaves a hole, and takes as long whether there are ten or ten thousand. `Place`: where an object keeps its
-/// place, which it may use for another list while it is not in this one.
+/// Removing one leaves a hole, and takes as long whether there are ten or ten thousand. `Place`: where an object keeps
+/// its place, which it may use for another list while it is not in this one.
 template <class T, std::uint32_t T::*Place>
 class PlacedList {
  public:

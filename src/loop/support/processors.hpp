@@ -20,8 +20,8 @@ inline std::string list_of(const cpu_set_t& set) {
   return list;
 }
 
-/// Those that a thread of this process may be bound to. They may be more than it runs on: those kept free by `isolcpus`,
-/// or by `taskset`.
+/// Those that a thread of this process may be bound to. They may be more than it runs on: those kept free by
+/// `isolcpus`, or by `taskset`.
 inline cpu_set_t bindable_processors() noexcept {
   cpu_set_t own, all;
   CPU_ZERO(&own);

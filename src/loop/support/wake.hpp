@@ -10,9 +10,9 @@
 
 namespace rtdata::detail {
 
-/// An eventfd that a sender writes to only when the loop sleeps, or is about to: a loop that turns checks the flag itself. It
-/// replaces uv_async_t, with which (in libuv 1.44) the loop spins until the sender has left its call: for ever, when the
-/// sender waits for the processor that a real-time loop spins on.
+/// An eventfd that a sender writes to only when the loop sleeps, or is about to: a loop that turns checks the flag
+/// itself. It replaces uv_async_t, with which (in libuv 1.44) the loop spins until the sender has left its call: for
+/// ever, when the sender waits for the processor that a real-time loop spins on.
 class Wake {
  public:
   Wake() = default;
@@ -48,7 +48,8 @@ class Wake {
     std::uint64_t sent = 0;
     [[maybe_unused]] const auto read = ::read(fd_, &sent, sizeof sent);
   }
-  /// From here on the loop turns. True: something was sent. Acquires: the loop sees all that senders wrote before `send`.
+  /// From here on the loop turns. True: something was sent. Acquires: the loop sees all that senders wrote before
+  /// `send`.
   bool take_news() noexcept { return state_.exchange(turns, std::memory_order_acq_rel) == has_news; }
   /// From here on the loop may sleep. False: something was sent, and the loop has to take it before.
   bool rest() noexcept {

@@ -25,8 +25,8 @@ class BridgeReceiver {
   void receive();
   /// Takes what was sent before `BridgeSender::send_all_accounts` returned this position.
   void receive_up_to(std::size_t position);
-  /// The position up to which it has received. A name that is given up takes what was sent up to then with it, which may be
-  /// beyond a position that was asked for.
+  /// The position up to which it has received. A name that is given up takes what was sent up to then with it, which
+  /// may be beyond a position that was asked for.
   std::size_t received() const noexcept { return ring_.seen(); }
   void add_statuses(std::vector<SensorStatus>& all) const;
 

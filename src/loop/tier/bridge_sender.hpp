@@ -41,7 +41,8 @@ class BridgeSender final : public Listener {
   void wake() noexcept;
   /// The end of a turn: sends accounts, and wakes the other side.
   void turn_done();
-  /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received first.
+  /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received
+  /// first.
   std::size_t send_accounts();
   struct AccountsSent {
     std::size_t left;      // as `send_accounts` returns it

@@ -1,9 +1,9 @@
-// A bounded ring of records of any size, between one thread that writes and one that reads. No lock, no allocation after it
-// was made.
+// A bounded ring of records of any size, between one thread that writes and one that reads. No lock, no allocation
+// after it was made.
 //
-// Positions count bytes since the beginning, modulo the range of std::size_t: on a machine of 32 bits they wrap after 4 GiB.
-// So they are compared by how far they are apart, which is never more than the ring is long. The first lap is the last one
-// before they wrap, so that each ring shows whether that works.
+// Positions count bytes since the beginning, modulo the range of std::size_t: on a machine of 32 bits they wrap after 4
+// GiB. So they are compared by how far they are apart, which is never more than the ring is long. The first lap is the
+// last one before they wrap, so that each ring shows whether that works.
 #pragma once
 
 #include <algorithm>
@@ -31,14 +31,14 @@ class ByteRing {
 
   // ---- the writer
 
-  /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, whose first 4 bytes are to say how many it
-  /// has; null when there is none.
+  /// Room for a record of `bytes` (a multiple of 8, at least 8), aligned to 8, whose first 4 bytes are to say how many
+  /// it has; null when there is none.
   enum class Room { usual, all };
   std::byte* reserve(std::size_t bytes, Room room) noexcept {
     return find_room(bytes, room == Room::usual ? kept_ : 0) ? at_ : nullptr;
   }
-  /// Null, too, when the room has to be looked for, which `reserve` does, or when this completes a burst, which should be
-  /// published first.
+  /// Null, too, when the room has to be looked for, which `reserve` does, or when this completes a burst, which should
+  /// be published first.
   std::byte* reserve_at_hand(std::size_t bytes) noexcept {
     return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }

@@ -1,5 +1,5 @@
-// A topic and its origins on their way over a bridge. The sending and the receiving side of each have fields of their own,
-// used by the thread of their loop alone; what both sides read never changes, but for one atomic flag.
+// A topic and its origins on their way over a bridge. The sending and the receiving side of each have fields of their
+// own, used by the thread of their loop alone; what both sides read never changes, but for one atomic flag.
 #pragma once
 
 #include <atomic>
@@ -29,8 +29,8 @@ struct AccountSummary {
   bool operator==(const AccountSummary&) const = default;
 };
 
-/// An origin and its mirror. It is open from when its loop claims the name until it gives it up, on the receiving side from
-/// and until the announcements that say so.
+/// An origin and its mirror. It is open from when its loop claims the name until it gives it up, on the receiving side
+/// from and until the announcements that say so.
 struct Passage {
   Passage(std::uint32_t number_, OriginCore& source, Channel& channel_, std::uint32_t event_bytes)
       : number(number_),

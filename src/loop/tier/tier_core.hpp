@@ -54,13 +54,13 @@ class TierCore {
   // On the main loop, one after the other
   /// Asks the tier to tell how all its sensors do.
   void ask_account();
-  /// Waits for the answer, and takes what the tier has sent up to the instant of which it told then. Asks it again when there
-  /// was no room for all it had to tell, or when more was taken already.
+  /// Waits for the answer, and takes what the tier has sent up to the instant of which it told then. Asks it again when
+  /// there was no room for all it had to tell, or when more was taken already.
   void hear_out(Duration at_most);
   /// All that it has sent up to the instant of its answer was taken, and nothing after it.
   bool is_heard_out() noexcept;
-  /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors did
-  /// after ... is not known". Texts of several are joined.
+  /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors
+  /// did after ... is not known". Texts of several are joined.
   void add_unknown(std::string& to);
 
   /// A drain no longer waits for it: what it did is not known until it has come out after all, or was stopped.

@@ -28,7 +28,7 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
       RateMember(config.rate.period()) {
-  seldom().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
+  extra().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
   loop.deadlines.reserve_one();
   set_settings(config);
 }
@@ -38,7 +38,7 @@ void SensorNode::set_settings(const SensorConfig& config) {
   if (config.late_after != usual.late_after || config.read_time || config.retry_first != usual.retry_first ||
       config.retry_longest != usual.retry_longest || config.faulted_after != usual.faulted_after ||
       config.required != usual.required || config.phase != usual.phase || config.on_overrun != usual.on_overrun) {
-    Seldom& own = seldom();
+    Extra& own = extra();
     own.phase = config.phase;
     own.read_time = config.read_time;
     own.late_after = config.late_after.value_or(Duration{-1});
@@ -52,16 +52,16 @@ void SensorNode::set_settings(const SensorConfig& config) {
 
 SensorNode::~SensorNode() = default;
 
-const SensorNode::Seldom& SensorNode::settings() const noexcept {
-  static const Seldom usual{};
-  const Seldom* own = seldom_if_any();
+const SensorNode::Extra& SensorNode::settings() const noexcept {
+  static const Extra usual{};
+  const Extra* own = extra_if_any();
   return own != nullptr ? *own : usual;
 }
 
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
   Call call(*this);
-  if (Seldom* state = seldom_if_any()) {
+  if (Extra* state = extra_if_any()) {
     state->failures = 0;
     state->backoff.reset();
     state->retry_at = {};
@@ -85,7 +85,7 @@ void SensorNode::started(const Result<void>& opened) {
   if (opened) {
     set_health(Health::ok, nullptr);  // what it was before it stopped is over
   } else {
-    seldom().failures = settings().faulted_after - 1;
+    extra().failures = settings().faulted_after - 1;
     failed(opened.error(), loop()->now());
   }
 }
@@ -155,7 +155,7 @@ void SensorNode::stop() {
 void SensorNode::set_rate(Rate rate) {
   check_rate(rate, origin_.name);
   if (!is_open()) return;
-  if (Seldom* state = seldom_if_any()) state->wanted_period = Duration{0};
+  if (Extra* state = extra_if_any()) state->wanted_period = Duration{0};
   if (rate.period() != period()) change_period(rate.period());
 }
 
@@ -183,7 +183,7 @@ bool SensorNode::report_times(CallbackStatus& status) const {
 
 void SensorNode::held(Duration took) {
   constexpr int slowest = 16;  // times the wanted period
-  Seldom* const own = seldom_if_any();
+  Extra* const own = extra_if_any();
   if (own == nullptr || own->on_overrun == OnOverrun::warn) return;
   Call call(*this);
   const std::string lasted = "a read held the loop for " + to_string(took / 1000 * 1000);
@@ -326,8 +326,8 @@ void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& ti
 }
 
 void SensorNode::recovered() {
-  seldom().failures = 0;
-  seldom().backoff.reset();
+  extra().failures = 0;
+  extra().backoff.reset();
   set_health(Health::ok, nullptr);
 }
 
@@ -338,7 +338,7 @@ void SensorNode::complain(const Error& error) {
 }
 
 void SensorNode::failed(const Error& error, MonotonicTime now) {
-  Seldom& state = seldom();
+  Extra& state = extra();
   ++state.failures;
   state.fault = error.id();
   const bool is_faulted = state.failures >= state.faulted_after;

@@ -139,7 +139,7 @@ class SensorNode final : public SourceNode, public RateMember {
     Resume resume;
   };
   /// What a sensor read on the loop, with the usual settings, does not need until it fails.
-  struct Seldom final : Rare {
+  struct Extra final : OnDemand {
     std::unique_ptr<LaneSide> lane_side;  // null: read on the loop
     Duration phase{0};
     Duration late_after{-1};  // negative: by the rule
@@ -155,17 +155,17 @@ class SensorNode final : public SourceNode, public RateMember {
     unsigned failures = 0;   // in a row
     std::string_view fault;  // id of the error that opened the gap under way
   };
-  std::unique_ptr<Rare> make_rare() const override { return std::make_unique<Seldom>(); }
-  Seldom& seldom() { return static_cast<Seldom&>(rare()); }
+  std::unique_ptr<OnDemand> make_on_demand() const override { return std::make_unique<Extra>(); }
+  Extra& extra() { return static_cast<Extra&>(on_demand()); }
   /// Null: nothing of it is needed so far.
-  Seldom* seldom_if_any() const noexcept { return static_cast<Seldom*>(rare_.get()); }
+  Extra* extra_if_any() const noexcept { return static_cast<Extra*>(on_demand_.get()); }
   /// As set, or the usual ones.
-  const Seldom& settings() const noexcept;
+  const Extra& settings() const noexcept;
   void forget_failures() noexcept {
-    if (Seldom* state = seldom_if_any()) state->failures = 0;
+    if (Extra* state = extra_if_any()) state->failures = 0;
   }
   LaneSide* lane_side() const noexcept {
-    const Seldom* own = seldom_if_any();
+    const Extra* own = extra_if_any();
     return own != nullptr ? own->lane_side.get() : nullptr;
   }
 

@@ -40,10 +40,10 @@ void SourceNode::leave() noexcept {
 
 void SourceNode::report(const Error& error) noexcept {
   try {
-    if (is_open() && rare_ != nullptr && rare_->on_error) {
+    if (is_open() && on_demand_ != nullptr && on_demand_->on_error) {
       const std::string object = object_name();
       Call call(*this);
-      loop()->call_user(object, [&] { rare_->on_error({object, error, 1}); });
+      loop()->call_user(object, [&] { on_demand_->on_error({object, error, 1}); });
     } else {
       origin_.topic.runtime().report(nullptr, object_name(), error);  // also of one that user code has closed meanwhile
     }
@@ -54,14 +54,14 @@ void SourceNode::report(const Error& error) noexcept {
 void SourceNode::set_health(Health health, const Error* reason) {
   if (!is_open()) return;
   if (reason != nullptr) {
-    loop()->call_own("sensor", [&] { rare().reason = loop()->runtime.hide(reason->text()); });
+    loop()->call_own("sensor", [&] { on_demand().reason = loop()->runtime.hide(reason->text()); });
     if (!is_open()) return;  // closed by who was told that there is no memory
   }
   if (health == health_) return;
   Call call(*this);  // who is told may close this
   LoopCore& on = *loop();
   health_ = health;
-  if (health == Health::ok && rare_ != nullptr) rare_->reason.clear();
+  if (health == Health::ok && on_demand_ != nullptr) on_demand_->reason.clear();
   RuntimeCore& runtime = on.runtime;
   runtime.health_changed("sensor", origin_.name, health, this->reason());
   on.call_own("sensor", [&] {

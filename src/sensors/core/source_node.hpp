@@ -29,11 +29,11 @@ class SourceNode : public SensorEntry {
   bool is_active() const noexcept override { return is_running(); }
   Health health() const noexcept override { return health_; }
   std::string_view reason() const noexcept override {
-    return rare_ != nullptr ? std::string_view(rare_->reason) : std::string_view();
+    return on_demand_ != nullptr ? std::string_view(on_demand_->reason) : std::string_view();
   }
 
   const SensorCounts& counts() const noexcept { return origin_.counts; }
-  void set_on_error(Callback<void(const ErrorReport&)> handler) { rare().on_error.set(std::move(handler)); }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { on_demand().on_error.set(std::move(handler)); }
 
  protected:
   ~SourceNode() override = default;
@@ -44,22 +44,22 @@ class SourceNode : public SensorEntry {
   /// To be called from a derived class's on_close.
   void leave() noexcept;
   void drop_callbacks() noexcept override {
-    if (rare_ != nullptr) rare_->on_error.reset();
+    if (on_demand_ != nullptr) on_demand_->on_error.reset();
   }
-  /// What most sensors never need; made at its first use, since there may be thousands of them. A derived class may have
-  /// more of it.
-  struct Rare {
-    Rare() = default;
-    Rare(const Rare&) = delete;
-    Rare& operator=(const Rare&) = delete;
-    virtual ~Rare() = default;
+  /// What most sensors never need; made at its first use, since there may be thousands of them. A derived class may
+  /// have more of it.
+  struct OnDemand {
+    OnDemand() = default;
+    OnDemand(const OnDemand&) = delete;
+    OnDemand& operator=(const OnDemand&) = delete;
+    virtual ~OnDemand() = default;
     Handler<ErrorReport> on_error;
     std::string reason;  // why it is not ok
   };
-  virtual std::unique_ptr<Rare> make_rare() const { return std::make_unique<Rare>(); }
-  Rare& rare() {
-    if (rare_ == nullptr) rare_ = make_rare();
-    return *rare_;
+  virtual std::unique_ptr<OnDemand> make_on_demand() const { return std::make_unique<OnDemand>(); }
+  OnDemand& on_demand() {
+    if (on_demand_ == nullptr) on_demand_ = make_on_demand();
+    return *on_demand_;
   }
 
  private:
@@ -67,7 +67,7 @@ class SourceNode : public SensorEntry {
 
  protected:
   OriginCore& origin_;
-  std::unique_ptr<Rare> rare_;  // null: none yet
+  std::unique_ptr<OnDemand> on_demand_;  // null: none yet
 };
 
 }  // namespace rtdata::detail

@@ -55,7 +55,8 @@ class ReadFile final : public Transaction {
   SysfsFile file;
 };
 
-/// Finds the file, which may take reading others, and whether it may be read; without opening it, as only a read needs it.
+/// Finds the file, which may take reading others, and whether it may be read; without opening it, as only a read needs
+/// it.
 class FindFile final : public Transaction {
  public:
   using Find = std::function<Result<std::string>()>;

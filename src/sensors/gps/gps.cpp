@@ -16,7 +16,8 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-// Read at once, and so per turn of the loop; the most reports that this can be stay below the capacity of a topic's ring.
+// Read at once, and so per turn of the loop; the most reports that this can be stay below the capacity of a topic's
+// ring.
 constexpr std::size_t most_read = 4096;
 constexpr std::size_t most_line = 65536;  // gpsd's own limit is 10 KiB
 constexpr std::size_t most_receivers = 16;

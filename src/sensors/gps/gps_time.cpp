@@ -8,10 +8,12 @@ namespace rtdata::detail {
 namespace {
 
 constexpr int enough = 5;
-// The 1024 weeks in which this is taken to be used: a receiver that counts them wrongly is outside, whatever it is off by.
+// The 1024 weeks in which this is taken to be used: a receiver that counts them wrongly is outside, whatever it is off
+// by.
 constexpr Time earliest{std::chrono::seconds{1'735'689'600}};  // 2025-01-01
 constexpr Time latest = earliest + std::chrono::hours{24 * 7 * 1024};
-// A clock that nobody keeps right, and that was set since then, may be off by so much: a board without a battery that was off.
+// A clock that nobody keeps right, and that was set since then, may be off by so much: a board without a battery that
+// was off.
 constexpr Duration most_asleep = std::chrono::hours{24 * 365 * 5};
 // A clock that is kept right is believed before a receiver that differs by more than this and what both admit.
 constexpr Duration most_difference = std::chrono::milliseconds{500};

@@ -7,8 +7,8 @@
 
 namespace rtdata::detail {
 
-/// One receiver's. Times in their logs jump both ways: by leap seconds that it has not heard of, by the 1024 weeks after which
-/// GPS counts anew, by whatever it believes before it has heard a satellite.
+/// One receiver's. Times in their logs jump both ways: by leap seconds that it has not heard of, by the 1024 weeks
+/// after which GPS counts anew, by whatever it believes before it has heard a satellite.
 class GpsTimeCheck {
  public:
   /// What the program's clock says now, and how far that may be from UTC; no accuracy: nobody keeps it right.

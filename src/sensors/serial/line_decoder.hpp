@@ -20,7 +20,8 @@ class LineDecoder {
   const std::shared_ptr<const Description>& description() const noexcept { return description_; }
   /// Whether there is nothing to be decoded in the line: it is empty or a comment.
   bool is_skipped(std::string_view line) const noexcept;
-  /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when good.
+  /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
+  /// good.
   Result<void> decode(std::string_view line);
   std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
 

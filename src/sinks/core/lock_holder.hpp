@@ -10,8 +10,8 @@
 
 namespace rtdata::detail {
 
-/// The process that holds the flock of a file, as /proc/locks (proc_locks(5)) tells: "process 4711"; "another process" when
-/// it does not.
+/// The process that holds the flock of a file, as /proc/locks (proc_locks(5)) tells: "process 4711"; "another process"
+/// when it does not.
 inline std::string lock_holder(const struct stat& file) {
   char wanted[64];
   std::snprintf(wanted, sizeof wanted, "%02x:%02x:%llu", major(file.st_dev), minor(file.st_dev),

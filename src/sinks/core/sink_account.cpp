@@ -77,7 +77,7 @@ void SinkAccount::add(OriginCore& origin, const Segment& segment) {
   notes.add(tap->slot_of(origin), recorded);
 }
 
-SinkAccount::Told SinkAccount::tell(Part part, Time at, MonotonicTime until, const std::string& unknown) {
+SinkAccount::Enqueued SinkAccount::enqueue(Part part, Time at, MonotonicTime until, const std::string& unknown) {
   const bool is_last = part == Part::last;
   Account& account = queue_->next_account();
   account.at = at;

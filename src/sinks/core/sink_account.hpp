@@ -26,24 +26,25 @@ class SinkAccount {
   /// Takes none any more.
   void end() noexcept;
 
-  /// Tells of the gaps under way; of another loop, they close there.
+  /// Records the gaps under way as ended. Those of another loop end there.
   void close_gaps() noexcept;
 
   void add(OriginCore& origin, const Gap& gap);
   void add(OriginCore& origin, const Segment& segment);
-  SinkNotes notes;  ///< what else is to be told
+  SinkNotes notes;  ///< what else is to be recorded
 
   /// A part of it, or all, of the origins that changed since the last one.
   enum class Part { first, next, last };  // the last one is of all origins, in one go
-  struct Told {
-    bool is_something = false;  ///< handed over to the queue
+  struct Enqueued {
+    bool is_something = false;  ///< there was something to account for, and the queue has it
     bool has_more = false;      ///< another part follows
   };
-  /// Whether `tell` may be called: not while too many are on their way. There is always room for the last one.
+  /// Whether `enqueue` may be called: not while the queue holds too many parts. There is always room for the last one.
   bool has_room() const noexcept { return queue_->has_account(); }
-  /// `at`, `until`: now, and up to when ticks have been counted. `unknown`: what is not known, and why; empty: nothing.
+  /// Puts a part of the account into the queue. `at`: now; `until`: ticks are counted up to then; `unknown`: which
+  /// counts the account lacks, and why, or empty.
   /// Throws when there is no memory, with nothing changed.
-  Told tell(Part part, Time at, MonotonicTime until, const std::string& unknown);
+  Enqueued enqueue(Part part, Time at, MonotonicTime until, const std::string& unknown);
 
  private:
   void add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes);

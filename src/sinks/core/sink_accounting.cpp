@@ -50,7 +50,7 @@ void SinkNode::account_timer_fired() {
     }
   } else if (is_waiting() || !account_.has_room()) {
     set_account_timer();
-  } else if (tell(SinkAccount::Part::next)) {
+  } else if (enqueue_account(SinkAccount::Part::next)) {
     start_work();
   }
 }
@@ -61,10 +61,10 @@ bool SinkNode::begin_account() {
   if (is_account_due_) return false;
   account_at_ = loop()->now();
   slots_told_ = queue_->slot_count();
-  return tell(SinkAccount::Part::first);
+  return enqueue_account(SinkAccount::Part::first);
 }
 
-bool SinkNode::tell(SinkAccount::Part part) noexcept try {
+bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
   is_account_due_ = part != SinkAccount::Part::last;
   if (part == SinkAccount::Part::next) set_account_timer();  // if there is no memory for it now
   if (had_no_memory_) {
@@ -76,12 +76,12 @@ bool SinkNode::tell(SinkAccount::Part part) noexcept try {
     had_no_memory_ = false;
   }
   const Time now = loop()->runtime.event_time(loop()->now());
-  const auto told = account_.tell(part, now, loop()->deadlines.handled_until(), unknown_);
+  const auto enqueued = account_.enqueue(part, now, loop()->deadlines.handled_until(), unknown_);
   is_account_due_ = false;
-  is_between_parts_ = told.has_more;
+  is_between_parts_ = enqueued.has_more;
   set_account_timer();
   if (part == SinkAccount::Part::last) is_last_told_ = true;
-  return told.is_something;
+  return enqueued.is_something;
 } catch (...) {  // no memory: nothing has changed
   return false;
 }

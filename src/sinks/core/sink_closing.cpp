@@ -38,7 +38,7 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   early_at_.reset();
   account_timer_.stop();
   queue_->hand_over();
-  tell(SinkAccount::Part::last);
+  enqueue_account(SinkAccount::Part::last);
   queue_->keep_own_counts();
   if (is_scheduled()) loop()->schedule().remove(*this);
   if (is_waiting()) {  // one try at once, then the delays begin anew

@@ -26,8 +26,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
-  /// Takes the topics that there are, and begins to open a writer that is opened at set-up; while the loop does not run,
-  /// waits for that. Throws SetupError.
+  /// Takes the topics that there are, and begins to open a writer that is opened at set-up; while the loop does not
+  /// run, waits for that. Throws SetupError.
   void attach();
 
   // ---- Recorder
@@ -125,13 +125,14 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void report(const Error& error, std::uint64_t count) noexcept;
 
   // ---- the account: sink_accounting.cpp
-  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and then.
+  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and
+  /// then.
   bool is_account_worth_it() const noexcept;
   /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
   /// was handed over.
   bool begin_account();
   /// Hands over a part of the account, or all. False: there is nothing to be told; or no memory, then it is due again.
-  bool tell(SinkAccount::Part part) noexcept;
+  bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
   /// Starts it for what is next, if anything.
   void set_account_timer();

@@ -54,7 +54,8 @@ struct alignas(64) Slot {
   std::uint64_t dropped_oldest = 0;
 };
 
-/// The lane's counts of a slot, and what it needs to know. Apart from it and small, since it is touched for each record.
+/// The lane's counts of a slot, and what it needs to know. Apart from it and small, since it is touched for each
+/// record.
 struct SlotStored {
   std::atomic<std::uint64_t> stored{0};  // changed between two steps of the queue's revision
   std::atomic<std::uint64_t> refused{0};
@@ -122,8 +123,8 @@ class SinkQueue {
   const StorePace& pace() const noexcept { return pace_; }
   /// Handed over since the last account was.
   std::uint64_t rows_since_account() const noexcept { return rows_since_account_; }
-  /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when what
-  /// there is to tell cannot wait.
+  /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when
+  /// what there is to tell cannot wait.
   bool has_account() const noexcept;
   /// None is on its way: all that were handed over are stored.
   bool has_stored_accounts() const noexcept {

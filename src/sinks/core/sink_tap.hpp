@@ -26,7 +26,8 @@ class SinkTap final : public Tap {
   void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
   /// A gap of it has closed. `accounts`: how many have been handed over.
   void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
-  /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is stored.
+  /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is
+  /// stored.
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
   /// The queue has moved the counts of all slots: they, and what is kept, go on there.
   void move_counts() noexcept;

@@ -99,8 +99,8 @@ class FileWriter final : public RecordingWriter {
     return {};
   }
 
-  /// Opens the files of all topics that there are, so that one which cannot be is told at the start. After that, a topic's
-  /// file is opened for its next event, and what is wrong with it costs no other topic anything.
+  /// Opens the files of all topics that there are, so that one which cannot be is told at the start. After that, a
+  /// topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
   Result<void> open() override {
     if (is_opened_) return {};
     if (!is_pattern_) {

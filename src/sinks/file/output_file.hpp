@@ -46,8 +46,8 @@ class OutputFile {
   bool has_events(std::uint64_t size) const noexcept { return size > header_.size(); }
   /// The event that begins at this place in the buffer is in the file neither as a whole nor in part.
   bool is_new(std::size_t from) const noexcept { return passed_ + from >= done_ && passed_ + buffer.size() > done_; }
-  /// Gives the file this name and goes on with a new one under its own; nothing waits in the buffer. There is a file of the
-  /// path at each moment, unless the file system cannot exchange names. After an error all is as before.
+  /// Gives the file this name and goes on with a new one under its own; nothing waits in the buffer. There is a file of
+  /// the path at each moment, unless the file system cannot exchange names. After an error all is as before.
   Result<void> go_on_as_new(const std::string& name_of_old);
   /// When it was changed last.
   std::int64_t changed_at() const noexcept;

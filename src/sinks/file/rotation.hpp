@@ -12,8 +12,8 @@
 
 namespace rtdata::detail {
 
-/// "run.csv" is always the file that is written; those before it are "run-00000001.csv" and so on, which sort in the order of
-/// their events, before it. Thread: the sink's.
+/// "run.csv" is always the file that is written; those before it are "run-00000001.csv" and so on, which sort in the
+/// order of their events, before it. Thread: the sink's.
 class Rotation {
  public:
   /// SetupError, bad-argument: settings that say nothing.

@@ -8,9 +8,10 @@
 
 namespace rtdata::sqlite {
 
-/// The rows of these tables are not deleted with old data, and a device that is faulty for months has as many as there were
-/// minutes. When all of them take more than their share, two neighbours of the object that takes most are joined into one,
-/// the oldest first: the ledger stays exact, and no other object's rows or data go for them. Thread: the writer's.
+/// The rows of these tables are not deleted with old data, and a device that is faulty for months has as many as there
+/// were minutes. When all of them take more than their share, two neighbours of the object that takes most are joined
+/// into one, the oldest first: the ledger stays exact, and no other object's rows or data go for them. Thread: the
+/// writer's.
 class AccountShare {
  public:
   static constexpr std::uint64_t part = 8;  // of the limit

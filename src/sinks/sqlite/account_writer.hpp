@@ -16,8 +16,8 @@ namespace rtdata::sqlite {
 
 using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic number; null: it has none yet
 
-/// All but `prepare`, `committed` and `close` belong into a transaction, of which the caller says when it has committed; of
-/// one that is rolled back nothing is left here.
+/// All but `prepare`, `committed` and `close` belong into a transaction, of which the caller says when it has
+/// committed; of one that is rolled back nothing is left here.
 class AccountWriter {
  public:
   /// The statements, as far as they are not there. `database` outlives them, see `close`.

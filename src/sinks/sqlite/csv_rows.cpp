@@ -11,7 +11,7 @@
 namespace rtdata::detail {
 namespace {
 
-std::string_view text_of(sqlite3_value* value) {
+std::string_view value_text(sqlite3_value* value) {
   const auto* bytes = static_cast<const char*>(sqlite3_value_blob(value));
   return {bytes, bytes == nullptr ? 0 : static_cast<std::size_t>(sqlite3_value_bytes(value))};
 }
@@ -122,7 +122,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
   };
   to = is_iso8601_ ? put_iso8601(to, time) : put_number(to, to_nanoseconds(time));
   *to++ = ',';
-  const std::string_view origin = text_of(sqlite3_column_value(row, origin_column));
+  const std::string_view origin = value_text(sqlite3_column_value(row, origin_column));
   if (!is_plain(origin)) return nullptr;
   make_room(origin.size());
   to = copy_short(to, origin.data(), origin.size());
@@ -160,7 +160,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
       }
       case Kind::text: {
         if (type != SQLITE_TEXT) return nullptr;
-        const std::string_view text = text_of(value);
+        const std::string_view text = value_text(value);
         if (text.size() > 4 * column.leaf->size) return nullptr;  // what cannot have fitted
         make_room(2 * text.size() + 2);
         if (is_plain(text)) {
@@ -178,7 +178,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
       }
       case Kind::enumeration: {
         if (type != SQLITE_TEXT) return nullptr;
-        const std::string_view text = text_of(value);
+        const std::string_view text = value_text(value);
         bool is_known = false;
         for (const EnumValue& known : column.leaf->field->values) is_known = is_known || known.name == text;
         if (!is_known || !is_plain(text)) return nullptr;
@@ -187,7 +187,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
         break;
       }
       case Kind::character: {
-        const std::string_view text = text_of(value);
+        const std::string_view text = value_text(value);
         if (type != SQLITE_TEXT || text.size() != 1 || !is_plain(text)) return nullptr;
         *to++ = text.front();
         break;

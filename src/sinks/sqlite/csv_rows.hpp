@@ -12,8 +12,8 @@
 
 namespace rtdata::detail {
 
-/// Gives what the CSV codec gives of the same rows. What is unusual in a row (a missing column, an escape of before, a value
-/// that does not fit) is left to that codec and to `RowReader`.
+/// Gives what the CSV codec gives of the same rows. What is unusual in a row (a missing column, an escape of before, a
+/// value that does not fit) is left to that codec and to `RowReader`.
 class CsvRows {
  public:
   static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config);

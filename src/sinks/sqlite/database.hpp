@@ -76,8 +76,8 @@ class Database {
 
 /// The error that a call on this database has just returned.
 Error error_of(sqlite3* database, std::string_view doing);
-/// quoted(name): "name" with quotes doubled, for use in SQL. An object, since arguments of namespace std do not bring in
-/// std::quoted beside an object as they do beside a function.
+/// quoted(name): "name" with quotes doubled, for use in SQL. An object, since arguments of namespace std do not bring
+/// in std::quoted beside an object as they do beside a function.
 struct Quoted {
   std::string operator()(std::string_view name) const;
 };

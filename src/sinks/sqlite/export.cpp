@@ -65,7 +65,8 @@ class UtcLines {
     if (found == lines_.end()) {
       auto line = recording_.utc_line(run);
       if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
-      found = lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;  // rows of a run that is not listed stay
+      // Rows of a run that is not listed stay.
+      found = lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;
     }
     return found->second.utc(recorded);
   }

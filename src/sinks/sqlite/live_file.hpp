@@ -1,7 +1,7 @@
-// What is known of a run and not yet in its recording: a small mapped file in memory, written while the run goes on, which
-// survives a kill of the program. A power cut takes it, and then what was lost is not known. It lies in a folder that only
-// its user can write (private_folder.hpp), is named by the run's uuid, and its pages are set aside before they are
-// written, so that a full file system is an error and never a signal.
+// What is known of a run and not yet in its recording: a small mapped file in memory, written while the run goes on,
+// which survives a kill of the program. A power cut takes it, and then what was lost is not known. It lies in a folder
+// that only its user can write (private_folder.hpp), is named by the run's uuid, and its pages are set aside before
+// they are written, so that a full file system is an error and never a signal.
 #pragma once
 
 #include <array>
@@ -127,15 +127,16 @@ class LiveFile {
   explicit operator bool() const noexcept { return fd_ >= 0; }
   const std::string& path() const noexcept { return path_; }
 
-  /// Sets pages aside for this slot; slots are reserved in order. What fails once fails from then on: `is_complete` is false, in the file too.
+  /// Sets pages aside for this slot; slots are reserved in order. What fails once fails from then on: `is_complete` is
+  /// false, in the file too.
   Result<void> reserve(std::uint32_t slot);
   bool has(std::uint32_t slot) const noexcept { return block_of(slot) < most_blocks && blocks_[block_of(slot)].counts; }
   /// Why there is no place for a slot.
   Error no_room() const;
   /// How many slots were reserved.
   std::uint32_t slots() const noexcept;
-  /// All that was counted before the file was there is in it, and what follows will be. A kill before that leaves a run of
-  /// which it is not known what was published.
+  /// All that was counted before the file was there is in it, and what follows will be. A kill before that leaves a run
+  /// of which it is not known what was published.
   void begin_counting() noexcept;
   /// As before `begin_counting`.
   void pause_counting() noexcept;

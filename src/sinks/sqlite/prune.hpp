@@ -13,8 +13,8 @@
 
 namespace rtdata::sqlite {
 
-/// Of all topics alike the rows before one instant are deleted, so that a fast sensor does not take the room of a slow one.
-/// The last row of each table stays, so that row numbers go on ascending. Thread: the writer's.
+/// Of all topics alike the rows before one instant are deleted, so that a fast sensor does not take the room of a slow
+/// one. The last row of each table stays, so that row numbers go on ascending. Thread: the writer's.
 class Pruner {
  public:
   Pruner() noexcept = default;
@@ -25,8 +25,9 @@ class Pruner {
   /// What the log may take before it is brought into the database; 0: no limit.
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
 
-  /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the line of
-  /// the recorded times. What is deleted is taken out of the checksums; `ranges`: those that are not written yet.
+  /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the
+  /// line of the recorded times. What is deleted is taken out of the checksums; `ranges`: those that are not written
+  /// yet.
   Result<void> make_room(Database& database, ValueRanges& ranges, Time now);
   /// The last call did not delete all that is beyond the limits.
   bool has_more() const noexcept { return has_more_; }
@@ -61,8 +62,8 @@ class Pruner {
   Result<Pages> pages(Database& database);
   /// Deletes what is before the instant, some thousand rows at most. The number of rows.
   Result<std::int64_t> delete_before(Database& database, ValueRanges& ranges, std::int64_t time);
-  /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of them as
-  /// of the time that the others span.
+  /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
+  /// them as of the time that the others span.
   Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
   /// The only place where rows are deleted.
   Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);

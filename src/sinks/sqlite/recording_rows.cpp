@@ -48,8 +48,9 @@ void bind(sqlite::Statement& statement, const RowFilter& filter) {
     statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
 }
 
-/// Whether the rows lie in the order of time. They are written in the order in which they were published. That is the order
-/// of time unless several origins share the table and one of them measures long: then SQLite sorts, which takes longer.
+/// Whether the rows lie in the order of time. They are written in the order in which they were published. That is the
+/// order of time unless several origins share the table and one of them measures long: then SQLite sorts, which takes
+/// longer.
 Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
   auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) +
                                 " ORDER BY t.rowid");

@@ -9,7 +9,7 @@
 namespace rtdata::detail {
 namespace {
 
-std::string_view text_of(sqlite3_stmt* row, int column) {
+std::string_view column_text(sqlite3_stmt* row, int column) {
   const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
   return bytes == nullptr ? std::string_view{}
                           : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(row, column))};
@@ -25,7 +25,7 @@ std::string found(sqlite3_stmt* row, int column) {
     case SQLITE_NULL:
       return "nothing";
     default:
-      return "the text \"" + std::string(text_of(row, column).substr(0, 40)) + "\"";
+      return "the text \"" + std::string(column_text(row, column).substr(0, 40)) + "\"";
   }
 }
 
@@ -40,7 +40,7 @@ bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts t
     case Kind::f64:
       if (type == SQLITE_TEXT) {
         value = std::numeric_limits<double>::quiet_NaN();
-        return text_of(row, column) == "NaN";
+        return column_text(row, column) == "NaN";
       }
       value = sqlite3_column_double(row, column);
       return type == SQLITE_FLOAT || type == SQLITE_INTEGER;
@@ -48,14 +48,14 @@ bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts t
       value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
       return type == SQLITE_INTEGER;
     case Kind::text: {
-      const std::string_view text = text_of(row, column);
+      const std::string_view text = column_text(row, column);
       const bool is_escaped = texts == RowReader::Texts::with_escapes && has_escape(text);
       value = is_escaped ? unescaped(text) : std::string(text);
       return type == SQLITE_TEXT;
     }
     case Kind::character: {
       if (type == SQLITE_TEXT) {
-        const std::string_view text = text_of(row, column);
+        const std::string_view text = column_text(row, column);
         if (text.size() != 1) return false;
         value = text.front();
         return true;
@@ -66,7 +66,7 @@ bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts t
     }
     case Kind::enumeration:
       if (type == SQLITE_TEXT) {
-        value = std::string(text_of(row, column));
+        value = std::string(column_text(row, column));
         return true;
       }
       if (leaf.enum_base == Kind::u64) {

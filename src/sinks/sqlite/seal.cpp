@@ -82,7 +82,8 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
   }
 }
 
-/// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live counts.
+/// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live
+/// counts.
 Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live,
                         std::int64_t& lost, std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);

@@ -16,8 +16,8 @@ struct KilledOrigin {
   std::int64_t offered;  // as is known now
 };
 
-/// Within a transaction: brings ledger, schedule and gaps of the origin up to what is known of its end. `last_time` becomes
-/// that of its last tick, if it is later.
+/// Within a transaction: brings ledger, schedule and gaps of the origin up to what is known of its end. `last_time`
+/// becomes that of its last tick, if it is later.
 Result<void> seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept,
                           std::int64_t& last_time);
 

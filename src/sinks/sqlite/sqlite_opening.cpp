@@ -98,7 +98,8 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
 }
 
 Result<void> SqliteWriter::configure() {
-  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a quarter.
+  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a
+  // quarter.
   std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
   sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
   switch (config_.profile) {

@@ -1,5 +1,5 @@
-// What the SQLite writer does between transactions: brings the log into the file, notices that another program has cut it
-// off or moved the file, and watches the sizes.
+// What the SQLite writer does between transactions: brings the log into the file, notices that another program has cut
+// it off or moved the file, and watches the sizes.
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 
@@ -10,8 +10,8 @@
 namespace rtdata::sqlite {
 namespace {
 
-// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a checkpoint
-// writes each of them once: the later, the less is written.
+// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a
+// checkpoint writes each of them once: the later, the less is written.
 constexpr std::uint64_t log_bytes_at_most = std::uint64_t{4} << 20;
 constexpr std::uint64_t log_bytes_when_fast = std::uint64_t{1} << 20;
 constexpr std::size_t rows_when_fast = 1000;  // in a transaction

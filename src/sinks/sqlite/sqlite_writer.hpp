@@ -39,8 +39,8 @@ class SqliteWriter final : public RecordingWriter {
   SqliteWriter(const SqliteConfig& config, RunInfo run);
 
   Opening opening() const override { return Opening::at_set_up; }
-  /// Opens and locks the file, brings it to this format, seals runs that ended without closing (remarks tell of them), and
-  /// begins a run.
+  /// Opens and locks the file, brings it to this format, seals runs that ended without closing (remarks tell of them),
+  /// and begins a run.
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
@@ -130,8 +130,9 @@ class SqliteWriter final : public RecordingWriter {
 /// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
 Result<void> check_path(const std::string& path);
 
-/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller holds
-/// the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark for each.
+/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller
+/// holds the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark
+/// for each.
 Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                            AccountSums& sums, std::vector<LiveFile>& used);
 

@@ -20,8 +20,8 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
 
 class TopicTable {
  public:
-  /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets the
-  /// further columns; otherwise a new table is made. Errors: those of the database, bad-name.
+  /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
+  /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
   /// Texts that are no UTF-8 are counted in `escaped`, and the checksum of each row goes to `ranges`;
   /// both outlive the table.
   static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,

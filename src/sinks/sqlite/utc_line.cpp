@@ -207,7 +207,7 @@ std::string utc_of(const std::string& time, const std::string& run) {
 }
 
 /// ISO 8601 of a column of ns.
-std::string text_of(const std::string& ns) {
+std::string iso8601_sql(const std::string& ns) {
   const std::string fraction = "((" + ns + " % 1000000000 + 1000000000) % 1000000000)";
   return "strftime('%Y-%m-%dT%H:%M:%S', (" + ns + " - " + fraction +
          ") / 1000000000, 'unixepoch') || printf('.%09dZ', " + fraction + ")";
@@ -218,7 +218,7 @@ std::string text_of(const std::string& ns) {
 Result<void> make_utc_view(Database& database, const std::string& table, const Description& description) {
   const std::string view = quoted(table + "~utc");
   std::string sql = "DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view +
-                    " AS SELECT run, time, origin, sequence, " + text_of("\"~\"") + " AS utc, \"~\" AS utc_ns";
+                    " AS SELECT run, time, origin, sequence, " + iso8601_sql("\"~\"") + " AS utc, \"~\" AS utc_ns";
   for (const Leaf& leaf : description.leaves()) {
     std::string lower = leaf.path;
     std::transform(lower.begin(), lower.end(), lower.begin(),
@@ -232,7 +232,7 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
 
 std::string run_view() {
   return "DROP VIEW IF EXISTS rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT run, name, host, state, " +
-         text_of("started_ns") + " AS started, " + text_of("ended_ns") +
+         iso8601_sql("started_ns") + " AS started, " + iso8601_sql("ended_ns") +
          " AS ended, started_ns, ended_ns FROM (SELECT run, name, host, state, " + utc_of("t.started", "t.run") +
          " AS started_ns, " + utc_of("t.ended", "t.run") + " AS ended_ns FROM rtdata_run t)";
 }
@@ -244,7 +244,7 @@ std::string account_views() {
     std::string inner = "SELECT t.*", outer = "SELECT *";
     for (const auto& [time, name] : times) {
       inner += ", " + utc_of("t." + quoted(time), "t.run") + " AS " + name + "_ns";
-      outer += ", " + text_of(name + "_ns") + " AS " + name;
+      outer += ", " + iso8601_sql(name + "_ns") + " AS " + name;
     }
     sql += "; DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view + " AS " + outer + " FROM (" + inner + " FROM " +
            table + " t)";

@@ -23,8 +23,9 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
 
 /// View of the runs with UTC.
 std::string run_view();
-/// SQL that makes the views "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC) and rtdata_field
-/// (every field of every topic with its unit) anew. After all changes of tables: they take every column that is there.
+/// SQL that makes the views "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC) and
+/// rtdata_field (every field of every topic with its unit) anew. After all changes of tables: they take every column
+/// that is there.
 std::string account_views();
 
 }  // namespace rtdata::sqlite

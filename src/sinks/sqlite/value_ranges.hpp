@@ -84,8 +84,9 @@ Result<void> insert_line(Database& database, const ChecksumLine& line);
 /// The columns of a table.
 Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table);
 
-/// In a transaction, before the rows of a data table up to this rowid are deleted: takes them out of their checksums, so
-/// that what stays is still held to them. `open`: those of the run that is recorded. Gives back how many rows of each (run, origin) those are.
+/// In a transaction, before the rows of a data table up to this rowid are deleted: takes them out of their checksums,
+/// so that what stays is still held to them. `open`: those of the run that is recorded. Gives back how many rows of
+/// each (run, origin) those are.
 struct DeletedRows {
   std::int64_t run;
   std::string origin;

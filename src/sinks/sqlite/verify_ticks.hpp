@@ -10,10 +10,11 @@
 
 namespace rtdata::detail {
 
-/// For an origin of which each read brought one sample with the time of the read, in a closed run: each tick of its schedule
-/// is a row or lies in exactly one gap. The row of the n-th tick that lies in none begins at that tick or later, and before
-/// the tick after the next one that was taken; where reads brought nothing new, each row has so many ticks more to choose
-/// from. Where there is no such choice, the rows are as late as the ledger says, and so many of them.
+/// For an origin of which each read brought one sample with the time of the read, in a closed run: each tick of its
+/// schedule is a row or lies in exactly one gap. The row of the n-th tick that lies in none begins at that tick or
+/// later, and before the tick after the next one that was taken; where reads brought nothing new, each row has so many
+/// ticks more to choose from. Where there is no such choice, the rows are as late as the ledger says, and so many of
+/// them.
 class TickCheck {
  public:
   static constexpr std::size_t most_sentences = 5;
@@ -38,7 +39,8 @@ class TickCheck {
   std::uint64_t more() const noexcept { return mistakes_ - sentences_.size(); }
 
  private:
-  /// Ticks in a row of one segment, of which so many were taken: all of them, or those that are in no gap that was joined.
+  /// Ticks in a row of one segment, of which so many were taken: all of them, or those that are in no gap that was
+  /// joined.
   struct Stretch {
     std::size_t segment;
     std::int64_t first;  // due
