@@ -45,7 +45,7 @@ void SinkNode::start_work() {
   if (work_ != Work::idle || !is_attached() || life_ == Life::closed) return;
   if (!is_to_open_ && !unsynced_since_) unsynced_since_ = loop()->now();
   if (is_closing() && !is_last_told_) {
-    tell(SinkAccount::Part::last);
+    enqueue_account(SinkAccount::Part::last);
     if (!is_last_told_) return retry_later(Work::waiting);
   }
   job_->turn.task = next_task();
