@@ -4,8 +4,9 @@
 /// `Context` what they are given beside the configuration.
 ///
 ///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
-///     pumps.add<GearPumpConfig>("gear", "a gear pump with a step motor",
-///                               [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
+///     pumps.add<GearPumpConfig>(
+///         "gear", "a gear pump with a step motor",
+///         [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
 ///     pumps.check(item, problems);            // every mistake of the item, nothing is made
 ///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
 ///

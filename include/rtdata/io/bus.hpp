@@ -10,7 +10,7 @@
 ///     class WireDevice : public rtdata::BusDevice {
 ///      public:
 ///       using Bus = Wire;
-///       struct Place { unsigned number = 1; parameters(...) };      // where on the bus; in configurations, beside `bus`
+///       struct Place { unsigned number = 1; parameters(...) };    // where on the bus; beside `bus` in configurations
 ///       rtdata::Result<double> ask();                                // blocks; on the lane
 ///     };
 ///     class Wire : public rtdata::Bus {

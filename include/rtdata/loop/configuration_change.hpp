@@ -12,7 +12,7 @@ namespace rtdata {
 
 struct ConfigurationChange {
   Time time{};
-  std::string object;  ///< "sensor chamber": the part that was added, changed or removed; empty: the whole configuration
+  std::string object;  ///< "sensor chamber": the part that was added, changed or removed; empty: the whole
   std::string text;    ///< of the part or of the whole; empty: the part was removed
 };
 

@@ -9,7 +9,7 @@
 ///       explicit Lm75(const Lm75Config& config);
 ///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration, settings
 ///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
-///       rtdata::Duration conversion_time() const;               // ... which takes so long, the bus being free meanwhile
+///       rtdata::Duration conversion_time() const;               // ... which takes so long; the bus is free
 ///       rtdata::Reading<Temperature> read(I2cDevice& chip);     // or Temperature, or Result<Temperature>
 ///       void close(I2cDevice& chip);                            // optional
 ///     };

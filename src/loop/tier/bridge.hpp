@@ -6,11 +6,11 @@
 //   2. The receiving side makes topic and origin of the same names, the mirrors. Whether anybody there wants the
 //      topic's events is a flag of its channel, which the sending side looks at for each event.
 //   3. Events, gaps, ended segments and accounts go through the ring in the order in which they happened. A full ring
-//      drops the event and counts it with its sensor; before the sensor's next event, or with its next account, goes how many
-//      there were.
+//      drops the event and counts it with its sensor; before the sensor's next event, or with its next account, goes
+//      how many there were.
 //   4. A loop that gives up a name announces that, with the last account of it and what found no room, before the name
-//      is free. Who hears it takes what the ring had of the origin by then, then the last account. Announcements are heard in
-//      the order in which they were made, from all loops: that another loop has the name comes after it.
+//      is free. Who hears it takes what the ring had of the origin by then, then the last account. Announcements are
+//      heard in the order in which they were made, from all loops: that another loop has the name comes after it.
 //   5. After the sending loop's callbacks, or earlier when much waits, all that waits can be seen by the receiving
 //      loop, which is woken once for it: through the kernel only when it sleeps (wake.hpp).
 #pragma once

@@ -110,7 +110,8 @@ class TierCore {
   void set_up_thread();
   void warn(const Error& error);
 
-  std::vector<std::unique_ptr<Bridge>> bridges_;  // to and from it; those between it and a later tier are the later one's
+  // To and from it; those between it and a later tier are the later one's.
+  std::vector<std::unique_ptr<Bridge>> bridges_;
   std::thread thread_;
   VirtualThreads::Thread virtual_thread_;  // on a manual loop
   bool was_started_ = false;
