@@ -113,9 +113,9 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
     tail.push_back("part                           type             used by");
     for (const Json& part : status["parts"]) {
       std::string users;
-      for (const Json& user : part.at("users")) users += (users.empty() ? "" : ", ") + text_of(user);
-      tail.push_back(left(text_of(part.at("kind")) + " " + text_of(part.at("name")), 30) + " " +
-                     left(text_of(part.at("type")), 16) + " " + (users.empty() ? "-" : users));
+      for (const Json& user : part.at("users")) users += (users.empty() ? "" : ", ") + text_or_dash(user);
+      tail.push_back(left(text_or_dash(part.at("kind")) + " " + text_or_dash(part.at("name")), 30) + " " +
+                     left(text_or_dash(part.at("type")), 16) + " " + (users.empty() ? "-" : users));
     }
   }
   if (!status.at("callbacks").empty()) {
