@@ -139,8 +139,8 @@ Result<void> I2cDevice::write_word(std::uint8_t number, std::uint16_t value) {
 
 I2cBus::I2cBus(I2cConfig config) : I2cBus(std::string(config.device), config) {}
 
-I2cBus::I2cBus(std::string name, I2cConfig config)
-    : I2cBus(std::move(name), make_kernel_i2c(config.device), std::move(config)) {}
+// Not moved: which argument is made first is the compiler's choice.
+I2cBus::I2cBus(std::string name, I2cConfig config) : I2cBus(std::move(name), make_kernel_i2c(config.device), config) {}
 
 I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config)
     : Bus(name, config.timeout),
