@@ -5,6 +5,10 @@
 /// then to the log. Every error of this library carries an `Errc`; `id(Errc)` is its stable name, under which
 /// docs/errors.md explains it.
 ///
+///     rtdata::Result<rtdata::Rate> rate = rtdata::parse_rate(text);
+///     if (!rate) std::cerr << rate.error().text() << '\n';   // what: where: why: what to do
+///     else sensor.set_rate(*rate);
+///
 /// Values; any thread.
 #pragma once
 

@@ -4,6 +4,10 @@
 /// Unix epoch (UTC, leap seconds not counted); `MonotonicTime` is the line on which sampling is scheduled, which never
 /// jumps. Comparison, sum and difference are those of std::chrono; convert with `std::chrono::duration_cast`.
 ///
+///     rtdata::Time landed = rtdata::parse_iso8601("2024-05-04T10:20:30Z").or_throw();
+///     rtdata::Duration flight = landed - launched;            // std::chrono::nanoseconds
+///     rtdata::to_string(rtdata::Rate::hertz(50).period());    // "20 ms"
+///
 /// Values; any thread.
 #pragma once
 

@@ -1,5 +1,7 @@
 /// SerialSettings: how the bits go over a serial line. Default: 9600 8N1.
 ///
+///     rtdata::SerialSettings settings{.baud_rate = 115200, .parity = rtdata::Parity::even};
+///
 /// Values; any thread.
 #pragma once
 

@@ -4,6 +4,9 @@
 /// allocates. Calling an empty one throws std::logic_error; objects that are made with an empty one where one is needed
 /// refuse it.
 ///
+///     rtdata::Callback<int(int)> twice = [](int number) { return 2 * number; };
+///     twice(21);   // 42
+///
 /// Owner: whoever holds it. Thread: that of the holder.
 #pragma once
 

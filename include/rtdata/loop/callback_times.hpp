@@ -1,5 +1,8 @@
 /// CallbackTimes: how long the callbacks of one object took, for blame.
 ///
+///     for (const rtdata::CallbackStatus& one : loop.callbacks())
+///       std::cout << one.name << ": " << rtdata::to_string(one.times.max) << '\n';
+///
 /// Thread: plain values, a copy made by the call that returned them; each copy belongs to the thread that has it.
 #pragma once
 

@@ -1,5 +1,9 @@
 /// Clock: where a runtime gets its time from. The machine's, or one that a test injects.
 ///
+///     SteppedClock clock;                       // derived from rtdata::SystemClock, with a realtime() of its own
+///     rtdata::Runtime runtime({.clock = &clock});
+///     rtdata::Loop loop(runtime, {.name = "main"});
+///
 /// Thread: every loop of the runtime calls it on its own thread, tiers too, so a Clock of your own must allow several
 /// calls at a time.
 #pragma once

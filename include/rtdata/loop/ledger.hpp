@@ -12,6 +12,9 @@
 /// the period). "Repeated" means that the device itself had nothing new; an equal value is data. `lost` stands beside
 /// the equations: what the source numbered and what never came.
 ///
+///     const rtdata::SensorCounts counts = sensor.counts();
+///     if (counts.missed + counts.failed != 0) std::cout << counts.missed << " ticks missed\n";
+///
 /// Values; snapshots taken on the loop's thread between callbacks balance exactly.
 #pragma once
 

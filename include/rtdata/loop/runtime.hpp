@@ -120,8 +120,9 @@ class Runtime {
   /// Records what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. It sets no
   /// clock: recordings keep the pair, and derive the UTC of their rows from the most accurate pairs that they have.
   ///
-  ///     loop.runtime().note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy =
-  ///     1us}).or_throw();
+  ///     loop.runtime()
+  ///         .note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy = 1us})
+  ///         .or_throw();
   ///
   /// As often as the source speaks: of each source only what says something new is kept, at most once in 10 s. Its
   /// `occasion` is not looked at. Errors: bad-name (empty, over 64 characters, "system"), bad-argument (an accuracy
