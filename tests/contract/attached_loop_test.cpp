@@ -291,11 +291,11 @@ TEST_SUITE("contract") {
         sink.emplace(loop, SinkConfig{.name = "good"}, std::make_unique<GateWriter>(gate, false));
         bad.emplace(loop, SinkConfig{.name = "bad"}, std::make_unique<GateWriter>(gate, true));
         CHECK(gate.opened == 0);
-        lets_go.emplace(host, [&] { gate.may_open.release(3); });
+        lets_go.emplace(host, [&] { gate.may_open.release(1000); });  // the bad one is tried again
       });
       while (errors.empty() || !sensor || sensor->counts().taken < 2 || sink->counts().offered < 2)
         uv_run(&host.loop, UV_RUN_ONCE);
-      CHECK(gate.opened == 3);
+      CHECK(gate.opened >= 3);
       CHECK(gate.held == 0);
       CHECK(errors[0].find("it is locked") != std::string::npos);
       CHECK(bad->is_open());

@@ -189,11 +189,9 @@ class Run {
     for (const Problem& warning : next.warnings) say(LogLevel::warning, "configuration", warning.text(), warning.id);
     const PlanChange change = system.change_to(next);
     const bool is_refused = change.refused() != 0;
-    for (const PartChange& part : change.all) {
-      const bool is_told = is_refused ? part.fate == Fate::refused : part.fate != Fate::unchanged;
-      if (is_told) say(is_refused ? LogLevel::error : LogLevel::info, "configuration", part.text());
-    }
     if (is_refused) {
+      for (const PartChange& part : change.all)
+        if (part.fate == Fate::refused) say(LogLevel::error, "configuration", part.text());
       return say(LogLevel::error, "program",
                  "SIGHUP: nothing was changed: what is refused can be done by starting the program again");
     }
@@ -204,6 +202,8 @@ class Run {
     } catch (const std::exception& error) {
       return say(LogLevel::error, "program", std::string("SIGHUP: not applied: ") + error.what());
     }
+    for (const PartChange& part : change.all)
+      if (part.fate != Fate::unchanged) say(LogLevel::info, "configuration", part.text());
     note_sinks(next);
     if (uses_stdout_) close_view();
     status.set(status_info(next));

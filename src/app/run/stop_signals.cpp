@@ -118,6 +118,8 @@ StopSignals::~StopSignals() {
   state_->is_over = true;
   ::pthread_kill(state_->thread.native_handle(), state_->any_taken);
   state_->thread.join();
+  // One that came too late to be read for is no reason to die of, now that all is closed.
+  if (::sigismember(&state_->taken, SIGHUP) == 1) ::signal(SIGHUP, SIG_IGN);
   ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
 }
 

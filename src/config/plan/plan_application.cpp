@@ -27,13 +27,13 @@ void PlanApplication::run() {
     change_live();
   } catch (const SetupError& error) {
     Error told = error.error();
+    if (is_new_text) configurations.restore(before);  // before a recording begins anew with it
     undo(told);
-    if (is_new_text) configurations.restore(before);
     throw SetupError(std::move(told));
   } catch (...) {  // no memory
     Error ignored;
-    undo(ignored);
     if (is_new_text) configurations.restore(before);
+    undo(ignored);
     throw;
   }
   settle();
@@ -48,6 +48,7 @@ void PlanApplication::close() {
     if (!ends(fates.at(*plan))) continue;
     closed_.push_back(**plan);
     system_.parts_.remove(closed_.back().kind, closed_.back().name);
+    closed_at_[closed_.back().object()] = system_.loop_.now();
   }
   std::reverse(closed_.begin(), closed_.end());
 }
@@ -57,7 +58,21 @@ void PlanApplication::make() {
     if (!is_made(planned.change.fate)) continue;
     system_.make(std::make_unique<Parts::Part>(Parts::Part{*planned.next, {}}));
     made_.emplace_back(planned.next->kind, planned.next->name);
+    report_absence(*planned.next);
   }
+}
+
+void PlanApplication::report_absence(const PartPlan& plan) {
+  const auto closed = closed_at_.find(plan.object());
+  if (closed == closed_at_.end() || !plan.publishes || !plan.publishes->load) return;
+  const Duration period = plan.publishes->load->period;
+  const Duration away = system_.loop_.now() - closed->second;
+  if (period <= Duration{0} || away <= period) return;
+  system_.loop_.runtime().core().keep_report(
+      &system_.loop_.core(), plan.object(),
+      {Errc::held_too_long, "was not read", plan.object(), "it was made anew, which took " + to_string(away),
+       "some " + std::to_string(away / period) +
+           " ticks of its rate are in no account: between two schedules there is none"});
 }
 
 void PlanApplication::change_live() {
@@ -103,7 +118,8 @@ void PlanApplication::undo(Error& error) {
   for (PartPlan& plan : closed_) {
     std::string object = plan.object();
     try {
-      system_.make(std::make_unique<Parts::Part>(Parts::Part{std::move(plan), {}}));
+      system_.make(std::make_unique<Parts::Part>(Parts::Part{plan, {}}));
+      report_absence(plan);
     } catch (const SetupError& failed) {
       lost += (lost.empty() ? "" : "; ") + object + " (" + failed.what() + ")";
     }

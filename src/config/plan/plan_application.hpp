@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <utility>
@@ -27,12 +28,15 @@ class PlanApplication {
   void change_live();
   /// The plans of all others are those of the next one from here on.
   void settle();
+  /// Reports for how long a sensor that is made again was none.
+  void report_absence(const PartPlan& plan);
   /// Adds to the advice of the error what could not be made again.
   void undo(Error& error);
 
   System& system_;
   const SystemPlan& next_;
   const ComparedPlans& changes_;
+  std::map<std::string, MonotonicTime> closed_at_;         // by object
   std::vector<PartPlan> closed_;                           // in the order in which they were made
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
   using Live = std::function<void(const PartObject& part)>;

@@ -190,6 +190,7 @@ class GpsNode final : public StreamNode {
   }
   void forget(std::string_view device) {
     std::erase_if(receivers_, [&](const Receiver& one) { return one.device == device; });
+    is_several_ = false;  // the next report says whether they still are
   }
 
   void take_satellites(Receiver& of) {
@@ -200,7 +201,11 @@ class GpsNode final : public StreamNode {
     devices_ = report_.devices;
     if (config_.device.empty() ? devices_.empty()
                                : std::find(devices_.begin(), devices_.end(), config_.device) == devices_.end())
-      degrade(no_receiver());
+      lose_receiver();
+  }
+  void lose_receiver() {
+    is_several_ = false;  // that is not the reason any more
+    degrade(no_receiver());
   }
   Error no_receiver() const {
     if (config_.device.empty() || devices_.empty()) {
@@ -253,6 +258,18 @@ class GpsNode final : public StreamNode {
     Clock& clock = runtime.clock_log.clock();
     const Time time = from_nanoseconds(*fix.gps_time);
     if (!from.time.accepts(at_, time, config_.report_delay, {clock.realtime(), clock.accuracy()})) return;
+    // One that steps by more than leap seconds explain was wrong before, or is now: nobody knows which.
+    constexpr Duration most_step = std::chrono::minutes{1};
+    const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
+    const Duration step = difference(time_line_.value_or(ahead), ahead);
+    if (step > most_step || step < -most_step) {
+      if (!std::exchange(is_step_told_, true)) {
+        report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
+                "recordings keep the line that it gave before"});
+      }
+      return;
+    }
+    if (!time_line_) time_line_ = ahead;
     constexpr double most_seconds = 3600;
     const auto uncertainty = std::chrono::duration<double>(std::clamp(fix.ept.value_or(0), 0.0, most_seconds));
     const Duration accuracy = config_.report_delay + std::chrono::duration_cast<Duration>(uncertainty);
@@ -271,6 +288,7 @@ class GpsNode final : public StreamNode {
   }
   /// gpsd answers at once, so that a connection whose other end is gone without a word is noticed.
   void fell_silent() override {
+    is_several_ = false;  // silence is the reason now
     is_answered_ = false;
     if (stream_.send(sign_of_life_command)) {
       answer_.start(config_.silence);
@@ -307,8 +325,10 @@ class GpsNode final : public StreamNode {
   Time time_{};                              // of the last read
   GpsReport report_;
   std::vector<Receiver> receivers_;
-  std::vector<std::string> devices_;  // that gpsd has, as it said last
-  bool is_several_ = false;           // there are several receivers, which has been told
+  std::vector<std::string> devices_;   // that gpsd has, as it said last
+  bool is_several_ = false;            // there are several receivers, which has been told
+  std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
+  bool is_step_told_ = false;
   bool is_time_refusal_told_ = false;
 };
 
