@@ -3,6 +3,7 @@
 
 #include "app/process.hpp"
 #include "paths.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using rtdata::test::built;
 using rtdata::test::Folder;
@@ -80,6 +81,31 @@ TEST_SUITE("app") {
     CHECK(info.end() == 0);
     CHECK(has(info.out, "changes of the configuration in run 1"));
     CHECK(has(info.out, "a new text of"));
+  }
+
+  TEST_CASE("US-5 events of a recording that a reload closes before it could store them are not forgotten at the end") {
+    const Folder folder;
+    const auto text = [](const std::string& rate, const std::string& sinks) {
+      return R"({"sensors": [{"name": "a", "type": "counter", "rate": ")" + rate + R"("}], "sinks": [)" + sinks + "]}";
+    };
+    const std::string recording = R"({"type": "sqlite", "path": "run.db", "close_deadline": "100 ms"})";
+    folder.write("rig.json", text("100 Hz", recording));
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("BEGIN IMMEDIATE").or_throw();
+      folder.write("rig.json", text("200 Hz", recording));  // while which ticks pass
+      run.signal(SIGHUP);
+      REQUIRE(run.wait_for("rig.json is applied"));
+      folder.write("rig.json", text("200 Hz", R"({"type": "discard"})"));
+      run.signal(SIGHUP);
+      REQUIRE(run.wait_for("sink run.db: removed"));
+      run.signal(SIGTERM);
+      CHECK(run.end() == 1);
+    }
+    CHECK(has(run.out, "NOT stored"));
   }
 
   TEST_CASE("US-5 check says what becomes of each part of a running system") {

@@ -18,6 +18,7 @@ using namespace rtdata;
 using namespace rtdata::literals;
 using test::Count;
 using test::Folder;
+using test::refusal;
 
 namespace {
 
@@ -91,18 +92,6 @@ struct Running {
   System system{loop, types, plan};
   const Runtime& runtime = loop.runtime();
 };
-
-template <class Use>
-std::string refusal(const Use& use) {
-  try {
-    use();
-  } catch (const ConfigError& error) {
-    return error.problems().text();
-  } catch (const SetupError& error) {
-    return error.what();
-  }
-  return "";
-}
 
 bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
@@ -248,6 +237,65 @@ TEST_SUITE("config") {
     CHECK(seen >= 99);
     loop.close(1s);
     CHECK(run.runtime.balances());
+  }
+
+  TEST_CASE(
+      "US-5 ticks that the closing of a slow recording costs are missed, of a sensor that is restarted with it too") {
+    const Folder folder;
+    const auto text = [&](const char* first, const char* deadline) {
+      return R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz", "first": )" + std::string(first) +
+             R"(}], "sinks": [{"type": "sqlite", "name": "db", "path": ")" + folder.path() +
+             R"(/run.db", "close_deadline": ")" + deadline + R"("}]})";
+    };
+    Running run(text("1", "10 s"));
+    Loop& loop = run.loop;
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    const MonotonicTime began = loop.now();
+    loop.advance(1s);
+    loop.script_lane_duration(200ms);
+    loop.post([&] { run.system.apply(run.next(text("5", "9 s"))); });
+    loop.advance(10ms);
+    loop.script_lane_duration(Duration{0});
+    loop.advance(1s);
+    REQUIRE(run.runtime.sensors().size() == 1);
+    const SensorCounts counts = run.runtime.sensors()[0].counts;
+    const auto ticks = static_cast<std::uint64_t>((loop.now() - began) / 10ms);
+    CHECK(ticks >= 200 + 20);
+    CHECK(counts.missed >= 19);
+    CHECK(counts.scheduled + 2 >= ticks);
+    for (const std::string& error : errors) CHECK_FALSE(has(error, "was not read"));
+    loop.close(1s);
+    CHECK(run.runtime.balances());
+    CHECK(verify(Recording::open(folder.path() + "/run.db").or_throw()).or_throw().verdict() == Verdict::balanced);
+  }
+
+  TEST_CASE("US-26 a recording that begins again since a reload failed has the text that holds") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db";
+    const auto text = [&](const char* breaks, const char* deadline) {
+      return R"({"sensors": [{"name": "b", "type": "brittle", "rate": "10 Hz", "breaks": )" + std::string(breaks) +
+             R"(}], "sinks": [{"type": "sqlite", "name": "db", "path": ")" + path + R"(", "close_deadline": ")" +
+             deadline + R"("}]})";
+    };
+    {
+      Running run(text("false", "10 s"));
+      run.loop.advance(1s);
+      CHECK(has(refusal([&] { run.system.apply(run.next(text("true", "9 s"))); }), "it breaks"));
+      run.loop.advance(1s);
+      run.loop.close(1s);
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const auto runs = recording.runs().or_throw();
+    REQUIRE(runs.size() == 3);
+    CHECK(runs[0].configuration == "");  // that of the runtime, which was given none
+    CHECK(runs[2].configuration == "");
+    CHECK(recording.configurations(3).or_throw().empty());
+    // The run that was begun for what then failed says that it did not hold.
+    const auto changes = recording.configurations(2).or_throw();
+    REQUIRE(changes.size() == 1);
+    CHECK(changes[0].object == "");
+    CHECK(changes[0].text == "");
   }
 
   TEST_CASE("US-7 parts that are added and removed at run time are kept with their times, also by a later recording") {

@@ -14,6 +14,7 @@
 using namespace rtdata;
 using namespace rtdata::literals;
 using test::Count;
+using test::refusal;
 
 namespace {
 
@@ -118,18 +119,6 @@ struct Types {
 
 ConfigItem item(std::string_view text) { return parse_config(text, "item.json").or_throw(); }
 
-template <class Use>
-std::string refusal(const Use& use) {
-  try {
-    use();
-  } catch (const ConfigError& error) {
-    return error.problems().text();
-  } catch (const SetupError& error) {
-    return error.what();
-  }
-  return "";
-}
-
 constexpr const char*
     probes = R"({"buses": {"w1": {"type": "wire", "device": "/dev/w1", "first": 7}, "w2": {"type": "wire", "device": "/dev/w2"}},
  "sensors": [{"name": "a", "type": "probe", "rate": "10 Hz", "bus": "w1"},
@@ -186,6 +175,14 @@ TEST_SUITE("config") {
           "topic, type\n"
           "f.json:8:42: sensors[5].rate: 2 MHz is out of range: at most 1000000 Hz\n"
           "f.json:8:58: sensors[5].bus: there is no bus \"gone\" in `buses`\n");
+  }
+
+  TEST_CASE("NFR-6 two buses on one device are told with both places, also by another name of it") {
+    const Types types;
+    CHECK(types.problems_of(R"({"buses": {"w1": {"type": "wire", "device": "/dev/w1"},
+ "w2": {"type": "wire", "device": "/dev/../dev/w1"}, "w3": {"type": "wire", "device": "/dev/w3"}}})") ==
+          "f.json:2:35: buses.w2.device: bus w1, at f.json:1:18, has this device already; one is enough, for all that "
+          "is on it\n");
   }
 
   TEST_CASE("NFR-6 without types of buses an empty list of them is fine, and one of any type is of an unknown one") {

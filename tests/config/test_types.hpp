@@ -17,6 +17,19 @@
 
 namespace rtdata::test {
 
+/// What this throws, as text; empty: nothing.
+template <class Use>
+std::string refusal(const Use& use) {
+  try {
+    use();
+  } catch (const ConfigError& error) {
+    return error.problems().text();
+  } catch (const SetupError& error) {
+    return error.what();
+  }
+  return "";
+}
+
 struct Count {
   std::uint64_t number = 0;
   friend constexpr auto describe(type_tag<Count>) { return record("count", field("number", &Count::number)); }

@@ -495,6 +495,25 @@ TEST_CASE("US-14 the time of fixes is noted as a source of the time of day, that
   }
 }
 
+TEST_CASE("US-14 a receiver whose time steps by more than a minute gives no time of day from then on, which is told") {
+  Bench bench;
+  REQUIRE(bench.accept());
+  const auto report = [&](const char* hour, int second) {
+    bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":"2026-03-01T)" + std::string(hour) +
+              ":00:" + std::to_string(second) + ".000Z\"}\n");
+    bench.loop.advance(1s);
+  };
+  for (int i = 10; i < 30; ++i) report("12", i);
+  CHECK(bench.errors.empty());
+  for (int i = 30; i < 50; ++i) report("13", i);
+  CHECK(bench.seen.size() == 40);
+  REQUIRE(bench.errors.size() == 1);
+  CHECK(bench.last_error() == "bad-data");
+  CHECK(bench.errors[0].why == "it stepped by 1 h");
+  for (const ClockPair& pair : bench.loop.runtime().core().clock_log.pairs())
+    if (pair.source == "gps") CHECK(to_iso8601(pair.realtime) < "2026-03-01T12:01");
+}
+
 TEST_CASE("US-14 every parameter of a GPS sensor can be set from a file") {
   const auto item = parse_config(
                         R"({"host": "::1", "port": 3000, "device": "/dev/a", "silence": "3 s", "report_delay": "300 ms",

@@ -109,10 +109,10 @@ struct PartPlan {
   std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
   std::optional<PublishedTopic> publishes = {};
   std::optional<StoredTopics> stores = {};
-  /// The place on a bus that it takes for itself.
+  /// The place that it takes for itself: on a bus, or a device of the machine.
   struct Place {
-    std::string bus = {};   ///< empty: none
-    std::string text = {};  ///< "address 0x76"
+    std::string bus = {};   ///< empty: it is on none
+    std::string text = {};  ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
   } place = {};
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};

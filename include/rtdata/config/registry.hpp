@@ -251,6 +251,7 @@ class Registry {
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
+      if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device};
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
         using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
         return PartObject::made_by<Made>(

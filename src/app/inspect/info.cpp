@@ -212,6 +212,20 @@ std::string described(const RecordedGap& gap) {
          (gap.reason.empty() || gap.reason == gap.kind ? "" : ": " + gap.reason);
 }
 
+/// The first of them, a wrapped line each; nothing when there are none.
+template <class Item, class Text>
+void print_first(const std::vector<Item>& items, std::size_t most, const std::string& heading, std::ostream& out,
+                 const Text& text_of_item) {
+  if (items.empty()) return;
+  out << "\n" << heading << "\n";
+  for (std::size_t i = 0; i < items.size() && i < most; ++i) {
+    std::string line;
+    detail::wrap(line, "  ", text_of_item(items[i]));
+    out << line;
+  }
+  if (items.size() > most) out << "  and " << items.size() - most << " more\n";
+}
+
 void print_gaps(const Content& content, std::ostream& out) {
   out << "\ngaps of run " << content.shown->run << " (UTC)\n";
   if (content.gaps.empty()) out << "  none\n";
@@ -246,50 +260,25 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     out << "  " << of.topic << ", " << of.origin << ": " << of.texts << " texts were no UTF-8, see rtdata_escaped\n";
   }
   if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
-  if (!content.errors.empty()) {
-    constexpr std::size_t most = 10;
-    out << "\nerrors of run " << content.shown->run << "\n";
-    for (std::size_t i = 0; i < content.errors.size() && i < most; ++i) {
-      const RecordedError& error = content.errors[i];
-      std::string line;
-      detail::wrap(line, "  ",
-                   short_time(error.time) + " " + error.object + ": " + error.text +
-                       (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : ""));
-      out << line;
-    }
-    if (content.errors.size() > most) out << "  and " << content.errors.size() - most << " more\n";
-  }
-  if (!content.health.empty()) {
-    constexpr std::size_t most = 20;
-    out << "\nhealth in run " << content.shown->run << "\n";
-    for (std::size_t i = 0; i < content.health.size() && i < most; ++i) {
-      const RecordedHealth& change = content.health[i];
-      std::string line;
-      detail::wrap(line, "  ",
-                   short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
-                       (change.reason.empty() ? "" : ": " + change.reason) +
-                       (change.count == 1
-                            ? ""
-                            : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")"));
-      out << line;
-    }
-    if (content.health.size() > most) out << "  and " << content.health.size() - most << " more\n";
-  }
-  if (!content.configurations.empty()) {
-    constexpr std::size_t most = 20;
-    out << "\nchanges of the configuration in run " << content.shown->run << " (texts: --json)\n";
-    for (std::size_t i = 0; i < content.configurations.size() && i < most; ++i) {
-      const RecordedConfiguration& change = content.configurations[i];
-      std::string line;
-      detail::wrap(line, "  ",
-                   short_time(change.time) + " " +
+  const std::string of_run = " run " + std::to_string(content.shown->run);
+  print_first(content.errors, 10, "errors of" + of_run, out, [](const RecordedError& error) {
+    return short_time(error.time) + " " + error.object + ": " + error.text +
+           (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : "");
+  });
+  print_first(content.health, 20, "health in" + of_run, out, [](const RecordedHealth& change) {
+    return short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
+           (change.reason.empty() ? "" : ": " + change.reason) +
+           (change.count == 1
+                ? ""
+                : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")");
+  });
+  print_first(content.configurations, 20, "changes of the configuration in" + of_run + " (texts: --json)", out,
+              [](const RecordedConfiguration& change) {
+                return short_time(change.time) + " " +
                        (change.object.empty() ? "a new text of " + std::to_string(change.text.size()) + " bytes"
                                               : change.object + (change.text.empty() ? ": removed" : ": added")) +
-                       (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : ""));
-      out << line;
-    }
-    if (content.configurations.size() > most) out << "  and " << content.configurations.size() - most << " more\n";
-  }
+                       (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : "");
+              });
   out << "\nfields\n";
   print_fields(content.topics, out);
 }

@@ -124,7 +124,7 @@ class Run {
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
       ticker.set_period(redraw_period);
-      not_stored_ = loop.close(close_deadline_);
+      not_stored_ += loop.close(close_deadline_);
     }
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
@@ -171,13 +171,20 @@ class Run {
     } catch (const std::exception& error) {
       failed = error.what();
     }
-    loop.post([this, &system, &status, next, failed] {
-      if (failed.empty()) return apply(system, status, *next);
+    loop.post([this, &runtime = loop.runtime(), &system, &status, next, failed] {
+      if (failed.empty()) return apply(runtime, system, status, *next);
       say(LogLevel::error, "program", "SIGHUP: nothing was changed: " + failed);
     });
   }
 
-  void apply(System& system, StatusSource& status, const SystemPlan& next) {
+  static std::uint64_t refused_by_sinks(const Runtime& runtime) {
+    std::uint64_t refused = 0;
+    for (const SinkStatus& sink : runtime.sinks())
+      refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+    return refused;
+  }
+
+  void apply(const Runtime& runtime, System& system, StatusSource& status, const SystemPlan& next) {
     if (is_closing_) return say(LogLevel::info, "program", "SIGHUP: it ends already; nothing was changed");
     secrets_.insert(secrets_.end(), next.secrets.begin(), next.secrets.end());
     for (const Problem& problem : next.problems) say(LogLevel::error, "configuration", problem.text(), problem.id);
@@ -195,13 +202,19 @@ class Run {
       return say(LogLevel::error, "program",
                  "SIGHUP: nothing was changed: what is refused can be done by starting the program again");
     }
+    const std::uint64_t refused_before = refused_by_sinks(runtime);
+    std::string failed, id;
     try {
       (void)system.apply(next);
     } catch (const SetupError& error) {
-      return say(LogLevel::error, "program", std::string("SIGHUP: not applied: ") + error.what(), error.error().id());
+      failed = error.what();
+      id = error.error().id();
     } catch (const std::exception& error) {
-      return say(LogLevel::error, "program", std::string("SIGHUP: not applied: ") + error.what());
+      failed = error.what();
     }
+    // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
+    not_stored_ += refused_by_sinks(runtime) - refused_before;
+    if (!failed.empty()) return say(LogLevel::error, "program", "SIGHUP: not applied: " + failed, id);
     for (const PartChange& part : change.all)
       if (part.fate != Fate::unchanged) say(LogLevel::info, "configuration", part.text());
     note_sinks(next);
@@ -416,7 +429,7 @@ class Run {
   bool uses_stdout_ = false;
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
-  std::uint64_t not_stored_ = 0;  // when it ended: they are lost
+  std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost
   bool log_failure_told_ = false;
 };
 

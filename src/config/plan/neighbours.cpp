@@ -1,6 +1,8 @@
 #include "config/plan/neighbours.hpp"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
 #include "config/plan/part_reader.hpp"
@@ -50,7 +52,7 @@ Neighbours::Neighbours(const Registry& registry, const std::string& configuratio
 
 void Neighbours::add(const PartPlan& part, Problems& problems) {
   if (part.publishes) check_topic(part, problems);
-  if (!part.place.bus.empty()) check_place(part, problems);
+  if (!part.place.text.empty()) check_place(part, problems);
   if (part.stores) {
     if (!part.stores->path.empty() && part.stores->path != "-") check_path(part, problems);
     storing_.push_back({&part});
@@ -71,8 +73,19 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
 }
 
 void Neighbours::check_place(const PartPlan& part, Problems& problems) {
-  const auto [known, is_new] = places_.try_emplace({part.place.bus, part.place.text}, &part);
+  const bool is_on_bus = !part.place.bus.empty();
+  std::error_code ignored;  // a device that is not there is what its path says
+  const std::string place = is_on_bus ? part.place.text
+                                      : std::filesystem::weakly_canonical(part.place.text, ignored).string();
+  const auto [known, is_new] = places_.try_emplace({part.place.bus, place.empty() ? part.place.text : place}, &part);
   if (is_new) return;
+  if (!is_on_bus) {
+    problems.add(child_or_self(part.item, "device")
+                     .problem("duplicate-place",
+                              part.kind + " " + known->second->name + ", at " + place_of(known->second->item) +
+                                  ", has this device already; one is enough, for all that is on it"));
+    return;
+  }
   const std::string key = part.place.text.substr(0, part.place.text.find(' '));
   problems.add(child_or_self(part.item, key)
                    .problem("duplicate-place", part.kind + " " + known->second->name + ", at " +

@@ -43,14 +43,26 @@ void PlanApplication::close() {
   std::unordered_map<const PartPlan*, Fate> fates;
   for (const PlannedChange& planned : changes_.parts)
     if (planned.now != nullptr) fates.emplace(planned.now, planned.change.fate);
-  const std::vector<const PartPlan*> plans = system_.parts_.plans();
-  for (auto plan = plans.rbegin(); plan != plans.rend(); ++plan) {
-    if (!ends(fates.at(*plan))) continue;
-    closed_.push_back(**plan);
-    system_.parts_.remove(closed_.back().kind, closed_.back().name);
-    closed_at_[closed_.back().object()] = system_.loop_.now();
+  std::vector<const PartPlan*> ending = system_.parts_.plans();
+  std::erase_if(ending, [&](const PartPlan* plan) { return !ends(fates.at(plan)); });
+  closed_.reserve(ending.size());
+  for (const PartPlan* plan : ending) closed_.push_back(*plan);
+  // What stores waits for what it has queued, and goes first, unless another part uses it: sensors keep their schedules
+  // meanwhile, which count the ticks that this costs.
+  const auto is_used = [&](const PartPlan& plan) {
+    return std::any_of(closed_.begin(), closed_.end(), [&](const PartPlan& other) {
+      return std::any_of(other.uses.begin(), other.uses.end(),
+                         [&](const PartUse& use) { return use.kind == plan.kind && use.name == plan.name; });
+    });
+  };
+  std::vector<const PartPlan*> order;
+  for (const PartPlan& plan : closed_) order.push_back(&plan);
+  std::stable_partition(order.begin(), order.end(),
+                        [&](const PartPlan* plan) { return !plan->stores || is_used(*plan); });
+  for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
+    system_.parts_.remove((*plan)->kind, (*plan)->name);
+    closed_at_[(*plan)->object()] = system_.loop_.now();
   }
-  std::reverse(closed_.begin(), closed_.end());
 }
 
 void PlanApplication::make() {

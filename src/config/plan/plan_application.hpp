@@ -22,7 +22,7 @@ class PlanApplication {
   void run();
 
  private:
-  /// Those that end, the last one made first.
+  /// Those that end: what stores, then the others, of each the last one made first.
   void close();
   void make();
   void change_live();

@@ -73,8 +73,11 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
     }
     if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
       if (errno != EWOULDBLOCK) return failed(errno, made.path_);
-      return Error{Errc::busy, "cannot record into", recording, detail::lock_holder(locked) + " records into it",
-                   "stop that one, or record into another file"};
+      const std::string holder = detail::lock_holder(locked);
+      const bool is_own = holder == "process " + std::to_string(::getpid());
+      return Error{Errc::busy, "cannot record into", recording, holder + " records into it",
+                   is_own ? "this program itself has it open, or closes it still; record into another file"
+                          : "stop that one, or record into another file"};
     }
     struct stat there {};
     if (::lstat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino && locked.st_dev == there.st_dev) {
