@@ -108,7 +108,7 @@ TEST_SUITE("app") {
     const RuntimeFolder runtime;
     const Folder folder;
     folder.write("rig.json", R"({ "name": "rig", "tiers": { "fast": {}, "slow": {} },
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "tier": "fast"},
+      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "tier": "fast", "hold": "1 ms"},
                    {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow", "hang_at": 200},
                    {"name": "c", "type": "counter", "rate": "100 Hz"} ],
       "sinks": [ {"type": "discard", "close_deadline": "100 ms"} ] })");
