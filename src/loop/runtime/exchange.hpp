@@ -36,7 +36,7 @@ struct Announcement {
 /// Thread: the loop's, but for `announce` and `forget`.
 class Exchange {
  public:
-  explicit Exchange(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
+  explicit Exchange(RuntimeCore& runtime) : runtime_(runtime) {}  // a deque allocates when it is made
 
   // Any thread
   /// The loop takes announcements in this order. Of the loops that hold a name one after the other, each has announced

@@ -55,8 +55,8 @@ void FindFile::transact() noexcept try {
   path_ = find_();
   if (!path_) return;
   if (auto readable = check_readable(*path_, what_, advice_); !readable) path_ = std::move(readable).error();
-} catch (...) {
-  path_ = Error{Errc::io_failed, what_, "", "no memory", ""};
+} catch (...) {  // so short that it needs no memory
+  path_ = Error{Errc::io_failed, "no memory", "", "", ""};
 }
 
 Result<void> check_readable(const std::string& path, const char* what, const std::string& advice) {
