@@ -439,6 +439,48 @@ TEST_CASE("memory of SQLite: the n-th allocation fails") {
   try_all(kind, 1000);
 }
 
+// SQLite prepares its statements anew when the schema has changed: a topic has got its table. Without memory for that it may roll the
+// transaction back and run the statement outside of it, without an error.
+TEST_CASE("memory of SQLite: the n-th allocation fails of the transaction of a new topic") {
+  const pid_t child = ::fork();
+  REQUIRE(child >= 0);
+  if (child == 0) {
+    ::alarm(240);
+    fail_sqlite_memory();
+    bool is_over = false;
+    for (long nth = 1; !is_over; nth += nth < 300 ? 1 : 5) {
+      const Folder folder;
+      const std::string path = folder.path() + "/run.db";
+      {
+        Loop loop{Loop::Manual{}};
+        loop.runtime().on_log([](const LogRecord&) {});
+        loop.on_error([](const ErrorReport&) {});
+        SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 20ms, .retry_first = 5ms}});
+        Feed<Climate> feed(loop, {.name = "feed", .topic = "room/climate"});
+        feed.publish({1.5, 0});
+        loop.advance(2s);  // there is an account, too
+        Feed<Climate> new_topic(loop, {.name = "new", .topic = "other"});
+        new_topic.publish({1.5, 0});
+        of_sqlite_memory.arm(nth, 1);
+        feed.publish({1.5, 1});
+        loop.advance(2s);
+        of_sqlite_memory.disarm();
+        is_over = !of_sqlite_memory.has_failed();
+        if (loop.close() != 0) end_wrongly("events were lost, though there was memory again");
+      }
+      auto recording = Recording::open(path).or_throw();
+      auto report = verify(recording).or_throw();
+      if (report.verdict() != Verdict::balanced || report.runs.front().rows != 3)
+        end_wrongly((std::to_string(nth) + "th: " + report.text()).c_str());
+    }
+    std::_Exit(0);
+  }
+  int status = 0;
+  REQUIRE(::waitpid(child, &status, 0) == child);
+  CHECK(WIFEXITED(status));
+  CHECK(WEXITSTATUS(status) == 0);
+}
+
 TEST_CASE("files: the n-th call fails") {
   const FaultKind input_output{"files", &of_files, fail_files, 11};
   try_all(input_output, 1);

@@ -61,6 +61,7 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   if (auto done = configure(); !done) return done;
   const std::string uuid = random_uuid();
   if (auto done = database_.execute("BEGIN IMMEDIATE"); !done) return done;
+  is_in_transaction_ = true;
   if (auto done = make_schema(); !done) return done;
   if (auto done = sums_.watch(database_); !done) return done;
   std::vector<LiveFile> used;
@@ -76,6 +77,7 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   } else {
     tell_of_live_file(made.error());
   }
+  is_in_transaction_ = false;
   if (auto done = database_.execute("COMMIT"); !done) {
     const std::lock_guard lock(opening_mutex_);
     live_.remove();
@@ -121,6 +123,11 @@ Result<void> SqliteWriter::configure() {
   auto bytes = database_.integer("PRAGMA page_size");
   if (!bytes) return std::move(bytes).error();
   page_bytes_ = static_cast<int>(*bytes);
+  // Without memory SQLite may roll a transaction back within a statement that it then runs once more, by itself, after
+  // a change of the schema: outside of the transaction. What would be committed so is refused.
+  sqlite3_commit_hook(
+      database_.raw(), [](void* is_in_transaction) { return *static_cast<bool*>(is_in_transaction) ? 1 : 0; },
+      &is_in_transaction_);
   sqlite3_wal_hook(
       database_.raw(),
       [](void* pages, sqlite3*, const char*, int count) {

@@ -62,6 +62,7 @@ Result<void> SqliteWriter::open() {
 
 void SqliteWriter::forget() noexcept {
   run_ = 0;
+  is_in_transaction_ = false;
   {
     const std::lock_guard lock(opening_mutex_);
     counts_without_topics_ = false;
@@ -161,7 +162,19 @@ Result<void> SqliteWriter::write(Batch& batch) {
   return {};
 }
 
+Result<void> SqliteWriter::begin_transaction() {
+  auto done = begin_.run();
+  if (done) is_in_transaction_ = true;
+  return done;
+}
+
+Result<void> SqliteWriter::commit() {
+  is_in_transaction_ = false;
+  return commit_.run();
+}
+
 void SqliteWriter::roll_back() noexcept {
+  is_in_transaction_ = false;
   if (sqlite3_get_autocommit(database_.raw()) == 0)
     sqlite3_exec(database_.raw(), "ROLLBACK", nullptr, nullptr, nullptr);
   rolled_back();
@@ -169,7 +182,7 @@ void SqliteWriter::roll_back() noexcept {
 }
 
 Result<void> SqliteWriter::store(Batch& batch) {
-  auto done = begin_.run();
+  auto done = begin_transaction();
   // First, so that the new rows take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
   if (done) done = account_.write_slots(batch, tables_);
@@ -178,7 +191,7 @@ Result<void> SqliteWriter::store(Batch& batch) {
   if (done && batch.account() != nullptr) done = account_.write(batch, *batch.account(), tables_);
   if (done) done = write_checksums(batch.account());
   if (done) stage();
-  if (done) done = commit_.run();
+  if (done) done = commit();
   return done;
 }
 
@@ -269,11 +282,11 @@ Result<void> SqliteWriter::flush() {
 Result<void> SqliteWriter::prune() {
   Result<void> done;
   try {
-    done = begin_.run();
+    done = begin_transaction();
     if (done) done = pruner_.make_room(database_, ranges_, now_);
     if (done) done = sums_.write_changes(database_);
     if (done) stage();
-    if (done) done = commit_.run();
+    if (done) done = commit();
   } catch (...) {  // no memory
     roll_back();
     throw;

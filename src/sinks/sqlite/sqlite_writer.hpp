@@ -80,6 +80,8 @@ class SqliteWriter final : public RecordingWriter {
   void stage();
   void committed();
   void rolled_back();
+  Result<void> begin_transaction();
+  Result<void> commit();
   void roll_back() noexcept;
   Result<void> prune();
   /// Between two transactions: brings the log into the database when it is time.
@@ -100,7 +102,8 @@ class SqliteWriter final : public RecordingWriter {
   std::mutex opening_mutex_;
   bool has_topics_ = false;  // guarded by the mutex, as is the next
   bool counts_without_topics_ = false;
-  bool is_counting_ = false;  // the loop's: it counts in the live file
+  bool is_counting_ = false;        // the loop's: it counts in the live file
+  bool is_in_transaction_ = false;  // begun by us; read by the hook of the connection
   Database database_;
   std::int64_t run_ = 0;  // 0: none has begun
   std::vector<std::string> remarks_;
