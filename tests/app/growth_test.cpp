@@ -119,17 +119,16 @@ TEST_SUITE("app") {
     std::filesystem::create_directories(devices);
     const std::string link = devices + std::to_string(major(status.st_dev)) + ":" +
                              std::to_string(minor(status.st_dev));
-    const std::string sys = folder.path() + "/sys";
     const Registry registry = standard_registry();
     const std::string file = folder.path() + "/first.json";
-    CHECK_FALSE(is_on_card(folder.path(), sys));
+    CHECK_FALSE(is_on_card(folder.path(), folder.path()));
     REQUIRE(::symlink("../../devices/pci0000:00/nvme0n1/nvme0n1p2", link.c_str()) == 0);
-    CHECK_FALSE(is_on_card(folder.path(), sys));
-    CHECK(starter_file(registry, file, sys).find("\"card\"") == std::string::npos);
+    CHECK_FALSE(is_on_card(folder.path(), folder.path()));
+    CHECK(starter_file(registry, file, folder.path()).find("\"card\"") == std::string::npos);
     REQUIRE(::unlink(link.c_str()) == 0);
     REQUIRE(::symlink("../../devices/platform/soc/mmc0/block/mmcblk0/mmcblk0p2", link.c_str()) == 0);
-    CHECK(is_on_card(folder.path(), sys));
-    const std::string text = starter_file(registry, file, sys);
+    CHECK(is_on_card(folder.path(), folder.path()));
+    const std::string text = starter_file(registry, file, folder.path());
     CHECK(text.find("\"profile\": \"card\"") != std::string::npos);
     CHECK(plan_system(registry, parse_config(text)).good());
   }

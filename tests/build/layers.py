@@ -28,7 +28,7 @@ rooms = {
     "sensors": [{"core"}, {"analog", "chips", "gps", "host", "serial"}],
     "sinks": [{"core"}, {"console", "file", "sqlite"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
-    "app": [{"core"}, {"bench", "control", "inspect"}, {"run"}],
+    "app": [{"core"}, {"machine"}, {"bench", "control", "inspect"}, {"run"}],
 }
 problems = []
 

@@ -16,6 +16,7 @@
 #include "app/bench/bench_measure.hpp"
 #include "app/bench/bench_text.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/machine/doctor.hpp"
 #include "loop/support/processors.hpp"
 
 namespace rtdata::app {
@@ -24,13 +25,6 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 volatile sig_atomic_t interrupted = 0;
-
-std::string file_text(const std::string& path) {
-  std::ifstream file(path);
-  std::string text;
-  std::getline(file, text);
-  return text;
-}
 
 // ---- how busy the machine is
 
@@ -77,28 +71,8 @@ bool is_tmpfs(const std::string& path) {
 /// What keeps this machine from doing better, with what to set.
 std::vector<std::string> improvements(const std::vector<std::string>& warnings, double others_percent) {
   std::vector<std::string> all = warnings;
-  const auto cpuidle = file_text("/sys/devices/system/cpu/cpuidle/current_driver");
-  if (!cpuidle.empty() && cpuidle != "none") {
-    all.push_back(
-        ::access("/dev/cpu_dma_latency", W_OK) == 0
-            ? "processors go to sleep when idle: set `keep_cpu_awake` of the tier for less lateness and more power"
-            : "processors go to sleep when idle, and /dev/cpu_dma_latency cannot be written by this user: allow it by "
-              "a udev rule, then set `keep_cpu_awake` of the tier");
-  }
-  const std::string governor = file_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
-  if (!governor.empty() && governor != "performance") {
-    all.push_back("the frequency governor is \"" + governor +
-                  "\": `cpupower frequency-set -g performance` keeps the processors fast");
-  }
-  if (file_text("/sys/kernel/realtime") != "1") {
-    all.push_back("the kernel is not PREEMPT_RT: with one that is, the largest lateness is bounded");
-  }
-  const std::string budget = file_text("/proc/sys/kernel/sched_rt_runtime_us");
-  if (!budget.empty() && budget != "-1" && budget != "1000000") {
-    all.push_back("real-time threads may use " + budget +
-                  " us of each second's 1000000 only if others want the rest "
-                  "(kernel.sched_rt_runtime_us): matters to those that spin");
-  }
+  for (const Finding& finding : examine_timing(MachineFiles(), nullptr))
+    if (finding.severity != Severity::good) all.push_back(finding.text());
   if (others_percent > 10)
     all.push_back("other programs used the processors meanwhile: measure again when the machine is quiet");
   return all;
@@ -126,7 +100,7 @@ class Bench {
     ::uname(&system);
     json_["machine"] = {{"system", std::string(system.sysname) + " " + system.release + " " + system.machine},
                         {"processors", static_cast<int>(std::thread::hardware_concurrency())},
-                        {"load", file_text("/proc/loadavg").substr(0, 14)},
+                        {"load", MachineFiles().text("/proc/loadavg").value_or("").substr(0, 14)},
                         {"others_percent", others},
                         {"stolen_percent", 100 * (after.stolen - before.stolen) / all}};
     json_["verdict"] = bench_verdict(json_);

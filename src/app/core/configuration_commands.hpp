@@ -48,6 +48,22 @@ struct TopOptions {
 };
 int top(const TopOptions& options);
 
+struct ScanOptions {
+  std::string root;    ///< a copy of another machine's /proc, /sys, /etc, /dev; empty: this machine
+  bool probe = false;  ///< read from the free addresses of I2C adapters
+  ShowAs show_as = ShowAs::text;
+};
+int scan(const Registry& registry, const ScanOptions& options);
+
+struct DoctorOptions {
+  std::string file;  ///< the configuration that is to run here; empty: none
+  std::string root;  ///< as that of ScanOptions
+  ShowAs show_as = ShowAs::text;
+};
+/// exit_good: notes at most; exit_loss: something costs timing or data; exit_configuration: something that the
+/// configuration needs cannot work, or it has mistakes.
+int doctor(const Registry& registry, const DoctorOptions& options);
+
 struct BenchOptions {
   Duration duration = std::chrono::seconds{60};  ///< of all parts together, about
   std::string json_file;                         ///< empty: none

@@ -195,6 +195,42 @@ Action prepare_bench(CLI::App& command) {
   };
 }
 
+Action prepare_scan(CLI::App& command) {
+  const auto options = std::make_shared<app::ScanOptions>();
+  command.add_flag("--probe", options->probe,
+                   "Also read a byte from each free I2C address; a chip may take that amiss");
+  command.add_option("--root", options->root, "Look at a copy of another machine's /sys and /dev in this folder")
+      ->type_name("DIR");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = app::ShowAs::json; }, "Print JSON");
+  command.footer("examples:\n  rtdata scan\n  rtdata scan --probe");
+  return [options](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (options->show_as == app::ShowAs::text) wrapped.emplace();
+    return app::scan(registry, *options);
+  };
+}
+
+Action prepare_doctor(CLI::App& command) {
+  const auto options = std::make_shared<app::DoctorOptions>();
+  command.add_option("FILE", options->file, "The configuration that is to run here: its devices, disks and tiers too");
+  command
+      .add_option("--root", options->root, "Look at a copy of another machine's /proc, /sys and /etc in this folder")
+      ->type_name("DIR");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = app::ShowAs::json; }, "Print JSON");
+  command.footer(
+      "examples:\n  rtdata doctor\n  rtdata doctor bench.json\nexit status:\n"
+      "  0  notes at most\n  1  an error\n"
+      "  2  something that the configuration needs cannot work, or it has mistakes\n"
+      "  3  something costs timing or data");
+  return [options](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (options->show_as == app::ShowAs::text) wrapped.emplace();
+    return app::doctor(registry, *options);
+  };
+}
+
 #ifdef RTDATA_WITH_SQLITE
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
@@ -270,6 +306,8 @@ constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", prepare_init},
     {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", prepare_run},
     {"top", "Look at a running instance: rates, lateness, losses, sinks", prepare_top},
+    {"scan", "List the devices of this machine, with lines to paste", prepare_scan},
+    {"doctor", "Say what of this machine costs timing or data, and what to do", prepare_doctor},
     {"bench", "Measure what this machine can do: jitter, events, recording", prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", prepare_check},
     {"types", "List the types of sensors, sinks and formats with their parameters", prepare_types},

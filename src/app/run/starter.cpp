@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <vector>
 
+#include "app/machine/scan.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/sensors/host.hpp"
 
@@ -51,18 +52,15 @@ std::vector<Entry> host_entries() {
   return entries;
 }
 
-/// Converters of the kernel that can be read here.
-std::vector<Entry> analog_entries(const std::string& sys) {
+/// Converters of the kernel that can be read here: four at most.
+std::vector<Entry> analog_entries(const Registry& registry, const MachineFiles& files) {
   std::vector<Entry> entries;
-  std::error_code ignored;
-  for (const auto& device : std::filesystem::directory_iterator(sys + "/bus/iio/devices", ignored)) {
-    for (const auto& file : std::filesystem::directory_iterator(device.path(), ignored)) {
-      const std::string name = file.path().filename().string();
-      if (!name.starts_with("in_voltage") || !name.ends_with("_raw") || entries.size() == 4) continue;
-      const std::string sensor = "adc" + std::to_string(entries.size());
-      entries.push_back({entries.empty() ? "set the scale and unit of your sensors; see: rtdata types analog" : "",
-                         R"({"name": ")" + sensor + R"(", "type": "analog", "rate": "10 Hz", "file": ")" +
-                             file.path().string() + R"(", "scale": 3.3, "unit": "V"})"});
+  for (const FoundDevice& device : scan_machine(files, registry, Probing::no).devices) {
+    if (device.kind != "iio" || !device.obstacle.empty()) continue;
+    for (const FoundDevice::Line& line : device.lines) {
+      if (entries.size() == 4) return entries;
+      entries.push_back(
+          {entries.empty() ? "set the scale and unit of your sensors; see: rtdata types analog" : "", line.text});
     }
   }
   return entries;
@@ -70,29 +68,29 @@ std::vector<Entry> analog_entries(const std::string& sys) {
 
 }  // namespace
 
-bool is_on_card(const std::string& folder, const std::string& sys) {
+bool is_on_card(const std::string& folder, const std::string& root) {
   struct stat status {};
   if (::stat(folder.empty() ? "." : folder.c_str(), &status) != 0) return false;
   const std::string device = std::to_string(major(status.st_dev)) + ":" + std::to_string(minor(status.st_dev));
   std::error_code ignored;
-  const auto found = std::filesystem::read_symlink(sys + "/dev/block/" + device, ignored);
+  const auto found = std::filesystem::read_symlink(root + "/sys/dev/block/" + device, ignored);
   return found.filename().string().starts_with("mmcblk");
 }
 
-std::string starter_file(const Registry& registry, const std::string& file, const std::string& sys) {
+std::string starter_file(const Registry& registry, const std::string& file, const std::string& root) {
   const std::string stem = std::filesystem::path(file).stem().string();
   std::string text = "// A starter file for this machine. Run it:    rtdata run " + file +
                      " --for 10s\n// What else can be configured:               rtdata types\n{\n  \"$schema\": \"" +
                      std::string(schema_file) +
                      "\",\n  \"name\": " + ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
   std::vector<Entry> sensors = host_entries();
-  for (Entry& entry : analog_entries(sys)) sensors.push_back(std::move(entry));
+  for (Entry& entry : analog_entries(registry, MachineFiles(root))) sensors.push_back(std::move(entry));
   add_list(text, registry, "sensors", sensors);
   text += ",\n";
   const auto output = [&](const char* extension) {
     return ConfigItem::of(stem + extension).to_json(ConfigItem::Layout::one_line);
   };
-  const bool is_card = is_on_card(std::filesystem::path(file).parent_path().string(), sys);
+  const bool is_card = is_on_card(std::filesystem::path(file).parent_path().string(), root);
   const std::string recording = R"({"type": "sqlite", "path": )" + output(".db") + R"(, "topics": ["#"], )" +
                                 (is_card ? R"("profile": "card", )" : "") + R"("max_bytes": 1000000000})";
   const std::string lines = R"({"type": "file", "path": )" + output(".jsonl") +

@@ -1,0 +1,130 @@
+// `rtdata scan` and `rtdata doctor`: what they print.
+#include <unistd.h>
+
+#include <algorithm>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "app/core/configuration_commands.hpp"
+#include "app/machine/doctor.hpp"
+#include "app/machine/scan.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+/// What files hold need not be UTF-8.
+std::string text_of(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace); }
+
+bool is_folder_there(const std::string& root) {
+  if (root.empty() || ::access((root + "/.").c_str(), R_OK | X_OK) == 0) return true;
+  std::cerr << "rtdata: " << system_error(errno, "cannot read the copy of the machine", root).text() << std::endl;
+  return false;
+}
+
+Json json_of(const Scan& scan) {
+  Json devices = Json::array(), hints = Json::array();
+  for (const FoundDevice& device : scan.devices) {
+    Json one{{"kind", device.kind}, {"path", device.path}, {"what", device.what}};
+    if (!device.obstacle.empty()) one["obstacle"] = device.obstacle;
+    if (!device.advice.empty()) one["advice"] = device.advice;
+    for (const FoundDevice::Line& line : device.lines) one[line.list].push_back(line.text);
+    devices.push_back(std::move(one));
+  }
+  for (const ScanHint& hint : scan.hints) hints.push_back({{"kind", hint.kind}, {"text", hint.text}});
+  return {{"devices", std::move(devices)}, {"hints", std::move(hints)}};
+}
+
+void print(const Scan& scan) {
+  std::string kind;
+  for (const FoundDevice& device : scan.devices) {
+    if (device.kind != kind) std::cout << (kind.empty() ? "" : "\n") << device.kind << "\n";
+    kind = device.kind;
+    std::cout << "  " << device.path << (device.what.empty() ? "" : "  ") << device.what << "\n";
+    if (!device.obstacle.empty())
+      std::cout << "    cannot be used: " << device.obstacle << (device.advice.empty() ? "" : "; ") << device.advice
+                << "\n";
+    for (const FoundDevice::Line& line : device.lines) std::cout << "    " << line.list << ": " << line.text << "\n";
+  }
+  if (scan.devices.empty()) std::cout << "no device was found that could be measured with\n";
+  if (!scan.hints.empty()) std::cout << "\n";
+  for (const ScanHint& hint : scan.hints) std::cout << hint.kind << ": " << hint.text << "\n";
+  const bool has_lines = std::any_of(scan.devices.begin(), scan.devices.end(),
+                                     [](const FoundDevice& device) { return !device.lines.empty(); });
+  if (has_lines)
+    std::cout << "\nlines go into the lists of a configuration that they name; `rtdata check` tells what they lack\n";
+  std::cout << std::flush;
+}
+
+const char* name_of(Severity severity) {
+  switch (severity) {
+    case Severity::good:
+      return "ok";
+    case Severity::note:
+      return "note";
+    case Severity::warning:
+      return "warning";
+    case Severity::fault:
+      return "fault";
+  }
+  return "";
+}
+
+}  // namespace
+
+int scan(const Registry& registry, const ScanOptions& options) {
+  if (!is_folder_there(options.root)) return exit_other;
+  const Scan found = scan_machine(MachineFiles(options.root), registry, options.probe ? Probing::yes : Probing::no);
+  if (options.show_as == ShowAs::json) {
+    std::cout << text_of(json_of(found)) << std::endl;
+  } else {
+    print(found);
+  }
+  return exit_good;
+}
+
+int doctor(const Registry& registry, const DoctorOptions& options) {
+  if (!is_folder_there(options.root)) return exit_other;
+  const MachineFiles files(options.root);
+  std::optional<SystemPlan> plan;
+  std::vector<Finding> found;
+  const auto append = [&](std::vector<Finding> more) {
+    for (Finding& one : more) found.push_back(std::move(one));
+  };
+  if (!options.file.empty()) {
+    plan = plan_system(registry, load_config(options.file));
+    if (!plan->good()) {
+      plan->hide_secrets();
+      std::cerr << plan->report() << "rtdata: " << options.file << " has mistakes; see rtdata check" << std::endl;
+      return exit_configuration;
+    }
+    append(examine_devices(files, *plan));
+  }
+  append(examine_timing(files, plan ? &*plan : nullptr));
+  append(examine_clock(files));
+  append(examine_disks(files, plan ? &*plan : nullptr));
+  std::stable_sort(found.begin(), found.end(),
+                   [](const Finding& a, const Finding& b) { return a.severity > b.severity; });
+  const Severity worst = found.front().severity;
+  if (options.show_as == ShowAs::json) {
+    Json findings = Json::array();
+    for (const Finding& one : found) {
+      Json json{{"severity", name_of(one.severity)}, {"subject", one.subject}, {"what", one.what}};
+      if (!one.cost.empty()) json["cost"] = one.cost;
+      if (!one.advice.empty()) json["advice"] = one.advice;
+      findings.push_back(std::move(json));
+    }
+    std::cout << text_of({{"worst", name_of(worst)}, {"findings", std::move(findings)}}) << std::endl;
+  } else {
+    for (const Finding& one : found) {
+      std::cout << name_of(one.severity) << ": " << one.subject << ": " << one.what << "\n";
+      if (!one.cost.empty()) std::cout << "    cost: " << one.cost << "\n";
+      if (!one.advice.empty()) std::cout << "    do:   " << one.advice << "\n";
+    }
+    std::cout << std::flush;
+  }
+  return worst == Severity::fault ? exit_configuration : worst == Severity::warning ? exit_loss : exit_good;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,43 @@
+// The kernel's files of a machine: this one, or a copy of another's /proc, /sys, /etc and /dev. Private to the program.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace rtdata::app {
+
+/// All paths are those of the machine ("/sys/class/hwmon"); what is not there, or cannot be read, is none or empty.
+class MachineFiles {
+ public:
+  /// `root`: the folder of the copy; empty or "/": this machine.
+  explicit MachineFiles(std::string root = {});
+
+  bool is_this_machine() const noexcept { return root_.empty(); }
+  /// Where the file is: the path below the root.
+  std::string path(const std::string& file) const { return root_ + file; }
+  bool exists(const std::string& file) const;
+  /// At most 64 KiB, without blanks and line ends at both ends.
+  std::optional<std::string> text(const std::string& file) const;
+  /// Names in a folder, sorted, numbers in them by their value: "i2c-2" before "i2c-10".
+  std::vector<std::string> names(const std::string& folder) const;
+  /// Those that begin so.
+  std::vector<std::string> names(const std::string& folder, std::string_view prefix) const;
+  /// The last part of what a link points to: "ttyUSB0" of "../../ttyUSB0"; empty: it is no link.
+  std::string link_name(const std::string& link) const;
+
+ private:
+  std::string root_;
+};
+
+/// What `access` says of a device, and what to do about it.
+struct Access {
+  bool is_granted = true;
+  std::string why = {};     ///< "Permission denied"
+  std::string advice = {};  ///< names the group that may
+};
+
+/// `mode`: R_OK, W_OK. On a copy of another machine, whose users nobody knows here, it says only what is not there.
+Access access_to(const MachineFiles& files, const std::string& file, int mode);
+
+}  // namespace rtdata::app
