@@ -440,8 +440,7 @@ TEST_CASE("memory of SQLite: the n-th allocation fails") {
 }
 
 // SQLite prepares its statements anew when the schema has changed: a topic has got its table. Without memory for that
-// it may roll the
-// transaction back and run the statement outside of it, without an error.
+// it may roll the transaction back and run the statement outside of it, without an error.
 TEST_CASE("memory of SQLite: the n-th allocation fails of the transaction of a new topic") {
   const pid_t child = ::fork();
   REQUIRE(child >= 0);
