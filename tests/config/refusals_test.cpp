@@ -25,6 +25,7 @@ const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
     {"bmp280", R"({"name": "s", "type": "bmp280", "rate": "10 Hz", "bus": "i2c1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};

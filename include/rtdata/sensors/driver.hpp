@@ -47,7 +47,8 @@ class Samples {
  public:
   /// With the time at which the read began.
   void add(T value) { samples_.push_back({std::move(value), std::nullopt}); }
-  /// With its own time; one in the future becomes that at which the read ended.
+  /// With its own time; one in the future becomes that at which the read ended, one that is not after the sample before
+  /// 1 ns more than that one's.
   void add(T value, MonotonicTime time) { samples_.push_back({std::move(value), time}); }
   /// The chip has dropped so many before it was read (its FIFO was full).
   void lost(std::uint64_t count) { lost_ += count; }
@@ -232,7 +233,8 @@ class DriverDevice final : public detail::LaneDevice {
     if (samples.lost_ > 0) port.lost(samples.lost_);
     for (auto& sample : samples.samples_) {
       if (sample.time) {
-        port.publish_at(&sample.value, std::min(*sample.time, read.ended));
+        last_ = std::max(std::min(*sample.time, read.ended), last_ + Duration{1});
+        port.publish_at(&sample.value, last_);
       } else {
         port.publish(&sample.value);
       }
@@ -259,6 +261,7 @@ class DriverDevice final : public detail::LaneDevice {
   const typename D::Config config_;
   const std::shared_ptr<void> claim_;
   std::shared_ptr<Session> session_;  // opened, for the first read
+  MonotonicTime last_{};              // of the last sample that had its own time
 };
 
 template <Driver D>

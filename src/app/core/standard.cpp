@@ -7,6 +7,7 @@
 #include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/console.hpp"
@@ -81,6 +82,7 @@ Registry standard_registry() {
       std::string(I2cBus::type), "an I2C adapter of the kernel",
       [](Runtime&, const std::string& name, const I2cConfig& config) { return I2cBus(name, config); });
   registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
+  registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
   registry.add_driver<Lm75>("lm75", "temperature of an LM75, TMP75 or the like on I2C");
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
