@@ -2,6 +2,8 @@
 #include <doctest/doctest.h>
 
 #include <cerrno>
+#include <cmath>
+#include <cstdlib>
 #include <string>
 #include <vector>
 
@@ -10,6 +12,7 @@
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/lm75.hpp"
 
 using namespace bench;
@@ -72,5 +75,42 @@ TEST_SUITE("drivers") {
     CHECK(bytes == std::array<std::uint8_t, 3>{1, 2, 3});
     std::array<std::uint8_t, 40> many{};
     CHECK(chip.read_registers(0, many).error().code == Errc::bad_argument);
+  }
+
+  TEST_CASE("US-15 NFR-3 imu: every sample of the MPU-6050's FIFO, or its loss, is in the account") {
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop;
+      put(device("SIM") + "/i2c-68/ramp", "1");  // Z of the angular velocity is the sample's number
+      const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": ")" + device("I2C") +
+                               R"("}}, "sensors": [{"name": "imu", "type": "imu", "rate": "50 Hz", "bus": "i2c1",
+          "sample_rate": 500}], "sinks": [{"type": "sqlite", "path": ")" +
+                               path + "\"}]}";
+      System system(loop, standard_registry(), parse_config(text, "imu.json"));
+      int first = -1, last = -1, events = 0;
+      Time before{};
+      const auto heard = loop.subscribe<ImuReading>("imu", [&](const Event<ImuReading>& event) {
+        const int number = static_cast<int>(
+            std::lround(event->angular_velocity_z / (2000 / 32750.0 * 3.14159265 / 180)));
+        CHECK(event->acceleration_x == doctest::Approx(0x400 / 32768.0 * 16 * 9.80665));
+        CHECK(number > last);
+        CHECK(event.time > before);
+        before = event.time;
+        last = number;
+        if (first < 0) first = number;
+        if (++events >= 1000) loop.stop();
+      });
+      const Timer patience = limit(loop);
+      loop.run();
+      CHECK(events >= 1000);
+      const SensorCounts counts = loop.runtime().sensors()[0].counts;
+      const int left_out = last - first + 1 - events;
+      // A sample that the FIFO gave up is one that nobody has seen. The chip's clock is the kernel's timer here.
+      CHECK(std::abs(left_out - static_cast<int>(counts.lost)) <= 2);
+      if (is_time_simulated()) CHECK(left_out == 0);
+      close_balanced(loop);
+    }
+    check_verifies(path);
   }
 }
