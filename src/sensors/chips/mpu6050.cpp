@@ -142,7 +142,7 @@ Result<void> Mpu6050::empty_fifo(I2cDevice& chip) {
   return chip.write_register(user_register, fifo_on);
 }
 
-/// Those that it has taken since the last one that was read are lost. Whole periods are counted, and what is left of one
+/// Those that it has taken since the last one that was read are lost. Whole periods are counted; what is left of one
 /// goes on, so that no sample is counted twice or left out in the long run.
 void Mpu6050::give_up_samples(MonotonicTime now, Samples<ImuReading>& out) {
   if (now <= last_) return;
