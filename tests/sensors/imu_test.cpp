@@ -20,7 +20,7 @@ using namespace rtdata::literals;
 
 namespace {
 
-/// An MPU-6050: its FIFO has a sample for each period since it was switched on; Z of the angular velocity is its number.
+/// An MPU-6050: its FIFO has a sample for each period since it was switched on; its Z of the rate is the number.
 struct FakeMpu {
   explicit FakeMpu(FakeI2cChip& chip_) : chip(chip_) {
     chip.set(0x75, {0x68});
