@@ -692,7 +692,8 @@ TEST_SUITE("app") {
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"record", "x"},
-         "rtdata: there is no command \"record\"; there are init, run, top, scan, doctor, bench, check, types, verify, info, export; "
+         "rtdata: there is no command \"record\"; there are init, run, top, scan, doctor, bench, check, types, verify, "
+         "info, export; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
