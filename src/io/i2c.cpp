@@ -55,7 +55,7 @@ struct I2cDevice::Core {
   const std::shared_ptr<I2cTransport> transport;
   const I2cConfig config;
   mutable std::mutex mutex;  // of the counts
-  std::array<I2cCounts, 128> counts{};
+  std::array<TransferCounts, 128> counts{};
 };
 
 Error I2cDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -104,12 +104,7 @@ Result<void> I2cDevice::write_read(std::span<const std::uint8_t> write, std::spa
   const Duration took = detail::lane_now() - began;
   {
     const std::lock_guard lock(core_->mutex);
-    I2cCounts& counts = core_->counts[address_.number];
-    ++counts.transfers;
-    if (status != 0) ++counts.failed;
-    counts.retried += status != 0 ? core_->config.retries : tries;
-    counts.busy += took;
-    counts.longest = std::max(counts.longest, took);
+    core_->counts[address_.number].add(took, status == 0, status != 0 ? core_->config.retries : tries);
   }
   return status == 0 ? Result<void>() : Result<void>(failure(status));
 }
@@ -152,9 +147,9 @@ I2cDevice I2cBus::device(const I2cDevice::Place& place) const {
   return {core_, place.address};
 }
 
-I2cCounts I2cBus::counts(I2cAddress address) const {
+TransferCounts I2cBus::counts(I2cAddress address) const {
   const std::lock_guard lock(core_->mutex);
-  return address.number < core_->counts.size() ? core_->counts[address.number] : I2cCounts{};
+  return address.number < core_->counts.size() ? core_->counts[address.number] : TransferCounts{};
 }
 
 }  // namespace rtdata

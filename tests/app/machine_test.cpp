@@ -91,7 +91,10 @@ TEST_SUITE("app") {
     REQUIRE(closed != nullptr);
     CHECK(closed->obstacle == "No such file or directory");
     CHECK(closed->advice.find("modprobe i2c-dev") != std::string::npos);
-    CHECK(find(scan, "/dev/spidev0.1", "0.1") != nullptr);
+    const FoundDevice* spi = find(scan, "/dev/spidev0.1", "0.1");
+    REQUIRE(spi != nullptr);
+    REQUIRE(spi->lines.size() == 1);
+    CHECK(spi->lines[0].text == R"("spi0": {"type": "spi", "device": "/dev/spidev0"})");
     const FoundDevice* adc = find(scan, "/sys/bus/iio/devices/iio:device0");
     REQUIRE(adc != nullptr);
     CHECK(adc->what == "mcp3208, 4 channels");

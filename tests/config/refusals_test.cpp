@@ -25,6 +25,7 @@ const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
     {"bmp280", R"({"name": "s", "type": "bmp280", "rate": "10 Hz", "bus": "i2c1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
@@ -81,7 +82,8 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
         folder.write("adc", "7\n");
         ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
         item.set(parameter.key, value);
-        const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"}}, ")" +
+        const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"},
+            "spi0": {"type": "spi", "device": "/no/such/controller"}}, ")" +
                                  std::string(list) + "\": [" + item.to_json() + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);

@@ -27,6 +27,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
@@ -39,6 +40,23 @@ namespace rtdata {
 namespace detail {
 class LaneThread;
 }
+
+/// What the device at one place has cost its bus.
+struct TransferCounts {
+  std::uint64_t transfers = 0;  ///< with those that failed, and without retries
+  std::uint64_t failed = 0;     ///< after all retries
+  std::uint64_t retried = 0;
+  Duration busy{0};  ///< the bus was held
+  Duration longest{0};
+
+  void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept {
+    ++transfers;
+    if (!is_good) ++failed;
+    retried += retries;
+    busy += took;
+    if (took > longest) longest = took;
+  }
+};
 
 class Bus {
  public:

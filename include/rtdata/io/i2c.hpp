@@ -80,15 +80,6 @@ struct I2cConfig {
   }
 };
 
-/// What one address has cost the bus.
-struct I2cCounts {
-  std::uint64_t transfers = 0;  ///< with those that failed, and without retries
-  std::uint64_t failed = 0;     ///< after all retries
-  std::uint64_t retried = 0;
-  Duration busy{0};  ///< the bus was held
-  Duration longest{0};
-};
-
 class I2cBus;
 
 class I2cDevice : public BusDevice {
@@ -144,7 +135,7 @@ class I2cBus : public Bus {
   I2cDevice device(const I2cDevice::Place& place) const;
   static std::string text_of(const I2cDevice::Place& place) { return "address " + to_string(place.address); }
   /// Any thread.
-  I2cCounts counts(I2cAddress address) const;
+  TransferCounts counts(I2cAddress address) const;
 
  private:
   std::shared_ptr<I2cDevice::Core> core_;

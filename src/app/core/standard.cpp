@@ -3,12 +3,14 @@
 #include <algorithm>
 
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/lm75.hpp"
+#include "rtdata/sensors/mcp3x08.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -81,9 +83,13 @@ Registry standard_registry() {
   registry.add_bus<I2cConfig>(
       std::string(I2cBus::type), "an I2C adapter of the kernel",
       [](Runtime&, const std::string& name, const I2cConfig& config) { return I2cBus(name, config); });
+  registry.add_bus<SpiConfig>(
+      std::string(SpiBus::type), "an SPI controller of the kernel",
+      [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
   registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
   registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
   registry.add_driver<Lm75>("lm75", "temperature of an LM75, TMP75 or the like on I2C");
+  registry.add_driver<Mcp3x08>("mcp3x08", "eight channels of an MCP3008 or MCP3208 on SPI");
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },

@@ -22,8 +22,13 @@ std::string device_of(const PartPlan& part) {
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan) {
   std::vector<Finding> found;
   for (const PartPlan& part : plan.parts) {
-    const std::string device = device_of(part);
+    std::string device = device_of(part);
     if (device.empty()) continue;
+    // An SPI controller has a device for each chip select.
+    if (!files.exists(device) && device.starts_with("/dev/spidev")) {
+      const auto selects = files.names("/dev", device.substr(5) + ".");
+      if (!selects.empty()) device = "/dev/" + selects.front();
+    }
     // What the kernel shows below /sys and /proc is read; a bus or a port is written to as well.
     const bool is_read_only = !device.starts_with("/dev/");
     const Access access = access_to(files, device, is_read_only ? R_OK : R_OK | W_OK);

@@ -167,10 +167,13 @@ class Scanner {
 
   void spi_devices() {
     const std::vector<std::string> devices = files_.names("/dev", "spidev");
+    std::string controller;
     for (const std::string& device : devices) {
       FoundDevice& found = add("spi", "/dev/" + device, "bus and chip select " + device.substr(6));
+      const std::string its = device.substr(0, device.find('.'));
+      if (its == std::exchange(controller, its)) continue;  // one line for all chip selects of a controller
       line(found, "buses",
-           quoted("spi" + device.substr(6)) + R"(: {"type": "spi", "device": )" + quoted(found.path) + "}");
+           quoted("spi" + its.substr(6)) + R"(: {"type": "spi", "device": )" + quoted("/dev/" + its) + "}");
     }
     if (devices.empty()) {
       hint("spi", files_.names("/sys/class/spi_master").empty()

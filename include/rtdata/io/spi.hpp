@@ -1,0 +1,133 @@
+/// SpiBus, SpiDevice: chips on an SPI controller of the kernel (/dev/spidev0.0, /dev/spidev0.1), or on whatever stands in
+/// for one.
+///
+///     rtdata::SpiBus bus({.device = "/dev/spidev0"});  // the controller; a chip is one of its chip selects
+///     rtdata::SpiDevice chip = bus.device({.chip_select = 1, .mode = 0, .clock = 1'000'000});
+///     const std::array<std::uint8_t, 3> ask{0x06, 0x40, 0x00};
+///     std::array<std::uint8_t, 3> answer{};
+///     chip.transfer(ask, answer).or_throw();
+///
+/// SPI has no acknowledgement: a chip that is not there reads as ones or zeros, which its driver has to notice.
+///
+/// All transfers block the thread that calls them: a program that has a loop gives the bus to sensors (DriverSensor,
+/// driver.hpp), which use it on its lane.
+///
+/// Errors: not-found, not-permitted (of the controller), bad-argument (a mode, clock or length that the controller
+/// refuses), disconnected (it was unplugged), closed (of a job that was given up), io-failed.
+///
+/// Thread: SpiBus: any. SpiDevice: one at a time.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/io/bus.hpp"
+
+namespace rtdata {
+
+/// Where a chip is, and how it is talked to.
+struct SpiPlace {
+  unsigned chip_select = 0;
+  unsigned mode = 0;           ///< 0 to 3: clock polarity times 2, plus phase
+  unsigned clock = 1'000'000;  ///< Hz; controllers take the next lower one that they have
+  unsigned bits_per_word = 8;  ///< words of more than 8 bits are in memory in the processor's byte order
+  friend constexpr auto parameters(type_tag<SpiPlace>) {
+    return parameter_list(
+        parameter("chip_select", &SpiPlace::chip_select, "of the chip: the 1 of /dev/spidev0.1", range(0, 255)),
+        parameter("mode", &SpiPlace::mode, "SPI mode: clock polarity times 2, plus phase", range(0, 3)),
+        parameter("clock", &SpiPlace::clock, "at most; lower for long wires", unit("Hz"), range(1'000, 100'000'000)),
+        parameter("bits_per_word", &SpiPlace::bits_per_word, "of the transfers", unit("bit"), range(4, 32)));
+  }
+};
+
+/// A piece of a transfer during which the chip stays selected.
+struct SpiSegment {
+  std::span<const std::uint8_t> write = {};  ///< empty: zeros are sent
+  std::span<std::uint8_t> read = {};         ///< empty: what comes is dropped; else as long as what is written
+  Duration delay_after{0};                   ///< the chip's, before the next piece; to 65 ms
+  bool release_after = false;                ///< the chip select goes up before the next piece
+};
+
+/// What carries the transfers: the kernel's controller, the fake of tests (fake_spi.hpp), or one of your own.
+/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
+class SpiTransport {
+ public:
+  virtual ~SpiTransport() = default;
+  /// 0, or the errno of what went wrong.
+  virtual int transfer(const SpiPlace& place, std::span<const SpiSegment> segments) noexcept = 0;
+};
+
+struct SpiConfig {
+  std::string device = {};                     ///< of the controller, without the chip select: "/dev/spidev0"
+  Duration timeout = std::chrono::seconds{1};  ///< what a sensor does on the bus at a time; longer, it is given up
+
+  friend constexpr auto parameters(type_tag<SpiConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("device", &SpiConfig::device, "the controller without a chip select, such as /dev/spidev0", required,
+                  TextIs::device),
+        parameter("timeout", &SpiConfig::timeout, "a reading that takes the bus for longer is given up",
+                  range(Duration{1ms}, Duration{1h})));
+  }
+  friend void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems);
+};
+
+class SpiBus;
+
+class SpiDevice : public BusDevice {
+ public:
+  using Bus = SpiBus;
+  using Place = SpiPlace;
+  /// Longest transfer of the kernel's spidev, unless its `bufsiz` was set.
+  static constexpr std::size_t longest = 4096;
+  static constexpr std::size_t most_segments = 64;
+
+  const SpiPlace& place() const noexcept { return place_; }
+  /// Sends and receives at once: as many bytes each, or one of them empty.
+  Result<void> transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
+  Result<void> write(std::span<const std::uint8_t> bytes) { return transfer(bytes, {}); }
+  Result<void> read(std::span<std::uint8_t> bytes) { return transfer({}, bytes); }
+  /// Sends, then receives, the chip selected all the time.
+  Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
+  /// One after the other, as one message.
+  Result<void> transfer(std::span<const SpiSegment> segments);
+
+  /// An error of this chip, for drivers: "cannot read the MCP3208: bus spi0, chip select 1: ...".
+  Error error(Errc code, std::string what, std::string why, std::string advice = {}) const;
+
+ private:
+  friend class SpiBus;
+  struct Core;
+  SpiDevice(std::shared_ptr<Core> core, SpiPlace place) : core_(std::move(core)), place_(place) {}
+  std::shared_ptr<Core> core_;
+  SpiPlace place_;
+};
+
+class SpiBus : public Bus {
+ public:
+  static constexpr std::string_view type = "spi";
+  /// Named as its device. A chip select is opened by the first transfer, and again after the controller was gone.
+  explicit SpiBus(SpiConfig config);
+  SpiBus(std::string name, SpiConfig config);
+  /// Of another transport; `device` is not used.
+  SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config = {});
+
+  /// SetupError (bad-argument): a mode, or a number of bits, that there is not.
+  SpiDevice device(const SpiPlace& place) const;
+  static std::string text_of(const SpiPlace& place) { return "chip select " + std::to_string(place.chip_select); }
+  /// What the chip has cost the bus. Any thread.
+  TransferCounts counts(unsigned chip_select) const;
+
+ private:
+  std::shared_ptr<SpiDevice::Core> core_;
+};
+
+/// The kernel's controller.
+std::shared_ptr<SpiTransport> make_kernel_spi(std::string device);
+
+}  // namespace rtdata

@@ -1,0 +1,112 @@
+#include "rtdata/io/spi.hpp"
+
+#include <array>
+#include <cerrno>
+#include <map>
+#include <mutex>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/lane.hpp"
+
+namespace rtdata {
+
+void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems) {
+  const std::size_t dot = config.device.rfind('.');
+  if (!config.device.starts_with("/dev/spidev") || dot == std::string::npos) return;
+  const ConfigItem* device = item.find("device");
+  problems.add((device != nullptr ? *device : item)
+                   .problem("bad-value",
+                            "this is a chip select, not a controller: give \"" + config.device.substr(0, dot) +
+                                "\" here, and \"chip_select\": " + config.device.substr(dot + 1) + " to the sensor"));
+}
+
+/// Shared by the bus and its devices, which may hang and outlive it.
+struct SpiDevice::Core {
+  Core(std::string bus_, std::shared_ptr<SpiTransport> transport_, SpiConfig config_)
+      : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
+  const std::string bus;
+  const std::shared_ptr<SpiTransport> transport;
+  const SpiConfig config;
+  mutable std::mutex mutex;  // of the counts
+  std::map<unsigned, TransferCounts> counts;
+};
+
+Error SpiDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
+  return {code, std::move(what), "bus " + core_->bus + ", " + SpiBus::text_of(place_), std::move(why),
+          std::move(advice)};
+}
+
+Result<void> SpiDevice::transfer(std::span<const SpiSegment> segments) {
+  constexpr const char* what = "cannot talk to the chip";
+  if (is_abandoned()) return error(Errc::closed, what, "this reading was given up before");
+  std::size_t bytes = 0;
+  for (const SpiSegment& segment : segments) {
+    if (!segment.write.empty() && !segment.read.empty() && segment.write.size() != segment.read.size())
+      return error(Errc::bad_argument, what,
+                   "a piece sends " + std::to_string(segment.write.size()) + " bytes and receives " +
+                       std::to_string(segment.read.size()),
+                   "as many of each, or one of them none");
+    bytes += std::max(segment.write.size(), segment.read.size());
+  }
+  if (segments.size() > most_segments || bytes > longest)
+    return error(Errc::bad_argument, what,
+                 std::to_string(bytes) + " bytes in " + std::to_string(segments.size()) +
+                     " pieces are more than one transfer takes",
+                 "4096 bytes and 64 pieces at most");
+  const MonotonicTime began = detail::lane_now();
+  const int status = core_->transport->transfer(place_, segments);
+  const Duration took = detail::lane_now() - began;
+  {
+    const std::lock_guard lock(core_->mutex);
+    core_->counts.find(place_.chip_select)->second.add(took, status == 0);
+  }
+  if (status == 0) return {};
+  if (status == EINVAL || status == EMSGSIZE)
+    return error(Errc::bad_argument, what,
+                 "the controller refuses mode " + std::to_string(place_.mode) + " at " + std::to_string(place_.clock) +
+                     " Hz with " + std::to_string(place_.bits_per_word) + " bits, or " + std::to_string(bytes) +
+                     " bytes at a time",
+                 "try mode 0, 8 bits and a lower clock");
+  if (status == ENODEV || status == ESHUTDOWN)
+    return error(Errc::disconnected, what, "the controller is gone", "was it unplugged?");
+  const std::string device = core_->config.device.empty()
+                                 ? "bus " + core_->bus + ", " + SpiBus::text_of(place_)
+                                 : core_->config.device + "." + std::to_string(place_.chip_select);
+  return system_error(status, what, device, "`ls -l /dev/spidev*` lists the chip selects and who may use them");
+}
+
+Result<void> SpiDevice::transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) {
+  const std::array<SpiSegment, 1> one{{{.write = write, .read = read}}};
+  return transfer(one);
+}
+
+Result<void> SpiDevice::write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) {
+  const std::array<SpiSegment, 2> both{{{.write = write}, {.read = read}}};
+  return transfer(both);
+}
+
+SpiBus::SpiBus(SpiConfig config) : SpiBus(std::string(config.device), config) {}
+
+SpiBus::SpiBus(std::string name, SpiConfig config) : SpiBus(std::move(name), make_kernel_spi(config.device), config) {}
+
+SpiBus::SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config)
+    : Bus(name, config.timeout),
+      core_(std::make_shared<SpiDevice::Core>(std::move(name), std::move(transport), std::move(config))) {}
+
+SpiDevice SpiBus::device(const SpiPlace& place) const {
+  const bool is_good = place.mode <= 3 && place.bits_per_word >= 4 && place.bits_per_word <= 32 && place.clock > 0;
+  if (!is_good)
+    throw SetupError({Errc::bad_argument, "cannot use this chip", "bus " + name() + ", " + text_of(place),
+                      "there are modes 0 to 3, words of 4 to 32 bits, and clocks above 0", ""});
+  const std::lock_guard lock(core_->mutex);
+  core_->counts.try_emplace(place.chip_select);
+  return {core_, place};
+}
+
+TransferCounts SpiBus::counts(unsigned chip_select) const {
+  const std::lock_guard lock(core_->mutex);
+  const auto found = core_->counts.find(chip_select);
+  return found != core_->counts.end() ? found->second : TransferCounts{};
+}
+
+}  // namespace rtdata
