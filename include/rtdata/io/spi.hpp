@@ -1,5 +1,5 @@
-/// SpiBus, SpiDevice: chips on an SPI controller of the kernel (/dev/spidev0.0, /dev/spidev0.1), or on whatever stands in
-/// for one.
+/// SpiBus, SpiDevice: chips on an SPI controller of the kernel (/dev/spidev0.0, /dev/spidev0.1), or on whatever stands
+/// in for one.
 ///
 ///     rtdata::SpiBus bus({.device = "/dev/spidev0"});  // the controller; a chip is one of its chip selects
 ///     rtdata::SpiDevice chip = bus.device({.chip_select = 1, .mode = 0, .clock = 1'000'000});

@@ -96,6 +96,7 @@ class Mpu6050 {
   Config config_;
   Duration period_;
   MonotonicTime last_{};  ///< of the last sample that was read, or of the start
+  bool is_torn_ = false;  ///< where a sample begins in the FIFO is not known
 };
 
 }  // namespace rtdata

@@ -139,7 +139,9 @@ Result<void> Mpu6050::set_up(I2cDevice& chip) {
 Result<void> Mpu6050::empty_fifo(I2cDevice& chip) {
   if (auto done = chip.write_register(user_register, fifo_reset); !done) return done;
   if (auto done = chip.read_register(interrupt_register); !done) return done.error();  // which clears it
-  return chip.write_register(user_register, fifo_on);
+  auto done = chip.write_register(user_register, fifo_on);
+  if (done) is_torn_ = false;
+  return done;
 }
 
 /// Those that it has taken since the last one that was read are lost. Whole periods are counted; what is left of one
@@ -168,18 +170,20 @@ Result<void> Mpu6050::read(I2cDevice& chip, Samples<ImuReading>& out) {
   if (filled > of(config_.model).fifo_bytes)
     return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
                       "look at its wires");
-  const Result<std::uint8_t> interrupt = chip.read_register(interrupt_register);
-  if (!interrupt) return interrupt.error();
-  if ((*interrupt & fifo_overflow) != 0 || filled + sample_bytes > of(config_.model).fifo_bytes)
-    return restart(chip, out);
+  if (is_torn_ || filled + sample_bytes > of(config_.model).fifo_bytes) return restart(chip, out);
   const std::size_t samples = filled / sample_bytes;
   if (samples == 0) return {};
   std::array<std::uint8_t, 1024> bytes{};
+  is_torn_ = true;  // if this fails, nobody knows how much of it has come, and where a sample begins
   if (auto done = chip.read_registers(fifo_register, std::span(bytes).first(samples * sample_bytes)); !done) {
-    // How much of it came is not known, and with it where a sample begins.
     (void)restart(chip, out);
     return done;
   }
+  // Asked for afterwards: one that ran over meanwhile has dropped bytes of the samples that were being read.
+  const Result<std::uint8_t> interrupt = chip.read_register(interrupt_register);
+  if (!interrupt) return interrupt.error();
+  if ((*interrupt & fifo_overflow) != 0) return restart(chip, out);
+  is_torn_ = false;
   // The last one is between now and one period ago; see imu.hpp.
   const MonotonicTime newest = std::clamp(last_ + static_cast<std::int64_t>(samples) * period_, now - period_, now);
   const Duration step = (newest - last_) / static_cast<std::int64_t>(samples);
@@ -191,11 +195,11 @@ Result<void> Mpu6050::read(I2cDevice& chip, Samples<ImuReading>& out) {
   return {};
 }
 
-/// Where a sample begins in the FIFO is not known any more.
+/// Empties a FIFO of which nobody knows where a sample begins.
 Result<void> Mpu6050::restart(I2cDevice& chip, Samples<ImuReading>& out) {
   auto begun = empty_fifo(chip);
   if (begun) give_up_samples(Samples<ImuReading>::now(), out);
-  return begun;  // otherwise the next read does it, since the FIFO runs over or is off
+  return begun;  // otherwise the next read does it
 }
 
 void Mpu6050::close(I2cDevice& chip) { (void)chip.write_register(power_register, sleep_mode); }
