@@ -26,6 +26,8 @@ const std::map<std::string, std::string> right_sensors{
     {"bmp280", R"({"name": "s", "type": "bmp280", "rate": "10 Hz", "bus": "i2c1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
+    {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"ina", R"({"name": "s", "type": "ina", "rate": "10 Hz", "bus": "i2c1"})"},
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},

@@ -1,12 +1,14 @@
 // Drivers of user space on the kernel's I2C adapters: I2C_RDWR, and an adapter that has SMBus only.
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstdlib>
 #include <string>
 #include <vector>
 
+#include "app/machine/scan.hpp"
 #include "kernel/bench.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
@@ -112,5 +114,32 @@ TEST_SUITE("drivers") {
       close_balanced(loop);
     }
     check_verifies(path);
+  }
+
+  TEST_CASE("FW-2 NFR-3 scan: devices of the kernel, and the chips that answer when it may probe") {
+    using namespace rtdata::app;
+    const Scan scan = scan_machine(MachineFiles(), standard_registry(), Probing::yes);
+    const auto has = [&](const std::string& path, const std::string& what) {
+      return std::any_of(scan.devices.begin(), scan.devices.end(), [&](const FoundDevice& device) {
+        return device.path == path && device.what.find(what) != std::string::npos && device.obstacle.empty();
+      });
+    };
+    const auto line = [&](const std::string& text) {
+      for (const FoundDevice& device : scan.devices)
+        for (const FoundDevice::Line& one : device.lines)
+          if (one.text.find(text) != std::string::npos) return true;
+      return false;
+    };
+    CHECK(has(device("I2C"), "rtdata_sim"));
+    CHECK(has(device("I2C"), "address 0x48: lm75, used by the kernel's driver lm75"));
+    CHECK(has(device("I2C"), "address 0x76: BMP280"));
+    CHECK(has(device("I2C"), "address 0x68: mpu6050, known to the kernel"));
+    CHECK(has(device("SPIDEV"), "chip select"));
+    CHECK(has(device("GPIOCHIP"), ""));
+    CHECK(has(device("PPS"), ""));
+    CHECK(line(R"("type": "bmp280")"));
+    CHECK(line(R"({"type": "i2c", "device": ")" + device("I2C")));
+    CHECK(line("in_voltage0_raw"));
+    CHECK(line(R"("quantity": "temperature")"));
   }
 }

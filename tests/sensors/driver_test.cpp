@@ -12,7 +12,9 @@
 #include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
+#include "rtdata/sensors/sht.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -83,6 +85,106 @@ TEST_SUITE("sensors") {
     CHECK(Lm75::decode(0xff80) == -0.5);
     CHECK(Lm75::decode(0xe700) == -25);
     CHECK(Lm75::decode(0xc900) == -55);
+  }
+
+  TEST_CASE("US-12 SHT3x, SHT4x: checksums, and the ends and the middle of their ranges") {
+    const std::array<std::uint8_t, 2> example{0xbe, 0xef};  // data sheet, 4.12
+    CHECK(Sht::checksum(example) == 0x92);
+    const auto bytes = [](unsigned temperature, unsigned humidity) {
+      std::array<std::uint8_t, 6> all{};
+      const unsigned words[] = {temperature, humidity};
+      for (std::size_t i = 0; i < 2; ++i) {
+        const std::array<std::uint8_t, 2> word{static_cast<std::uint8_t>(words[i] >> 8),
+                                               static_cast<std::uint8_t>(words[i] & 0xff)};
+        all[3 * i] = word[0];
+        all[3 * i + 1] = word[1];
+        all[3 * i + 2] = Sht::checksum(word);
+      }
+      return all;
+    };
+    CHECK(Sht::decode(bytes(0, 0), ShtModel::sht3x).or_throw().temperature == doctest::Approx(-45));
+    CHECK(Sht::decode(bytes(65535, 65535), ShtModel::sht3x).or_throw().temperature == doctest::Approx(130));
+    CHECK(Sht::decode(bytes(26214, 32768), ShtModel::sht3x).or_throw().temperature == doctest::Approx(25));
+    CHECK(Sht::decode(bytes(26214, 32768), ShtModel::sht3x).or_throw().humidity == doctest::Approx(50).epsilon(1e-4));
+    CHECK(Sht::decode(bytes(0, 32768), ShtModel::sht4x).or_throw().humidity == doctest::Approx(56.5).epsilon(1e-4));
+    CHECK(Sht::decode(bytes(0, 0), ShtModel::sht4x).or_throw().humidity == 0);
+    CHECK(Sht::decode(bytes(0, 65535), ShtModel::sht4x).or_throw().humidity == 100);
+    const auto good = bytes(0x1234, 0x5678);
+    for (std::size_t byte = 0; byte < 6; ++byte) {
+      for (int bit = 0; bit < 8; ++bit) {
+        auto wrong = good;
+        wrong[byte] = static_cast<std::uint8_t>(wrong[byte] ^ 1 << bit);
+        CHECK(Sht::decode(wrong, ShtModel::sht3x).error().code == Errc::bad_data);
+      }
+    }
+  }
+
+  TEST_CASE("US-12 an SHT3x is started, waited for, read; one with wrong checksums is unreadable") {
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x44);
+    const std::array<std::uint8_t, 2> word{0x66, 0x66};  // 25 degrees, 40 %
+    chip.set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
+    int started = 0;
+    chip.on_write(0x24, [&](std::uint16_t value) { started += value == 0; });
+    DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz}, bench.bus);
+    std::vector<HumidityReading> all;
+    const auto heard = bench.loop.subscribe<HumidityReading>(
+        "room", [&](const Event<HumidityReading>& e) { all.push_back(*e); });
+    bench.loop.advance(950ms);
+    CHECK(started == 10);
+    REQUIRE(all.size() >= 9);
+    CHECK(all[0].temperature == doctest::Approx(25));
+    CHECK(all[0].humidity == doctest::Approx(40));
+    chip.set(0x27, {0});
+    bench.loop.advance(1s);
+    CHECK(room.counts().unreadable > 0);
+    CHECK(room.status().reason.find("a checksum is wrong") != std::string::npos);
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-12 INA219, INA226: volts, amperes, watts; ranges, identity, lost settings") {
+    // INA219, 8.6.3.1: 80 mV is 0x1f40, -80 mV 0xe0c0; bus of 16 V: 4000 << 3.
+    const PowerReading reading = Ina::decode(0x1f40, 4000 << 3, {}).or_throw();
+    CHECK(reading.voltage == doctest::Approx(16));
+    CHECK(reading.current == doctest::Approx(0.8));
+    CHECK(reading.power == doctest::Approx(12.8));
+    CHECK(Ina::decode(0xe0c0, 0, {}).or_throw().current == doctest::Approx(-0.8));
+    CHECK(Ina::decode(32000, 0, {}).error().code == Errc::out_of_range);
+    CHECK(Ina::decode(static_cast<std::uint16_t>(-32000), 0, {}).error().code == Errc::out_of_range);
+    // INA226, 7.6.2: -80 mV is 0x8300; 7.6.3: 1.25 mV a code.
+    const Ina::Config config{InaModel::ina226, 0.01};
+    CHECK(Ina::decode(0x8300, 9600, config).or_throw().current == doctest::Approx(-8));
+    CHECK(Ina::decode(0x8300, 9600, config).or_throw().voltage == doctest::Approx(12));
+    CHECK(Ina::decode(0x7fff, 9600, config).error().code == Errc::out_of_range);
+
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x40);
+    chip.set_width(FakeI2cChip::Width::words);
+    chip.set_word(1, 0x1f40);
+    chip.set_word(2, 4000 << 3);
+    DriverSensor<Ina> battery(bench.loop, {.name = "battery", .rate = 10_Hz}, bench.bus);
+    bench.loop.advance(1s);
+    CHECK(chip.word(0) == 0x399f);
+    CHECK(battery.counts().published >= 9);
+    chip.set_word(0, 0);
+    bench.loop.advance(1s);
+    CHECK(battery.counts().unreadable == 1);
+    CHECK(chip.word(0) == 0x399f);
+    CHECK(battery.health() == Health::ok);
+    FakeI2cChip& other = bench.wires->chip(0x41);
+    other.set_width(FakeI2cChip::Width::words);
+    DriverSensor<Ina> motor(bench.loop, {.name = "motor", .rate = 10_Hz, .retry_longest = 1s}, bench.bus, {0x41},
+                            config);
+    CHECK(motor.health() == Health::faulted);
+    CHECK(bench.errors.back().find("it does not have its identity") != std::string::npos);
+    other.set_word(0xfe, 0x5449);
+    other.set_word(0xff, 0x2260);
+    bench.loop.advance(5s);
+    CHECK(motor.health() == Health::ok);
+    CHECK_THROWS_AS(
+        DriverSensor<Ina>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x42}, {.shunt_resistance = 0}),
+        SetupError);
+    CHECK(bench.loop.runtime().balances());
   }
 
   TEST_CASE("a barometer's event has the time of the start, and comes when the conversion is over") {

@@ -141,27 +141,25 @@ class Scanner {
     return {'0', 'x', digits[address >> 4 & 15], digits[address & 15]};
   }
 
-  /// A driver of the registry that is named as the chip: "bmp280" of "address 0x76: BMP280".
+  /// The driver of a chip that has said what it is: of "address 0x76: BMP280".
   void chip_lines(FoundDevice& chip, const std::string& bus_name, const std::string& bus) const {
+    struct Driven {
+      std::string_view chip, type, members;
+    };
+    constexpr Driven known[] = {{"BMP280", "bmp280", ""},
+                                {"MPU-6050", "imu", R"(, "model": "mpu6050")"},
+                                {"MPU-6500", "imu", R"(, "model": "mpu6500")"},
+                                {"MPU-9250", "imu", R"(, "model": "mpu9250")"}};
     const std::size_t at = chip.what.find(": ");
     if (at == std::string::npos) return;
     const std::string address = chip.what.substr(8, at - 8);
-    const auto lower = [](std::string text) {
-      for (char& c : text) c = 'A' <= c && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-      return text;
-    };
-    const std::string name = lower(chip.what.substr(at + 2));
-    for (const PartKind& kind : registry_.kinds()) {
-      if (kind.name != "sensor") continue;
-      for (const TypeInfo& type : kind.types.types()) {
-        const bool is_named = name == type.name || name.find(type.name + ",") != std::string::npos ||
-                              name.ends_with(" " + type.name);
-        if (!is_named) continue;
-        line(chip, "sensors",
-             R"({"name": )" + quoted(type.name) + R"(, "type": )" + quoted(type.name) + R"(, "bus": )" +
-                 quoted(bus_name) + R"(, "address": )" + quoted(address) + R"(, "rate": "1 Hz"})",
-             bus);
-      }
+    for (const Driven& one : known) {
+      if (chip.what.substr(at + 2) != one.chip) continue;
+      const std::string type(one.type);
+      line(chip, "sensors",
+           R"({"name": )" + quoted(type) + R"(, "type": )" + quoted(type) + R"(, "bus": )" + quoted(bus_name) +
+               R"(, "address": )" + quoted(address) + std::string(one.members) + R"(, "rate": "10 Hz"})",
+           bus);
     }
   }
 
