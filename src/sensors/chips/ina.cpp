@@ -1,5 +1,5 @@
-// Texas Instruments INA219, SBOS448G: 8.6.2 configuration, 8.6.3.1 shunt voltage, 8.6.3.2 bus voltage. INA226, SBOS547A:
-// 7.6.1 configuration, 7.6.2 shunt voltage, 7.6.3 bus voltage, 7.6.9 and 7.6.10 identity.
+// Texas Instruments INA219, SBOS448G: 8.6.2 configuration, 8.6.3.1 shunt voltage, 8.6.3.2 bus voltage. INA226,
+// SBOS547A: 7.6.1 configuration, 7.6.2 shunt voltage, 7.6.3 bus voltage, 7.6.9 and 7.6.10 identity.
 #include "rtdata/sensors/ina.hpp"
 
 #include <cmath>
