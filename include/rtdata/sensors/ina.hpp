@@ -3,10 +3,10 @@
 ///     rtdata::DriverSensor<rtdata::Ina> battery(loop, {.name = "battery", .rate = 10_Hz}, bus, {.address = 0x40},
 ///                                               {.model = InaModel::ina219, .shunt_resistance = 0.1});
 ///
-/// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, both inputs); a tick reads the
-/// last of each. Current is the voltage at the shunt over `shunt_resistance`; one beyond the chip's range (INA219
-/// 0.32 V, INA226 0.08 V) is unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
-/// lost its settings is told as unreadable and set up again.
+/// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, both inputs); a tick reads
+/// the last of each. Current is the voltage at the shunt over `shunt_resistance`; one beyond the chip's range
+/// (INA219 0.32 V, INA226 0.08 V) is unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is
+/// checked; a chip that has lost its settings is told as unreadable and set up again.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once

@@ -5,8 +5,8 @@
 ///
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a
-/// checksum: a reading with a wrong one is unreadable. Addresses: 0x44 and 0x45 (SHT4x: 0x44 to 0x46). The SHT4x gives humidities
-/// from -6 to 119 %, which are limited to 0 and 100 %, as its data sheet has it (4.6).
+/// checksum: a reading with a wrong one is unreadable. Addresses: 0x44 and 0x45 (SHT4x: 0x44 to 0x46). The SHT4x
+/// gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data sheet has it (4.6).
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
