@@ -18,7 +18,7 @@
 namespace rtdata::app {
 namespace {
 
-std::string quoted(const std::string& text) { return ConfigItem::of(text).to_json(ConfigItem::Layout::one_line); }
+std::string json_text(const std::string& text) { return ConfigItem::of(text).to_json(ConfigItem::Layout::one_line); }
 
 class Scanner {
  public:
@@ -82,7 +82,7 @@ class Scanner {
     }
     FoundDevice& found = add("serial", path, tty + (what.empty() ? "" : ", " + what));
     line(found, "sensors",
-         R"({"name": )" + quoted(tty) + R"(, "type": "serial", "device": )" + quoted(path) +
+         R"({"name": )" + json_text(tty) + R"(, "type": "serial", "device": )" + json_text(path) +
              R"(, "baud_rate": 9600, "fields": [{"name": "value"}]})");
   }
 
@@ -115,7 +115,7 @@ class Scanner {
       FoundDevice& found = add("i2c", "/dev/" + adapter, text("/sys/bus/i2c/devices/" + adapter + "/name"));
       if (!files_.exists(found.path))
         found.advice = "sudo modprobe i2c-dev; for good: a line `i2c-dev` in /etc/modules";
-      const std::string bus = quoted("i2c" + number) + R"(: {"type": "i2c", "device": )" + quoted(found.path) + "}";
+      const std::string bus = json_text("i2c" + number) + R"(: {"type": "i2c", "device": )" + json_text(found.path) + "}";
       line(found, "buses", bus);
       const bool is_open = found.obstacle.empty();
       for (const std::string& chip : files_.names("/sys/bus/i2c/devices", number + "-")) {
@@ -157,8 +157,8 @@ class Scanner {
       if (chip.what.substr(at + 2) != one.chip) continue;
       const std::string type(one.type);
       line(chip, "sensors",
-           R"({"name": )" + quoted(type) + R"(, "type": )" + quoted(type) + R"(, "bus": )" + quoted(bus_name) +
-               R"(, "address": )" + quoted(address) + std::string(one.members) + R"(, "rate": "10 Hz"})",
+           R"({"name": )" + json_text(type) + R"(, "type": )" + json_text(type) + R"(, "bus": )" + json_text(bus_name) +
+               R"(, "address": )" + json_text(address) + std::string(one.members) + R"(, "rate": "10 Hz"})",
            bus);
     }
   }
@@ -171,7 +171,7 @@ class Scanner {
       const std::string its = device.substr(0, device.find('.'));
       if (its == std::exchange(controller, its)) continue;  // one line for all chip selects of a controller
       line(found, "buses",
-           quoted("spi" + its.substr(6)) + R"(: {"type": "spi", "device": )" + quoted("/dev/" + its) + "}");
+           json_text("spi" + its.substr(6)) + R"(: {"type": "spi", "device": )" + json_text("/dev/" + its) + "}");
     }
     if (devices.empty()) {
       hint("spi", files_.names("/sys/class/spi_master").empty()
@@ -210,7 +210,7 @@ class Scanner {
         if (!channel.starts_with("in_voltage") || !channel.ends_with("_raw")) continue;
         line(found, "sensors",
              R"({"name": "adc)" + std::to_string(adc_count_ + count++) +
-                 R"(", "type": "analog", "rate": "10 Hz", "file": )" + quoted(folder + "/" + channel) +
+                 R"(", "type": "analog", "rate": "10 Hz", "file": )" + json_text(folder + "/" + channel) +
                  R"(, "scale": 3.3, "unit": "V"})");
       }
       adc_count_ += count;
@@ -230,8 +230,8 @@ class Scanner {
         if (!input.starts_with("temp")) continue;
         const std::string which = chip + "/" + input.substr(0, input.find('_'));
         line(found, "sensors",
-             R"({"name": )" + quoted(which) + R"(, "type": "host", "quantity": "temperature", "device": )" +
-                 quoted(which) + R"(, "rate": "1 Hz"})");
+             R"({"name": )" + json_text(which) + R"(, "type": "host", "quantity": "temperature", "device": )" +
+                 json_text(which) + R"(, "rate": "1 Hz"})");
       }
     }
   }
@@ -250,8 +250,8 @@ class Scanner {
       if (is_thermometer)
         line(
             found, "sensors",
-            R"({"name": )" + quoted(device) + R"(, "type": "analog", "rate": "0.5 Hz", "file": )" +
-                quoted(folder + "/temperature") +  // in thousandths of a degree
+            R"({"name": )" + json_text(device) + R"(, "type": "analog", "rate": "0.5 Hz", "file": )" +
+                json_text(folder + "/temperature") +  // in thousandths of a degree
                 R"(, "signed_adc": true, "quantization_bits": 20, "scale": 1048.576, "unit": "Cel", "timeout": "2 s"})");
     }
   }
