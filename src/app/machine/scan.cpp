@@ -115,7 +115,8 @@ class Scanner {
       FoundDevice& found = add("i2c", "/dev/" + adapter, text("/sys/bus/i2c/devices/" + adapter + "/name"));
       if (!files_.exists(found.path))
         found.advice = "sudo modprobe i2c-dev; for good: a line `i2c-dev` in /etc/modules";
-      const std::string bus = json_text("i2c" + number) + R"(: {"type": "i2c", "device": )" + json_text(found.path) + "}";
+      const std::string bus = json_text("i2c" + number) + R"(: {"type": "i2c", "device": )" + json_text(found.path) +
+                              "}";
       line(found, "buses", bus);
       const bool is_open = found.obstacle.empty();
       for (const std::string& chip : files_.names("/sys/bus/i2c/devices", number + "-")) {
