@@ -2,6 +2,8 @@
 ///
 ///     class Lm75 {
 ///      public:
+///       static constexpr std::string_view type = "lm75";        // as in configurations
+///       static constexpr std::string_view description = "temperature of an LM75 or the like on I2C";
 ///       using Config = Lm75Config;                  // its parameters
 ///       using Value = Temperature;                  // what it publishes
 ///       using Device = rtdata::I2cDevice;           // how it talks to the chip
@@ -16,7 +18,7 @@
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
 /// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead.
-/// Configurations know a driver by `registry.add_driver<Lm75>("lm75", "...")`.
+/// Configurations know a driver by `registry.add_driver<Lm75>()`.
 ///
 /// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
 /// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device

@@ -5,10 +5,14 @@
 /// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); what lies outside is unreadable. Addresses:
 /// 0x48 to 0x4f. It measures by itself, some ten times a second. It has no identity and no checksum.
 ///
+/// Sources: NXP LM75B, data sheet of 2015, 7.4.3 temperature register; TI TMP75, 8.5.1.
+///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
 
 #include <cstdint>
+#include <string>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
@@ -25,6 +29,8 @@ struct TemperatureReading {
 
 class Lm75 {
  public:
+  static constexpr std::string_view type = "lm75";
+  static constexpr std::string_view description = "temperature of an LM75, TMP75 or the like on I2C";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
   };
@@ -33,7 +39,18 @@ class Lm75 {
   static constexpr I2cDevice::Place place{0x48};
   explicit Lm75(const Config&) {}
 
-  Reading<TemperatureReading> read(I2cDevice& chip);
+  Reading<TemperatureReading> read(I2cDevice& chip) {
+    constexpr double least = -55, most = 125;
+    const Result<std::uint16_t> word = chip.read_word(0x00);
+    if (!word) return word.error();
+    const double degrees = decode(*word);
+    if (degrees < least || degrees > most) {
+      return Unreadable{chip.error(Errc::out_of_range, "cannot read the LM75",
+                                   std::to_string(degrees) + " degrees is nothing that it measures",
+                                   "look at its wires, and whether this is an LM75")};
+    }
+    return TemperatureReading{degrees};
+  }
   /// Degrees Celsius of the register's word.
   static double decode(std::uint16_t word) noexcept { return static_cast<std::int16_t>(word) / 256.0; }
 };

@@ -90,7 +90,7 @@ Registry standard_registry() {
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
   registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
   registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
-  registry.add_driver<Lm75>("lm75", "temperature of an LM75, TMP75 or the like on I2C");
+  registry.add_driver<Lm75>();
   registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");
   registry.add_driver<Ina>("ina", "voltage, current and power of an INA219 or INA226 on I2C");
   registry.add_driver<Mcp3x08>("mcp3x08", "eight channels of an MCP3008 or MCP3208 on SPI");
