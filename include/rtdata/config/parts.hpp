@@ -143,6 +143,12 @@ class Parts {
     if (T* object = part_named(kind, name).object.as<T>()) return *object;
     refuse_type(kind, name);
   }
+  /// Null: there is none of that name, or it is no T.
+  template <class T>
+  T* find(std::string_view kind, std::string_view name) const {
+    const auto found = by_name_.find({std::string(kind), std::string(name)});
+    return found == by_name_.end() ? nullptr : found->second->object.as<T>();
+  }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
   /// Of all, in that order. Valid until the system changes.

@@ -249,6 +249,13 @@ class DriverDevice final : public detail::LaneDevice {
   std::string lane_key() const override { return "bus " + bus_.name(); }
   std::shared_ptr<detail::LaneThread> lane_thread() const override { return bus_.lane_thread(); }
   Duration give_up_after() const override { return bus_.give_up_after(); }
+  bool reads_on_loop() const override {
+    if constexpr (requires { bus_.reads_on_loop(); }) {
+      return bus_.reads_on_loop();
+    } else {
+      return false;
+    }
+  }
   Error given_up_error() const override {
     return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + ", " + BusOf::text_of(place_),
             "no answer within " + to_string(bus_.give_up_after()),

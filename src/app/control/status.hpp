@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/io/bus.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -47,6 +48,7 @@ class StatusSource {
     struct Part {
       std::string kind, name, type;
       std::vector<std::string> users;  ///< "sensor chamber"
+      const Bus* bus = nullptr;        ///< if it is one; lives until the next `set`
     };
     std::vector<Part> parts = {};
   };
@@ -83,6 +85,7 @@ class StatusSource {
   /// How things stood when a client asked.
   struct Snapshot {
     std::shared_ptr<const Info> info;
+    std::vector<std::vector<PlaceAccount>> places;  // beside the parts of `info`
     Time started{};
     Duration running_for{0};
     MonotonicTime at{};
