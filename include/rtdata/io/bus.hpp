@@ -77,7 +77,7 @@ class Bus {
   /// Of each job of a sensor on it.
   Duration give_up_after() const noexcept { return give_up_after_; }
 
-  /// Of a place on the bus; free again when the last copy goes. SetupError (busy): somebody has it.
+  /// Of a place on the bus; free again when the last copy goes. SetupError (busy): it is taken.
   std::shared_ptr<void> claim(const std::string& place);
   /// What each place has cost, by name: of all that devices were asked for. Any thread.
   std::vector<PlaceAccount> accounts() const;
@@ -104,7 +104,7 @@ class BusDevice {
  public:
   /// `account`: of its place, from `Bus::account_of`; null: nothing is counted.
   explicit BusDevice(std::shared_ptr<TransferAccount> account = nullptr) : account_(std::move(account)) {}
-  /// Nobody waits for it any more: a job that hung and comes back must leave the bus alone. Any thread.
+  /// Its result is not wanted any more: a job that hung and comes back must leave the bus alone. Any thread.
   void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
   /// Blocks for so long, as chips need after a reset. On a manual loop, virtual time passes.

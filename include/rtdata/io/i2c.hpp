@@ -61,7 +61,7 @@ class I2cTransport {
   /// Writes, then reads; either may be empty. 0, or the errno of what went wrong: ENXIO when nothing acknowledges.
   virtual int transfer(unsigned address, std::span<const std::uint8_t> write,
                        std::span<std::uint8_t> read) noexcept = 0;
-  /// Before the first transfer of a sensor with this chip. 0, or an errno: EBUSY when somebody else has it.
+  /// Before the first transfer of a sensor with this chip. 0, or an errno: EBUSY when another driver has it.
   virtual int look_at(unsigned) noexcept { return 0; }
 };
 

@@ -127,7 +127,7 @@ class DriverDevice final : public detail::LaneDevice {
       if constexpr (requires { driver.close(device); }) {
         try {
           driver.close(device);
-        } catch (...) {  // there is nobody to tell
+        } catch (...) {  // there is no way left to report it
         }
       }
     }
@@ -216,7 +216,7 @@ class DriverDevice final : public detail::LaneDevice {
  public:
   DriverDevice(BusOf& bus, typename Device::Place place, typename D::Config config)
       : bus_(bus), place_(std::move(place)), config_(std::move(config)), claim_(bus.claim(BusOf::text_of(place_))) {
-    (void)make_session();  // what is wrong with place and Config is told at once
+    (void)make_session();  // throws for a wrong place or Config
   }
 
   std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Opening>(make_session()); }

@@ -15,7 +15,7 @@
 /// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
 /// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
-/// reported. A file that somebody deletes or moves is made anew, and that is reported, at the next batch.
+/// reported. A file that is deleted or moved is made anew, and that is reported, at the next batch.
 ///
 /// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which
 /// sorts before "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole.

@@ -36,7 +36,7 @@ class TimeCounts {
 };
 
 /// Answers the requests of the control socket. What it must see of events for that (last values, lateness) it looks at
-/// only while somebody asks: an instance that nobody watches pays nothing. On the loop it copies how things stand; the
+/// only while a client asks: an instance without clients pays nothing. On the loop it copies how things stand; the
 /// text is made of that elsewhere. Thread: the loop's.
 class StatusSource {
  public:
@@ -63,7 +63,7 @@ class StatusSource {
   void forget(std::uint64_t client);
 
  private:
-  /// What was seen of a sensor's events while somebody watches.
+  /// The last events of a sensor, while there are clients.
   struct Seen {
     std::vector<std::byte> payload;
     Time first_due{};

@@ -88,7 +88,7 @@ class Run {
 
   int run(const SystemPlan& plan) {
     for (const Problem& warning : plan.warnings) {
-      if (warning.id == "cannot-write") continue;  // of the log: told when it was opened
+      if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
       say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
     Runtime runtime(plan.runtime_config());
@@ -138,7 +138,7 @@ class Run {
     return exit_status;
   }
 
-  /// What is told of sinks, and how long they may take in the end.
+  /// Paths of the sinks for the summary, and how long closing them may take.
   void note_sinks(const SystemPlan& plan) {
     close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
     for (const PartPlan& part : plan.parts) {
@@ -280,7 +280,7 @@ class Run {
     if (!told) say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
-  /// Who held the loop, and how much it took otherwise.
+  /// The callbacks that held the loop, and their times.
   void tell_holds(const std::vector<CallbackStatus>& callbacks) {
     for (const CallbackStatus& callback : callbacks) {
       const CallbackTimes& times = callback.times;

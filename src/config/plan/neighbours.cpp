@@ -66,7 +66,7 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   if (is_new) return;
   const PartPlan& first = *known->second;
   const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
-  if (both_by_default && refused_paths_.contains(&part)) return;  // both are called as their path, which was told
+  if (both_by_default && refused_paths_.contains(&part)) return;  // both are named after their path, which was reported
   problems.add(problem_of_name(part, "duplicate-name",
                                "there is a " + part.kind + " \"" + part.name + "\" already, at " +
                                    place_of_name(first) + "; give each a `name` of its own"));
@@ -191,7 +191,7 @@ void Neighbours::check_stored_topics(Problems& problems) {
                              !stores
                                   .refused_topics({wanted.begin(), wanted.begin() + static_cast<std::ptrdiff_t>(known)})
                                   .empty();
-    if (was_refused) continue;  // which was told when those were added
+    if (was_refused) continue;  // reported when those were added
     for (const Error& error : stores.refused_topics(wanted))
       problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
   }
