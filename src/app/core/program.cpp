@@ -274,7 +274,7 @@ Action prepare_export(CLI::App& command) {
   const auto options = std::make_shared<Export>();
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
-  command.add_option("--format", options->format, "csv, json, jsonl or raw")->capture_default_str();
+  command.add_option("--format", options->format, "csv, jsonl, cbor, influx or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
   command.add_flag_callback(
       "--overwrite", [options] { options->existing = Export::Existing::replace; }, "Replace files in the folder");

@@ -31,7 +31,7 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err);
 struct ExportOptions {
   std::string database;
   std::string topic = "#";
-  std::string format = "csv";  // csv, json or jsonl, raw
+  std::string format = "csv";  // a name of CodecRegistry::standard(), or jsonl
   std::string folder = {};     // a file a topic in it; empty: everything to `out`
   enum class Existing { refuse, replace };
   Existing existing = Existing::refuse;  // replace: --overwrite

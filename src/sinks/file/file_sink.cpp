@@ -70,7 +70,7 @@ class FileWriter final : public RecordingWriter {
       : config_(config),
         codec_(std::move(codec)),
         header_codec_(std::move(header_codec)),
-        is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        is_text_(codec_->name() == "json" || codec_->name() == "csv" || codec_->name() == "influx"),
         permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
         rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
