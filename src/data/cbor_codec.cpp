@@ -17,7 +17,16 @@ namespace {
 using detail::load;
 
 /// RFC 8949, 3.1: the kind of an item, in the upper three bits of its first byte.
-enum Major : unsigned { natural = 0, negative = 1, bytes_string = 2, text_string = 3, list = 4, map = 5, tag = 6, simple = 7 };
+enum Major : unsigned {
+  natural = 0,
+  negative = 1,
+  bytes_string = 2,
+  text_string = 3,
+  list = 4,
+  map = 5,
+  tag = 6,
+  simple = 7
+};
 constexpr char false_item = '\xf4', true_item = '\xf5', null_item = '\xf6', f32_item = '\xfa', f64_item = '\xfb';
 constexpr std::size_t longest_head = 9;
 
@@ -72,7 +81,7 @@ struct Plan {
 
   std::vector<std::size_t> prefix_sizes;  ///< of each leaf: of the next bytes of `fixed`
   std::string fixed;                      ///< what they leave of it stands at the end
-  std::size_t longest = 0;  ///< bytes that all this may take
+  std::size_t longest = 0;                ///< bytes that all this may take
 
  private:
   void add_head(Major major, std::uint64_t number) {
@@ -160,7 +169,8 @@ class ItemReader {
         continue;
       }
       if (left.back() != endless) --left.back();
-      const bool is_endless = low == 31 && (major == list || major == map || major == text_string || major == bytes_string);
+      const bool is_endless = low == 31 &&
+                              (major == list || major == map || major == text_string || major == bytes_string);
       if ((low > 27 && !is_endless) || left.size() > deepest) return at_;
       const std::optional<std::uint64_t> number = is_endless ? endless : number_of(low);
       if (!number) return 0;

@@ -15,7 +15,9 @@ namespace {
 constexpr const char* no_line = "the text is no line of InfluxDB";
 constexpr std::string_view sequence_key = "sequence";
 
-Error bad(std::string where, std::string why) { return {Errc::bad_data, no_line, std::move(where), std::move(why), ""}; }
+Error bad(std::string where, std::string why) {
+  return {Errc::bad_data, no_line, std::move(where), std::move(why), ""};
+}
 
 /// A measurement, a key or the value of a tag: with a backslash before what would end it.
 void append_name(std::string& line, std::string_view text) {
@@ -29,7 +31,8 @@ void append_name(std::string& line, std::string_view text) {
 bool fits_name(std::string_view text) {
   for (std::size_t i = 0; i < text.size(); ++i) {
     const char next = i + 1 < text.size() ? text[i + 1] : ' ';
-    if (text[i] == '\n' || (text[i] == '\\' && (next == ',' || next == ' ' || next == '=' || next == '\\'))) return false;
+    if (text[i] == '\n' || (text[i] == '\\' && (next == ',' || next == ' ' || next == '=' || next == '\\')))
+      return false;
   }
   return true;
 }
@@ -141,7 +144,8 @@ class Scanner {
   std::string name(std::string_view ends) {
     std::string name;
     while (!left_.empty() && ends.find(left_.front()) == std::string_view::npos) {
-      if (left_.front() == '\\' && left_.size() > 1 && std::string_view(", =\\").find(left_[1]) != std::string_view::npos)
+      if (left_.front() == '\\' && left_.size() > 1 &&
+          std::string_view(", =\\").find(left_[1]) != std::string_view::npos)
         left_.remove_prefix(1);
       name += left_.front();
       left_.remove_prefix(1);
@@ -200,7 +204,8 @@ Result<Value> value_of(const Leaf& leaf, Scanner& line) {
   }
   if (leaf.kind == Kind::f32) {  // not by way of a double: rounding twice may give the neighbour
     float number = 0;
-    if (detail::read_number(word, number) == std::errc{} && std::isfinite(number)) return Value(static_cast<double>(number));
+    if (detail::read_number(word, number) == std::errc{} && std::isfinite(number))
+      return Value(static_cast<double>(number));
     return wrong();
   }
   double number = 0;
@@ -255,8 +260,10 @@ class InfluxCodec final : public Codec {
     event.payload.resize(description.size());
     const auto& leaves = description.leaves();
     for (const Leaf& leaf : leaves) {  // what the protocol cannot say
-      if (leaf.optional != nullptr) write(leaf, event.payload.data(), Value{}).or_throw();
-      else if (is_floating(leaf)) write(leaf, event.payload.data(), std::numeric_limits<double>::quiet_NaN()).or_throw();
+      if (leaf.optional != nullptr)
+        write(leaf, event.payload.data(), Value{}).or_throw();
+      else if (is_floating(leaf))
+        write(leaf, event.payload.data(), std::numeric_limits<double>::quiet_NaN()).or_throw();
     }
     event.topic = line.name(", ");
     while (line.take(',')) {
