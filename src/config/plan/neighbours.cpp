@@ -87,11 +87,16 @@ void Neighbours::check_place(const PartPlan& part, Problems& problems) {
     return;
   }
   const std::string key = part.place.text.substr(0, part.place.text.find(' '));
-  problems.add(child_or_self(part.item, key)
-                   .problem("duplicate-place", part.kind + " " + known->second->name + ", at " +
-                                                   place_of(known->second->item) + ", has " + part.place.text +
-                                                   " of the bus \"" + part.place.bus +
-                                                   "\" already; give each chip its own"));
+  const bool is_of_bus = std::any_of(part.uses.begin(), part.uses.end(), [&](const PartUse& use) {
+    return use.kind == "bus" && use.name == part.place.bus;
+  });
+  problems.add(
+      child_or_self(part.item, key)
+          .problem("duplicate-place",
+                   part.kind + " " + known->second->name + ", at " + place_of(known->second->item) + ", has " +
+                       (is_of_bus ? part.place.text + " of the bus \"" + part.place.bus + "\" already; give each chip"
+                                  : "the " + part.place.bus + " " + part.place.text + " already; give each") +
+                       " its own"));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
