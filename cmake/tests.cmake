@@ -35,13 +35,18 @@ if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
   rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources)
   add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
   target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::program doctest::doctest PkgConfig::sqlite3)
-  if(TARGET rtdata_gpio)
-    target_compile_definitions(rtdata_kernel_tests PRIVATE RTDATA_WITH_GPIO)
-    target_link_libraries(rtdata_kernel_tests PRIVATE rtdata::gpio)
-  endif()
   target_include_directories(rtdata_kernel_tests PRIVATE tests src)
   target_compile_definitions(rtdata_kernel_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
   add_dependencies(rtdata_kernel_tests rtdata_main)
+endif()
+
+# A program of their own, small enough to be built on another system with another libgpiod (tests/debian13/run.sh).
+if(TARGET rtdata_gpio)
+  rtdata_sources(RTDATA_KERNEL_GPIO_TEST_SOURCES tests/kernel/kernel_gpio_tests.sources)
+  add_executable(rtdata_kernel_gpio_tests ${RTDATA_KERNEL_GPIO_TEST_SOURCES})
+  target_link_libraries(rtdata_kernel_gpio_tests PRIVATE rtdata_options rtdata_test_options rtdata::gpio doctest::doctest)
+  target_include_directories(rtdata_kernel_gpio_tests PRIVATE tests src)
+  target_compile_definitions(rtdata_kernel_gpio_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
 endif()
 
 # Replaces operator new and delete, so it is a program of its own; the sanitizers replace them too.

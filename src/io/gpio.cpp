@@ -329,7 +329,7 @@ class GpioEdgesNode final : public Node {
   const GpioEdgeCounts& counts() const noexcept { return counts_; }
   bool lost_is_known() const noexcept { return backend_->numbers_edges(); }
   const std::optional<Error>& failure() const noexcept { return failure_; }
-  void set_on_error(Callback<void(const Error&)> handler) { on_error_.set(std::move(handler)); }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { on_error_.set(std::move(handler)); }
   std::string callback_name() const override { return name_; }
 
  private:
@@ -415,7 +415,7 @@ class GpioEdgesNode final : public Node {
   void tell(const Error& error) {
     LoopCore& on = *loop();
     if (on_error_) {
-      on.call_user(name_, [&] { on_error_(error); });
+      on.call_user(name_, [&] { on_error_({name_, error, 1}); });
     } else {
       on.runtime.report(&on, name_, error);
     }
@@ -450,7 +450,7 @@ class GpioEdgesNode final : public Node {
   MonotonicTime last_bounce_{};
   std::optional<Error> failure_;
   Callback<void(const GpioEdge&)> callback_;
-  Handler<Error> on_error_;
+  Handler<ErrorReport> on_error_;
 };
 
 namespace {
@@ -493,7 +493,7 @@ std::optional<Error> GpioEdges::failure() const {
   const auto* open = detail::edges(node());
   return open != nullptr ? open->failure() : std::nullopt;
 }
-void GpioEdges::on_error(Callback<void(const Error&)> handler) {
+void GpioEdges::on_error(Callback<void(const ErrorReport&)> handler) {
   if (auto* open = detail::edges(node())) open->set_on_error(std::move(handler));
 }
 

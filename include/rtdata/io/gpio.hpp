@@ -221,8 +221,8 @@ struct GpioEdgeCounts {
   std::uint64_t overflows = 0;  ///< times that the kernel's store was full: without numbers, edges may have been lost
 };
 
-/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is told, and there are no more; make
-/// another when it is back.
+/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is told, and there are no more;
+/// make another when it is back.
 class GpioEdges : public Handle {
  public:
   GpioEdges() noexcept = default;
@@ -242,7 +242,7 @@ class GpioEdges : public Handle {
   /// Why there are no edges any more.
   std::optional<Error> failure() const;
   /// Told once, of the end, and of edges that were lost or may be. Without a handler: the loop's.
-  void on_error(Callback<void(const Error&)> handler);
+  void on_error(Callback<void(const ErrorReport&)> handler);
 };
 
 namespace detail {

@@ -1,6 +1,7 @@
 /// EdgeSensor: the edges of a GPIO line (a button, a limit switch, a trigger), each an event.
 ///
-///     rtdata::EdgeSensor door(loop, {.name = "door"}, {.input = {.line = "GPIO17", .bias = rtdata::GpioBias::pull_up}});
+///     rtdata::EdgeSensor door(loop, {.name = "door"},
+///                             {.input = {.line = "GPIO17", .bias = rtdata::GpioBias::pull_up}});
 ///     auto heard = loop.subscribe<rtdata::EdgeReading>("door", [](const rtdata::Event<rtdata::EdgeReading>& edge) {
 ///       std::puts(edge->level ? "active" : "inactive");
 ///     });

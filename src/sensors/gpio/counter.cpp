@@ -25,7 +25,7 @@ class CounterDevice final : public detail::SensorDevice {
     } catch (const SetupError& error) {
       return error.error();
     }
-    edges_.on_error([this](const Error& error) { tell(error); });
+    edges_.on_error([this](const ErrorReport& report) { tell(report.error); });
     opened_ = loop_.core().now();
     before_ = count_;
     overflows_before_ = overflows_;

@@ -39,8 +39,9 @@ class EdgeNode final : public StreamNode {
   void use(Result<GpioEdges> edges) {
     if (!edges) return lose(edges.error(), loop()->now());
     edges_ = *std::move(edges);
-    edges_.on_error([this](const Error& error) {
+    edges_.on_error([this](const ErrorReport& told) {
       Call call(*this);
+      const Error error = told.error;
       settle_accounts();
       if (edges_.failure()) {
         lose(error, loop()->now());
@@ -51,6 +52,7 @@ class EdgeNode final : public StreamNode {
     before_ = count_;
     accounted_ = {};
     opened();
+    succeed();  // a line that is still is well
   }
   void close_stream() noexcept override {
     settle_accounts();
