@@ -150,8 +150,8 @@ std::unique_ptr<GpioRequest> FakeGpio::take(const std::string& path, unsigned nu
                                             int& error_number) {
   const auto found = std::find_if(chips_.begin(), chips_.end(),
                                   [&](const auto& one) { return one->is_there && "/dev/" + one->name == path; });
-  error_number = found == chips_.end() ? ENOENT
-                 : number >= (*found)->lines.size() ? EINVAL
+  error_number = found == chips_.end()                       ? ENOENT
+                 : number >= (*found)->lines.size()          ? EINVAL
                  : !(*found)->lines[number].consumer.empty() ? EBUSY
                                                              : (*found)->error_number;
   if (error_number != 0) return nullptr;
@@ -170,8 +170,8 @@ std::unique_ptr<GpioRequest> FakeGpio::take_input(const std::string& path, unsig
   return made;
 }
 
-std::unique_ptr<GpioRequest> FakeGpio::take_output(const std::string& path, unsigned number,
-                                                   const GpioOutput& settings, int& error_number) {
+std::unique_ptr<GpioRequest> FakeGpio::take_output(const std::string& path, unsigned number, const GpioOutput& settings,
+                                                   int& error_number) {
   auto made = take(path, number, settings.consumer, error_number);
   if (made == nullptr) return nullptr;
   static_cast<Request&>(*made).is_active_low = settings.active_low;

@@ -54,9 +54,8 @@ std::string listed(const std::vector<GpioChipInfo>& chips) {
   std::string text;
   for (const GpioChipInfo& chip : chips) {
     text += (text.empty() ? "" : ", ") + base_of(chip.path) + " (";
-    text += chip.error_number != 0
-                ? system_error(chip.error_number, "", "").why
-                : chip.label + ", " + std::to_string(chip.lines.size()) + " lines";
+    text += chip.error_number != 0 ? system_error(chip.error_number, "", "").why
+                                   : chip.label + ", " + std::to_string(chip.lines.size()) + " lines";
     text += ")";
   }
   return text;
@@ -86,12 +85,14 @@ class Finder {
   }
 
   Result<Place> find() const {
-    if (chips_.empty()) return error(Errc::not_found, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them");
+    if (chips_.empty())
+      return error(Errc::not_found, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them");
     std::vector<const GpioChipInfo*> among;
     for (const GpioChipInfo& one : chips_)
       if (chip_.empty() || is_named(one, chip_)) among.push_back(&one);
     if (among.empty())
-      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + listed(chips_), "set `chip` to one of these");
+      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + listed(chips_),
+                   "set `chip` to one of these");
     if (among.size() > 1 && !chip_.empty())
       return error(Errc::bad_argument, "several chips are called " + chip_ + ": " + listed(chips_),
                    "set `chip` to the name of its file");
@@ -273,8 +274,8 @@ void GpioLine::close() noexcept {
 namespace detail {
 namespace {
 
-constexpr std::size_t most_read = 64;                        // edges in one turn of the loop
-constexpr Duration look_period = std::chrono::seconds{1};    // whether the chip is still there
+constexpr std::size_t most_read = 64;                      // edges in one turn of the loop
+constexpr Duration look_period = std::chrono::seconds{1};  // whether the chip is still there
 
 }  // namespace
 
@@ -360,7 +361,8 @@ class GpioEdgesNode final : public Node {
                !backend_->numbers_edges() && kept != 0 && count >= kept && !is_settled_here_) {
       ++counts_.overflows;
       tell({Errc::backlog, "edges may be lost", place_,
-            "the kernel's store of " + std::to_string(kept) + " was full, and libgpiod 1 does not say how many it dropped",
+            "the kernel's store of " + std::to_string(kept) +
+                " was full, and libgpiod 1 does not say how many it dropped",
             "let nothing hold this loop, give it a tier of its own, or use libgpiod 2"});
     }
     return count == edges.size() || (count != 0 && count == backend_->kept_edges());

@@ -11,7 +11,7 @@
 namespace rtdata {
 namespace {
 
-constexpr std::size_t kept = 1024;      // in the kernel, of each line; it drops the oldest when it is full
+constexpr std::size_t kept = 1024;     // in the kernel, of each line; it drops the oldest when it is full
 constexpr std::size_t most_read = 64;  // at once
 
 template <class T, void (*Free)(T*)>
@@ -101,10 +101,10 @@ class KernelGpio final : public GpioBackend {
     gpiod_line_settings_set_active_low(settings.get(), wanted.active_low);
     gpiod_line_settings_set_bias(settings.get(), bias_of(wanted.bias));
     if (with_edges) {
-      gpiod_line_settings_set_edge_detection(settings.get(), wanted.edges == GpioEdgeKind::rising ? GPIOD_LINE_EDGE_RISING
-                                                             : wanted.edges == GpioEdgeKind::falling
-                                                                 ? GPIOD_LINE_EDGE_FALLING
-                                                                 : GPIOD_LINE_EDGE_BOTH);
+      gpiod_line_settings_set_edge_detection(settings.get(),
+                                             wanted.edges == GpioEdgeKind::rising    ? GPIOD_LINE_EDGE_RISING
+                                             : wanted.edges == GpioEdgeKind::falling ? GPIOD_LINE_EDGE_FALLING
+                                                                                     : GPIOD_LINE_EDGE_BOTH);
       gpiod_line_settings_set_event_clock(settings.get(), GPIOD_LINE_CLOCK_MONOTONIC);
       const auto micros = std::chrono::duration_cast<std::chrono::microseconds>(wanted.debounce).count();
       gpiod_line_settings_set_debounce_period_us(settings.get(), static_cast<unsigned long>(micros));
@@ -118,9 +118,10 @@ class KernelGpio final : public GpioBackend {
     if (settings == nullptr) return refuse(error_number);
     gpiod_line_settings_set_direction(settings.get(), GPIOD_LINE_DIRECTION_OUTPUT);
     gpiod_line_settings_set_active_low(settings.get(), wanted.active_low);
-    gpiod_line_settings_set_drive(settings.get(), wanted.drive == GpioDrive::open_drain    ? GPIOD_LINE_DRIVE_OPEN_DRAIN
-                                                  : wanted.drive == GpioDrive::open_source ? GPIOD_LINE_DRIVE_OPEN_SOURCE
-                                                                                           : GPIOD_LINE_DRIVE_PUSH_PULL);
+    gpiod_line_settings_set_drive(settings.get(), wanted.drive == GpioDrive::open_drain ? GPIOD_LINE_DRIVE_OPEN_DRAIN
+                                                  : wanted.drive == GpioDrive::open_source
+                                                      ? GPIOD_LINE_DRIVE_OPEN_SOURCE
+                                                      : GPIOD_LINE_DRIVE_PUSH_PULL);
     gpiod_line_settings_set_output_value(settings.get(),
                                          wanted.initial ? GPIOD_LINE_VALUE_ACTIVE : GPIOD_LINE_VALUE_INACTIVE);
     return take(path, number, wanted.consumer, settings.get(), false, error_number);

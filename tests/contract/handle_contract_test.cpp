@@ -16,11 +16,11 @@
 #include <vector>
 
 #include "data/payloads.hpp"
+#include "loop/core/loop_core.hpp"
+#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
-#include "loop/core/loop_core.hpp"
-#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
@@ -249,9 +249,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                           \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed, \
-      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
+#define HANDLES                                                                                                  \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
+      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, \
+      OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
 #include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
@@ -67,8 +69,8 @@ CounterReading reading_of(const EventView& event) {
 
 TEST_CASE("US-36 a line is found by its name, its number and its chip, and what is wrong is said with what there is") {
   auto pins = board();
-  for (const GpioLineName& name : std::initializer_list<GpioLineName>{
-           "GPIO17", 17, "gpiochip0:17", "/dev/gpiochip0:17", "pinctrl:17", "gpiochip0:GPIO17"}) {
+  for (const GpioLineName& name : std::initializer_list<GpioLineName>{"GPIO17", 17, "gpiochip0:17", "/dev/gpiochip0:17",
+                                                                      "pinctrl:17", "gpiochip0:GPIO17"}) {
     CHECK(GpioLine::input({.line = name}, pins).place() == "gpiochip0:17 (GPIO17)");
   }
   CHECK(GpioLine::input({.line = 17, .chip = "pinctrl"}, pins).is_open());
@@ -326,10 +328,7 @@ TEST_CASE("US-36 edge: absent at the start, silent, taken by another, and requir
               EdgeSensor(bench.loop, {.name = "other"}, {.input = {.line = 17}, .required = true}, bench.pins);
             }),
             "busy"));
-  CHECK(has(refusal([&] {
-              EdgeSensor(bench.loop, {.name = "other"}, {}, bench.pins);
-            }),
-            "it has no line"));
+  CHECK(has(refusal([&] { EdgeSensor(bench.loop, {.name = "other"}, {}, bench.pins); }), "it has no line"));
   bench.pins->occupy("gpiochip0", 17, "");
   bench.loop.advance(2s);
   bench.wire.toggle();
@@ -345,12 +344,16 @@ TEST_CASE("US-36 edge: absent at the start, silent, taken by another, and requir
 
 TEST_CASE("US-36 counter: number, frequency and what they stand for, from the kernel's times") {
   Bench bench;
-  CounterSensor sensor(
-      bench.loop, {.name = "flow", .rate = 1_Hz},
-      {.input = {.line = 17, .edges = GpioEdgeKind::rising}, .per_pulse = 0.5, .unit = "L", .per = "min", .still_after = 3s},
-      bench.pins);
+  CounterSensor sensor(bench.loop, {.name = "flow", .rate = 1_Hz},
+                       {.input = {.line = 17, .edges = GpioEdgeKind::rising},
+                        .per_pulse = 0.5,
+                        .unit = "L",
+                        .per = "min",
+                        .still_after = 3s},
+                       bench.pins);
   std::vector<CounterReading> readings;
-  const auto heard = bench.loop.subscribe("flow", [&](const EventView& event) { readings.push_back(reading_of(event)); });
+  const auto heard = bench.loop.subscribe("flow",
+                                          [&](const EventView& event) { readings.push_back(reading_of(event)); });
   const auto pulse = [&](Duration before, Duration after) {
     bench.loop.advance(before);
     bench.wire.set(true);
@@ -368,7 +371,7 @@ TEST_CASE("US-36 counter: number, frequency and what they stand for, from the ke
   REQUIRE(readings[1].frequency);
   CHECK(*readings[1].frequency == doctest::Approx(10));  // nine intervals of 0.1 s
   CHECK(*readings[1].speed == doctest::Approx(300));     // L/min
-  pulse(450ms, 550ms);  // 0.5 s after the last
+  pulse(450ms, 550ms);                                   // 0.5 s after the last
   REQUIRE(readings.size() == 3);
   CHECK(*readings[2].frequency == doctest::Approx(2));
   bench.loop.advance(1s);
@@ -410,7 +413,8 @@ TEST_CASE("US-36 counter: with libgpiod 1 pulses that may be missing are told, a
   Bench bench(FakeGpio::Like::libgpiod_1);
   CounterSensor sensor(bench.loop, {.name = "fan", .rate = 10_Hz}, {.input = {.line = 17}}, bench.pins);
   std::vector<CounterReading> readings;
-  const auto heard = bench.loop.subscribe("fan", [&](const EventView& event) { readings.push_back(reading_of(event)); });
+  const auto heard = bench.loop.subscribe("fan",
+                                          [&](const EventView& event) { readings.push_back(reading_of(event)); });
   for (int i = 0; i < 100; ++i) bench.wire.toggle();
   bench.loop.advance(100ms);
   CHECK(readings.back().count == 16);
@@ -418,6 +422,25 @@ TEST_CASE("US-36 counter: with libgpiod 1 pulses that may be missing are told, a
   CHECK(bench.errors == std::vector<std::string>{"backlog"});
   CHECK(sensor.health() == Health::ok);
   CHECK(has(counter_description({.unit = "kW.h", .per = "h"}).or_throw()->to_json(), "(kW.h)/h"));
+}
+
+TEST_CASE("US-36 NFR-5 two sensors on one line are a mistake that check tells, however its chip is written") {
+  const Registry registry = standard_registry();
+  if (!registry.sensors().find("edge")) {
+    MESSAGE("skipped: there is no libgpiod");
+    return;
+  }
+  const auto told = [&](const std::string& first, const std::string& second) {
+    const std::string text = R"({"sensors": [{"name": "a", "type": "edge", )" + first +
+                             R"(}, {"name": "b", "type": "counter", "rate": "1 Hz", )" + second + "}]}";
+    return plan_system(registry, parse_config(text, "f.json")).problems.text();
+  };
+  const std::string mistake = "has the GPIO line gpiochip0:17 already; give each its own";
+  CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": "gpiochip0:17")"), mistake));
+  CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": 17, "chip": "/dev/gpiochip0")"), mistake));
+  CHECK(has(told(R"("line": "GPIO17")", R"("line": "GPIO17")"), "has the GPIO line GPIO17 already"));
+  CHECK(told(R"("line": "GPIO17")", R"("line": "GPIO18")").empty());
+  CHECK(told(R"("line": 17, "chip": "gpiochip0")", R"("line": 17, "chip": "gpiochip1")").empty());
 }
 
 TEST_SUITE_END();

@@ -4,8 +4,8 @@
 #include <functional>
 #include <memory>
 
-#include "rtdata/loop/timer.hpp"
 #include "rtdata/io/fake_gpio.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
@@ -178,9 +178,8 @@ class FakeEdges final : public FakeLineOfChip {
   const char* kind() const override { return "edge"; }
   bool has_rate() const override { return false; }
   AnySensor make(Loop& loop, bool is_required) override {
-    return EdgeSensor(
-        loop, {.name = "s", .topic = "t"},
-        {.input = {.line = 3}, .retry_first = 2ms, .retry_longest = 4ms, .required = is_required}, pins_);
+    return EdgeSensor(loop, {.name = "s", .topic = "t"},
+                      {.input = {.line = 3}, .retry_first = 2ms, .retry_longest = 4ms, .required = is_required}, pins_);
   }
 };
 class FakePulses final : public FakeLineOfChip {

@@ -169,8 +169,8 @@ class GpioBackend {
   /// Null, with an errno: EBUSY when somebody has the line.
   virtual std::unique_ptr<GpioRequest> take_input(const std::string& path, unsigned number, const GpioInput& settings,
                                                   bool with_edges, int& error_number) = 0;
-  virtual std::unique_ptr<GpioRequest> take_output(const std::string& path, unsigned number,
-                                                   const GpioOutput& settings, int& error_number) = 0;
+  virtual std::unique_ptr<GpioRequest> take_output(const std::string& path, unsigned number, const GpioOutput& settings,
+                                                   int& error_number) = 0;
 };
 
 /// The kernel's chips, by libgpiod. In the library rtdata_gpio (CMake rtdata::gpio, pkg-config rtdata-gpio), which is

@@ -82,8 +82,8 @@ class CounterDevice final : public detail::SensorDevice {
   }
 
   void tell(const Error& error) {
-    if (edges_.failure()) return;               // the next tick fails with it
-    if (backend_->numbers_edges()) return;      // what was dropped is in the count
+    if (edges_.failure()) return;           // the next tick fails with it
+    if (backend_->numbers_edges()) return;  // what was dropped is in the count
     loop_.core().runtime.report(&loop_.core(), "sensor " + name_, error);
   }
 
@@ -97,7 +97,7 @@ class CounterDevice final : public detail::SensorDevice {
   std::uint64_t before_ = 0;  // count_ when the line was taken
   std::uint64_t overflows_ = 0;
   std::uint64_t overflows_before_ = 0;
-  std::uint64_t in_interval_ = 0;        // pulses after `earlier_`
+  std::uint64_t in_interval_ = 0;         // pulses after `earlier_`
   std::optional<MonotonicTime> earlier_;  // the pulse that this interval is measured from
   std::optional<MonotonicTime> last_;
   bool is_begun_ = false;  // in this interval, by a pulse that is measured from

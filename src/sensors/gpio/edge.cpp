@@ -8,8 +8,7 @@ namespace detail {
 class EdgeNode final : public StreamNode {
  public:
   EdgeNode(LoopCore& loop, const FeedConfig& feed, EdgeConfig config, std::shared_ptr<GpioBackend> backend)
-      : StreamNode(loop, feed, payload_type<EdgeReading>(),
-                   {config.silence, config.retry_first, config.retry_longest}),
+      : StreamNode(loop, feed, payload_type<EdgeReading>(), {config.silence, config.retry_first, config.retry_longest}),
         config_(std::move(config)),
         backend_(std::move(backend)) {
     origin_.counts.lost_is_known = backend_->numbers_edges();
