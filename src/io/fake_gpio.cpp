@@ -5,20 +5,23 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <deque>
 
 namespace rtdata {
 
 class FakeGpio::Request final : public GpioRequest {
  public:
-  Request(std::shared_ptr<Chip> chip, unsigned number)
-      : chip_(std::move(chip)),
+  Request(std::shared_ptr<std::mutex> mutex, std::shared_ptr<Chip> chip, unsigned number)
+      : mutex_(std::move(mutex)),
+        chip_(std::move(chip)),
         number_(number),
         generation_(chip_->generation),
         fd_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
     chip_->lines[number_].user = this;
   }
   ~Request() override {
-    if (is_there()) {
+    const std::lock_guard lock(*mutex_);
+    if (has_chip()) {
       chip_->lines[number_].user = nullptr;
       chip_->lines[number_].consumer.clear();
     }
@@ -26,17 +29,20 @@ class FakeGpio::Request final : public GpioRequest {
   }
 
   int value() noexcept override {
-    if (!is_there()) return -ENODEV;
+    const std::lock_guard lock(*mutex_);
+    if (!has_chip()) return -ENODEV;
     return chip_->lines[number_].is_high != is_active_low ? 1 : 0;
   }
   int set(bool value) noexcept override {
-    if (!is_there()) return ENODEV;
+    const std::lock_guard lock(*mutex_);
+    if (!has_chip()) return ENODEV;
     chip_->lines[number_].is_high = value != is_active_low;
     return 0;
   }
   int descriptor() const noexcept override { return fd_; }
   int read(std::span<GpioRawEdge> edges) noexcept override {
-    if (!is_there()) return -ENODEV;
+    const std::lock_guard lock(*mutex_);
+    if (!has_chip()) return -ENODEV;
     std::size_t count = 0;
     for (; count < edges.size() && !waiting_.empty(); ++count) {
       edges[count] = waiting_.front();
@@ -48,7 +54,12 @@ class FakeGpio::Request final : public GpioRequest {
     }
     return static_cast<int>(count);
   }
-  bool is_there() noexcept override { return chip_->is_there && chip_->generation == generation_; }
+  bool is_there() noexcept override {
+    const std::lock_guard lock(*mutex_);
+    return has_chip();
+  }
+
+  // Under the lock.
 
   void wake() const {
     const std::uint64_t one = 1;
@@ -69,6 +80,9 @@ class FakeGpio::Request final : public GpioRequest {
   bool is_active_low = false;
 
  private:
+  bool has_chip() const noexcept { return chip_->is_there && chip_->generation == generation_; }
+
+  const std::shared_ptr<std::mutex> mutex_;
   const std::shared_ptr<Chip> chip_;
   const unsigned number_;
   const unsigned generation_;
@@ -88,6 +102,7 @@ FakeGpio::Chip& FakeGpio::chip(const std::string& name) const {
 
 void FakeGpio::add_chip(const std::string& name, std::size_t lines, const std::string& prefix,
                         const std::string& label) {
+  const std::lock_guard lock(*mutex_);
   auto made = std::make_shared<Chip>();
   made->name = name;
   made->label = label;
@@ -97,6 +112,7 @@ void FakeGpio::add_chip(const std::string& name, std::size_t lines, const std::s
 }
 
 void FakeGpio::unplug(const std::string& name, bool hangs_up) {
+  const std::lock_guard lock(*mutex_);
   Chip& gone = chip(name);
   gone.is_there = false;
   for (Line& line : gone.lines)
@@ -104,6 +120,7 @@ void FakeGpio::unplug(const std::string& name, bool hangs_up) {
 }
 
 void FakeGpio::plug_in(const std::string& name) {
+  const std::lock_guard lock(*mutex_);
   Chip& back = chip(name);
   back.is_there = true;
   ++back.generation;
@@ -113,16 +130,25 @@ void FakeGpio::plug_in(const std::string& name) {
   }
 }
 
-void FakeGpio::refuse(const std::string& name, int error_number) { chip(name).error_number = error_number; }
+void FakeGpio::refuse(const std::string& name, int error_number) {
+  const std::lock_guard lock(*mutex_);
+  chip(name).error_number = error_number;
+}
 void FakeGpio::occupy(const std::string& name, unsigned number, const std::string& consumer) {
+  const std::lock_guard lock(*mutex_);
   chip(name).lines.at(number).consumer = consumer;
 }
-bool FakeGpio::level(const std::string& name, unsigned number) const { return chip(name).lines.at(number).is_high; }
+bool FakeGpio::level(const std::string& name, unsigned number) const {
+  const std::lock_guard lock(*mutex_);
+  return chip(name).lines.at(number).is_high;
+}
 bool FakeGpio::is_taken(const std::string& name, unsigned number) const {
+  const std::lock_guard lock(*mutex_);
   return !chip(name).lines.at(number).consumer.empty();
 }
 
 void FakeGpio::drive(const std::string& name, unsigned number, bool is_high, MonotonicTime time) {
+  const std::lock_guard lock(*mutex_);
   Line& line = chip(name).lines.at(number);
   if (std::exchange(line.is_high, is_high) == is_high) return;
   Request* const user = line.user;
@@ -133,6 +159,7 @@ void FakeGpio::drive(const std::string& name, unsigned number, bool is_high, Mon
 }
 
 std::vector<GpioChipInfo> FakeGpio::chips() {
+  const std::lock_guard lock(*mutex_);
   std::vector<GpioChipInfo> all;
   for (const auto& one : chips_) {
     if (!one->is_there) continue;
@@ -148,6 +175,7 @@ std::vector<GpioChipInfo> FakeGpio::chips() {
 
 std::unique_ptr<GpioRequest> FakeGpio::take(const std::string& path, unsigned number, const std::string& consumer,
                                             int& error_number) {
+  const std::lock_guard lock(*mutex_);
   const auto found = std::find_if(chips_.begin(), chips_.end(),
                                   [&](const auto& one) { return one->is_there && "/dev/" + one->name == path; });
   error_number = found == chips_.end()                       ? ENOENT
@@ -156,7 +184,7 @@ std::unique_ptr<GpioRequest> FakeGpio::take(const std::string& path, unsigned nu
                                                              : (*found)->error_number;
   if (error_number != 0) return nullptr;
   (*found)->lines[number].consumer = consumer;
-  return std::make_unique<Request>(*found, number);
+  return std::make_unique<Request>(mutex_, *found, number);
 }
 
 std::unique_ptr<GpioRequest> FakeGpio::take_input(const std::string& path, unsigned number, const GpioInput& settings,

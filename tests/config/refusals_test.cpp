@@ -31,6 +31,7 @@ const std::map<std::string, std::string> right_sensors{
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"counter", R"({"name": "s", "type": "counter", "rate": "10 Hz", "line": "no-such-line"})"},
     {"edge", R"({"name": "s", "type": "edge", "line": "no-such-line"})"},
+    {"gpio", R"({"name": "s", "type": "gpio", "rate": "10 Hz", "lines": [{"name": "x", "line": "no-such-line"}]})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};

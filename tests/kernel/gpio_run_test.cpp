@@ -27,7 +27,8 @@ TEST_SUITE("drivers") {
           {"name": "door", "type": "edge", "line": "sim11", "retry_first": "20 ms", "retry_longest": "50 ms"},
           {"name": "fan", "type": "counter", "line": "sim12", "rate": "20 Hz", "per_pulse": 0.5, "unit": "{rev}",
            "per": "min", "retry_first": "20 ms", "retry_longest": "50 ms"}],
-          "sinks": [{"type": "sqlite", "path": ")" + path + "\"}]}";
+          "sinks": [{"type": "sqlite", "path": ")" +
+                               path + "\"}]}";
       System system(loop, standard_registry(), parse_config(text, "gpio.json"));
       std::uint64_t edges = 0, pulses = 0;
       const auto of_door = loop.subscribe("door", [&](const EventView& event) {

@@ -12,6 +12,7 @@
 #include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
+#include "rtdata/sensors/levels.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -424,6 +425,43 @@ TEST_CASE("US-36 counter: with libgpiod 1 pulses that may be missing are told, a
   CHECK(has(counter_description({.unit = "kW.h", .per = "h"}).or_throw()->to_json(), "(kW.h)/h"));
 }
 
+TEST_CASE("US-36 gpio: the levels of several lines at a rate, read on a lane, through an outage") {
+  Bench bench;
+  LevelsConfig config{
+      .lines = {{.name = "front", .line = "GPIO17"}, {.name = "back", .line = "gpiochip0:3", .active_low = true}}};
+  LevelsSensor sensor(bench.loop, {.name = "doors", .rate = 10_Hz, .retry_first = 100ms}, config, bench.pins);
+  std::vector<std::string> seen;
+  const auto heard = bench.loop.subscribe("doors", [&](const EventView& event) {
+    seen.push_back(to_string(event.value("front").value()) + " " + to_string(event.value("back").value()));
+  });
+  bench.loop.advance(50ms);
+  bench.wire.set(true);
+  bench.loop.advance(100ms);
+  bench.pins->drive("gpiochip0", 3, true, {});
+  bench.loop.advance(100ms);
+  CHECK(seen == std::vector<std::string>{"false true", "true true", "true false"});
+  CHECK(bench.pins->is_taken("gpiochip0", 3));
+  bench.pins->unplug("gpiochip0");
+  bench.loop.advance(5s);
+  CHECK(sensor.health() == Health::faulted);
+  CHECK(sensor.status().reason.find("its chip is gone") == std::string::npos);  // now it is: there is no chip
+  bench.pins->plug_in("gpiochip0");
+  bench.loop.advance(10s);
+  CHECK(sensor.health() == Health::ok);
+  CHECK(seen.back() == "true false");
+  CHECK(sensor.counts().failed > 0);
+  sensor.stop();
+  bench.loop.advance(1s);
+  CHECK_FALSE(bench.pins->is_taken("gpiochip0", 3));
+  CHECK_FALSE(bench.pins->is_taken("gpiochip0", 17));
+  CHECK(sensor.counts().balances());
+  CHECK(has(refusal([&] { LevelsSensor(bench.loop, {.name = "x", .rate = 1_Hz}, {}, bench.pins); }), "there is none"));
+  config.lines[1] = config.lines[0];
+  config.lines[1].name = "again";
+  CHECK(has(refusal([&] { LevelsSensor(bench.loop, {.name = "x", .rate = 1_Hz}, config, bench.pins); }),
+            "GPIO17 is there twice"));
+}
+
 TEST_CASE("US-36 NFR-5 two sensors on one line are a mistake that check tells, however its chip is written") {
   const Registry registry = standard_registry();
   if (!registry.sensors().find("edge")) {
@@ -439,6 +477,10 @@ TEST_CASE("US-36 NFR-5 two sensors on one line are a mistake that check tells, h
   CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": "gpiochip0:17")"), mistake));
   CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": 17, "chip": "/dev/gpiochip0")"), mistake));
   CHECK(has(told(R"("line": "GPIO17")", R"("line": "GPIO17")"), "has the GPIO line GPIO17 already"));
+  const std::string
+      levels = R"({"sensors": [{"name": "a", "type": "gpio", "rate": "1 Hz", "lines": [{"name": "x", "line": 4,
+      "chip": "gpiochip0"}, {"name": "y", "line": "gpiochip0:17"}]}, {"name": "b", "type": "edge", "line": "gpiochip0:17"}]})";
+  CHECK(has(plan_system(registry, parse_config(levels, "f.json")).problems.text(), mistake));
   CHECK(told(R"("line": "GPIO17")", R"("line": "GPIO18")").empty());
   CHECK(told(R"("line": 17, "chip": "gpiochip0")", R"("line": 17, "chip": "gpiochip1")").empty());
 }

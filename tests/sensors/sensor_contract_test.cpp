@@ -11,6 +11,7 @@
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
@@ -190,6 +191,16 @@ class FakePulses final : public FakeLineOfChip {
   }
 };
 
+class FakeLevels final : public FakeLineOfChip {
+ public:
+  const char* kind() const override { return "gpio"; }
+  void speak() override {}  // it is asked
+  AnySensor make(Loop& loop, bool is_required) override {
+    return LevelsSensor(loop, common(is_required), {.lines = {{.name = "x", .line = 3}, {.name = "y", .line = 4}}},
+                        pins_);
+  }
+};
+
 std::vector<std::unique_ptr<Fake>> every_kind() {
   std::vector<std::unique_ptr<Fake>> kinds;
   kinds.push_back(std::make_unique<FakeAdc>());
@@ -198,6 +209,7 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeReceiver>());
   kinds.push_back(std::make_unique<FakeEdges>());
   kinds.push_back(std::make_unique<FakePulses>());
+  kinds.push_back(std::make_unique<FakeLevels>());
   if (terminals_can_be_set_up()) kinds.push_back(std::make_unique<FakeLine>());
   return kinds;
 }

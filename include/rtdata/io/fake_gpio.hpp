@@ -8,13 +8,12 @@
 /// What carries the edges is a descriptor that is readable while some wait, as the kernel's is; so many are kept, and
 /// numbered or not, as libgpiod 2 or 1 have them.
 ///
-/// Thread: one at a time.
+/// Thread: any; a lock holds those who use the lines and the test apart.
 #pragma once
 
 #include <cstddef>
-#include <deque>
-#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -75,6 +74,7 @@ class FakeGpio final : public GpioBackend {
   std::unique_ptr<GpioRequest> take(const std::string& path, unsigned number, const std::string& consumer,
                                     int& error_number);
 
+  const std::shared_ptr<std::mutex> mutex_ = std::make_shared<std::mutex>();  // shared with those who have lines
   const Like like_;
   const std::size_t kept_;
   std::vector<std::shared_ptr<Chip>> chips_;

@@ -12,6 +12,7 @@
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
+#include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/mcp3x08.hpp"
 #include "rtdata/sensors/serial_line.hpp"
@@ -84,9 +85,8 @@ struct ShippedFileConfig : FileConfig {
 
 #ifdef RTDATA_WITH_GPIO
 /// The line as it is written, which no two sensors of a configuration may have.
-static PartPlan::Place place_of(const GpioInput& input) {
-  std::string line = input.line.text;
-  if (!input.chip.empty()) line.insert(0, input.chip + ":");
+static PartPlan::Place place_of(std::string line, const std::string& chip) {
+  if (!chip.empty()) line.insert(0, chip + ":");
   if (line.starts_with("/dev/")) line.erase(0, 5);
   return {"GPIO", "line " + line};
 }
@@ -119,12 +119,25 @@ Registry standard_registry() {
       [](Loop& loop, const SensorConfig& common, const CounterConfig& config) {
         return CounterSensor(loop, common, config);
       },
-      [](PartPlan& plan, const CounterConfig& config) { plan.place = place_of(config.input); });
+      [](PartPlan& plan, const CounterConfig& config) {
+        plan.place = place_of(config.input.line.text, config.input.chip);
+      });
   registry.add_sensor<EdgeConfig>(
       "edge", "the edges of a GPIO line, such as a button or a limit switch",
       [](const EdgeConfig&) { return Result(description_of<EdgeReading>()); },
       [](Loop& loop, const FeedConfig& common, const EdgeConfig& config) { return EdgeSensor(loop, common, config); },
-      [](PartPlan& plan, const EdgeConfig& config) { plan.place = place_of(config.input); });
+      [](PartPlan& plan, const EdgeConfig& config) {
+        plan.place = place_of(config.input.line.text, config.input.chip);
+      });
+  registry.add_sensor<LevelsConfig>(
+      "gpio", "the levels of GPIO lines, sampled",
+      [](const LevelsConfig& config) { return levels_description(config); },
+      [](Loop& loop, const SensorConfig& common, const LevelsConfig& config) {
+        return LevelsSensor(loop, common, config);
+      },
+      [](PartPlan& plan, const LevelsConfig& config) {
+        for (const GpioLevel& level : config.lines) plan.more_places.push_back(place_of(level.line.text, level.chip));
+      });
 #endif
   registry.add_sensor<GpsConfig>(
       "gps", "a GPS receiver behind gpsd", [](const GpsConfig&) { return Result(description_of<GpsFix>()); },
