@@ -72,10 +72,10 @@ class EdgeNode final : public StreamNode {
     heard();
     settle_accounts();
     count_ = before_ + edge.number;
-    const EdgeReading reading{edge.level, count_};
+    EdgeReading reading{edge.level, count_};
     ++origin_.counts.received;
     ++origin_.counts.published;
-    origin_.topic.publish(origin_, loop()->runtime.event_time(edge.time), const_cast<EdgeReading*>(&reading));
+    origin_.topic.publish(origin_, loop()->runtime.event_time(edge.time), &reading);
     if (is_open() && is_running()) succeed();
   }
 
