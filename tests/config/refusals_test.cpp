@@ -29,6 +29,9 @@ const std::map<std::string, std::string> right_sensors{
     {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},
     {"ina", R"({"name": "s", "type": "ina", "rate": "10 Hz", "bus": "i2c1"})"},
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"counter", R"({"name": "s", "type": "counter", "rate": "10 Hz", "line": "no-such-line"})"},
+    {"edge", R"({"name": "s", "type": "edge", "line": "no-such-line"})"},
+    {"gpio", R"({"name": "s", "type": "gpio", "rate": "10 Hz", "lines": [{"name": "x", "line": "no-such-line"}]})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};

@@ -114,6 +114,7 @@ struct PartPlan {
     std::string bus = {};   ///< empty: it is on none
     std::string text = {};  ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
   } place = {};
+  std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 

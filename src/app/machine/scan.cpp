@@ -9,11 +9,13 @@
 
 #include <cerrno>
 #include <cstring>
+#include <optional>
 #include <string_view>
 #include <utility>
 
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/io/gpio.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -184,18 +186,66 @@ class Scanner {
   void gpio_chips() {
     for (const std::string& chip : files_.names("/sys/bus/gpio/devices", "gpiochip")) {
       const std::string of = "/sys/bus/gpio/devices/" + chip + "/of_node/name";
-      const std::string device = files_.link_name("/sys/bus/gpio/devices/" + chip + "/device");
-      std::string label, lines;
+      std::string label, count;
       // The classes of the old interface know label and size; they are read, never written.
       for (const std::string& old : files_.names("/sys/bus/gpio/devices/" + chip + "/gpio", "gpiochip")) {
         const std::string folder = "/sys/bus/gpio/devices/" + chip + "/gpio/" + old;
         label = text(folder + "/label");
-        lines = text(folder + "/ngpio");
+        count = text(folder + "/ngpio");
+      }
+      const std::optional<GpioChipInfo> info = gpio_chip("/dev/" + chip);
+      if (info && info->error_number == 0) {
+        label = info->label;
+        count = std::to_string(info->lines.size());
       }
       std::string what = label.empty() ? text(of) : label;
-      if (!lines.empty()) what += (what.empty() ? "" : ", ") + lines + " lines";
-      add("gpio", "/dev/" + chip, what);
+      if (!count.empty()) what += (what.empty() ? "" : ", ") + count + " lines";
+      if (info) what += lines_text(*info);
+      FoundDevice& found = add("gpio", "/dev/" + chip, what);
+      if (info) gpio_lines(found, chip, *info);
     }
+  }
+
+  /// As the kernel tells whoever may open it; none: on another machine, or without libgpiod.
+  std::optional<GpioChipInfo> gpio_chip([[maybe_unused]] const std::string& path) {
+#ifdef RTDATA_WITH_GPIO
+    if (!files_.is_this_machine()) return {};
+    if (gpio_chips_.empty()) gpio_chips_ = make_kernel_gpio()->chips();
+    for (const GpioChipInfo& one : gpio_chips_)
+      if (one.path == path) return one;
+#endif
+    return {};
+  }
+
+  /// "; free: GPIO2 GPIO3 7; used: GPIO4 (led0)"
+  static std::string lines_text(const GpioChipInfo& chip) {
+    std::string free, used;
+    for (std::size_t i = 0; i < chip.lines.size(); ++i) {
+      const GpioLineInfo& one = chip.lines[i];
+      const std::string name = one.name.empty() ? std::to_string(i) : one.name;
+      std::string& list = one.is_used ? used : free;
+      list += " " + name;
+      if (one.is_used && !one.consumer.empty()) list += " (" + one.consumer + ")";
+    }
+    return (free.empty() ? "" : "; free:" + free) + (used.empty() ? "" : "; used:" + used);
+  }
+
+  /// For its first free line: by its name, where no other has that name, or else by its number.
+  void gpio_lines(FoundDevice& found, const std::string& chip, const GpioChipInfo& info) const {
+    for (std::size_t i = 0; i < info.lines.size(); ++i) {
+      if (info.lines[i].is_used) continue;
+      const std::string name = gpio_line_name(info.lines[i].name, chip, i);
+      const std::string common = R"(, "line": )" + json_text(name) + R"(, "bias": "pull-up")";
+      line(found, "sensors", R"({"name": "button", "type": "edge")" + common + R"(, "active_low": true})");
+      line(found, "sensors", R"({"name": "pulses", "type": "counter", "rate": "1 Hz")" + common + "}");
+      return;
+    }
+  }
+  std::string gpio_line_name(const std::string& name, const std::string& chip, std::size_t number) const {
+    std::size_t alike = 0;
+    for (const GpioChipInfo& one : gpio_chips_)
+      for (const GpioLineInfo& other : one.lines) alike += other.name == name ? 1 : 0;
+    return !name.empty() && alike == 1 ? name : chip + ":" + std::to_string(number);
   }
 
   void iio_devices() {
@@ -290,6 +340,7 @@ class Scanner {
   const Probing probing_;
   Scan scan_;
   std::size_t adc_count_ = 0;
+  std::vector<GpioChipInfo> gpio_chips_;  // of this machine
 };
 
 }  // namespace
