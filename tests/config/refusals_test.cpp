@@ -28,9 +28,13 @@ const std::map<std::string, std::string> right_sensors{
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
     {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},
     {"ina", R"({"name": "s", "type": "ina", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"iio", R"({"name": "s", "type": "iio", "rate": "10 Hz", "device": "bmp280", "channels": ["temp"]})"},
+    {"iio_buffer", R"({"name": "s", "type": "iio_buffer", "device": "mpu6050", "channels": ["accel_x"]})"},
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
+    {"pps", R"({"name": "s", "type": "pps"})"},
+    {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
