@@ -114,7 +114,8 @@ Result<IioDevice> IioDevice::find(const std::string& which, const std::string& r
     const std::unique_ptr<char, decltype(&std::free)> real(::realpath((root + which).c_str(), nullptr), &std::free);
     if (real != nullptr) last = last_part(real.get());
   }
-  const auto wanted = detail::read_number(which, number) == std::errc{} ? std::optional(number) : number_of_folder(last);
+  const auto wanted = detail::read_number(which, number) == std::errc{} ? std::optional(number)
+                                                                        : number_of_folder(last);
   for (IioDevice& device : all(root)) {
     known.push_back(device.text());
     const bool is_it = which.empty() || (wanted ? device.number() == *wanted
@@ -127,9 +128,8 @@ Result<IioDevice> IioDevice::find(const std::string& which, const std::string& r
                  "`device` is a name, label, number or path; a driver makes it: `dmesg`, docs/iio.md"};
   }
   if (found.size() > 1) {
-    const auto labelled = std::find_if(found.begin(), found.end(), [&](const IioDevice& one) {
-      return !which.empty() && one.label() == which;
-    });
+    const auto labelled = std::find_if(found.begin(), found.end(),
+                                       [&](const IioDevice& one) { return !which.empty() && one.label() == which; });
     if (labelled == found.end()) {
       std::vector<std::string> alike;
       for (const IioDevice& one : found) alike.push_back(one.text());

@@ -63,6 +63,11 @@ void IioCapture::close() noexcept {
   if (const int fd = std::exchange(fd_, -1); fd >= 0) ::close(fd);
 }
 
+void IioCapture::abandon() noexcept {
+  is_on_ = false;
+  close();
+}
+
 Result<IioCapture> IioCapture::open(const IioDevice& device, const IioCaptureConfig& config) {
   IioCapture capture;
   capture.device_ = device;
@@ -237,8 +242,8 @@ Result<void> IioCapture::set_rate(Rate rate) {
   if (file.empty()) {
     if (!rate) return {};
     return Error{Errc::bad_argument, cannot_capture, device.text(), "neither it nor its trigger has a rate to set",
-                 trigger_.empty() ? "give it a `trigger` that has one" : "leave `rate` out: trigger " + trigger_ +
-                                                                             " fires when it likes"};
+                 trigger_.empty() ? "give it a `trigger` that has one"
+                                  : "leave `rate` out: trigger " + trigger_ + " fires when it likes"};
   }
   const auto number = [&]() -> double {
     const auto text = detail::read_kernel_file(file, cannot_capture);

@@ -29,16 +29,8 @@ class Descriptor {
 };
 
 Error failure(int number, const char* what, const std::string& path) {
-  if (number == ENODEV)
-    return {Errc::disconnected, what, path, "the device has gone away", "it is looked for again"};
+  if (number == ENODEV) return {Errc::disconnected, what, path, "the device has gone away", "it is looked for again"};
   return system_error(number, what, path, number == EACCES ? who_may : "");
-}
-
-std::string_view trimmed(std::string_view text) noexcept {
-  constexpr std::string_view blanks = " \t\r\n";
-  const auto first = text.find_first_not_of(blanks);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(blanks) - first + 1);
 }
 
 }  // namespace

@@ -9,6 +9,14 @@
 
 namespace rtdata::detail {
 
+/// Without the newline and blanks around it.
+constexpr std::string_view trimmed(std::string_view text) noexcept {
+  constexpr std::string_view blanks = " \t\r\n";
+  const auto first = text.find_first_not_of(blanks);
+  if (first == std::string_view::npos) return {};
+  return text.substr(first, text.find_last_not_of(blanks) - first + 1);
+}
+
 /// At most 4 KiB, without blanks and line ends at both ends. `what`: of the error.
 Result<std::string> read_kernel_file(const std::string& path, const char* what);
 Result<void> write_kernel_file(const std::string& path, std::string_view text, const char* what);

@@ -82,7 +82,8 @@ class FakeIio {
     bytes[2] = static_cast<unsigned char>(word);
     bytes[3] = static_cast<unsigned char>(word >> 8);
     const std::int64_t stamp = time.time_since_epoch().count();
-    for (unsigned i = 0; i < 8; ++i) bytes[8 + i] = static_cast<unsigned char>(static_cast<std::uint64_t>(stamp) >> 8 * i);
+    for (unsigned i = 0; i < 8; ++i)
+      bytes[8 + i] = static_cast<unsigned char>(static_cast<std::uint64_t>(stamp) >> 8 * i);
     CHECK(::write(writer, bytes, sizeof bytes) == static_cast<ssize_t>(sizeof bytes));
   }
 
@@ -143,33 +144,35 @@ struct Stage {
 
 }  // namespace
 
-TEST_CASE("US-13 the type of a channel in a scan is read, and nothing that is none") {
+TEST_CASE("FW-2 the type of a channel in a scan is read, and nothing that is none") {
   const auto storage = parse_iio_storage("le:s12/16X2>>4").or_throw();
   CHECK(storage == IioStorage{false, true, 12, 16, 2, 4});
   CHECK(storage.size() == 4);
   CHECK(parse_iio_storage("be:u24/32>>8").or_throw() == IioStorage{true, false, 24, 32, 1, 8});
   CHECK(parse_iio_storage("le:s64/64").or_throw() == IioStorage{false, true, 64, 64, 1, 0});
-  for (const char* bad : {"", "le", "le:", "xe:s12/16>>4", "le:x12/16>>4", "le:s/16>>4", "le:s12/", "le:s12/16>>", "le:s0/16>>0",
-                          "le:s17/16>>0", "le:s12/16>>5", "le:s12/24>>0", "le:s12/16X0>>0", "le:s12/16X65>>0", "le:s12/16X>>0",
-                          "le:s12/16>>4 ", "le:s12/16>>-1", "le:s4294967308/16>>0", "le:f32/32>>0"}) {
+  for (const char* bad :
+       {"", "le", "le:", "xe:s12/16>>4", "le:x12/16>>4", "le:s/16>>4", "le:s12/", "le:s12/16>>", "le:s0/16>>0",
+        "le:s17/16>>0", "le:s12/16>>5", "le:s12/24>>0", "le:s12/16X0>>0", "le:s12/16X65>>0", "le:s12/16X>>0",
+        "le:s12/16>>4 ", "le:s12/16>>-1", "le:s4294967308/16>>0", "le:f32/32>>0"}) {
     CAPTURE(bad);
     CHECK(parse_iio_storage(bad).error().code == Errc::bad_data);
   }
 }
 
-TEST_CASE("US-13 every place, byte order, sign, shift and size of a value in a scan is decoded") {
+TEST_CASE("FW-2 every place, byte order, sign, shift and size of a value in a scan is decoded") {
   const auto storage = [](const char* text) { return parse_iio_storage(text).or_throw(); };
   // In the order of their indices: a byte, 2 bytes aligned to 2, 4 to 4, 8 to 8, then four of 2 bytes to 8.
-  const auto layout = IioLayout::make({{.index = 9, .storage = storage("le:s64/64>>0"), .is_timestamp = true},
-                                       {.index = 4, .storage = storage("le:s16/16X4>>0"), .position = 4},
-                                       {.index = 3, .storage = storage("be:u64/64>>0"), .position = 3},
-                                       {.index = 0, .storage = storage("le:s7/8>>1"), .position = 0},
-                                       {.index = 1, .storage = storage("be:s12/16>>4"), .conversion = {10, 0.5}, .position = 1},
-                                       {.index = 2, .storage = storage("le:u24/32>>8"), .position = 2}})
+  const auto layout = IioLayout::make(
+                          {{.index = 9, .storage = storage("le:s64/64>>0"), .is_timestamp = true},
+                           {.index = 4, .storage = storage("le:s16/16X4>>0"), .position = 4},
+                           {.index = 3, .storage = storage("be:u64/64>>0"), .position = 3},
+                           {.index = 0, .storage = storage("le:s7/8>>1"), .position = 0},
+                           {.index = 1, .storage = storage("be:s12/16>>4"), .conversion = {10, 0.5}, .position = 1},
+                           {.index = 2, .storage = storage("le:u24/32>>8"), .position = 2}})
                           .or_throw();
   CHECK(layout.size() == 32);
   CHECK(layout.values() == 8);
-  const unsigned char bytes[32] = {0xfd, 0xee,                                      // -2 in seven bits above one; padding
+  const unsigned char bytes[32] = {0xfd, 0xee,                                      // -2 in seven bits, padding
                                    0xff, 0xe5,                                      // -2 in twelve bits above four
                                    0x11, 0x56, 0x34, 0x92,                          // 0x923456 above eight bits
                                    0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xf0, 0x00,  // 2^64 - 4096
@@ -192,12 +195,13 @@ TEST_CASE("US-13 every place, byte order, sign, shift and size of a value in a s
                          {.index = 1, .storage = storage("le:s8/8>>0"), .position = 1}})
             .or_throw()
             .size() == 4);
-  CHECK(!IioLayout::make({{.index = 1, .storage = storage("le:s16/16>>0")}, {.index = 1, .storage = storage("le:s16/16>>0")}}));
+  CHECK(!IioLayout::make(
+      {{.index = 1, .storage = storage("le:s16/16>>0")}, {.index = 1, .storage = storage("le:s16/16>>0")}}));
   CHECK(!IioLayout::make({{.index = 1, .storage = storage("le:s16/16X3>>0")}}));
   CHECK(!IioLayout::make({{.index = 1, .storage = storage("le:s32/32>>0"), .is_timestamp = true}}));
 }
 
-TEST_CASE("US-13 what a channel measures, and its SI unit, is known by its name") {
+TEST_CASE("FW-2 what a channel measures, and its SI unit, is known by its name") {
   const auto unit = [](const char* name) {
     const IioQuantity* quantity = iio_quantity(name);
     return quantity == nullptr ? "none" : std::string(quantity->unit);
@@ -211,7 +215,8 @@ TEST_CASE("US-13 what a channel measures, and its SI unit, is known by its name"
   CHECK(unit("pressure") == "Pa");
   CHECK(unit("humidityrelative") == "%");
   CHECK(unit("magn_x") == "T");
-  for (const char* bad : {"", "volt0", "voltagex", "voltage_", "accel-x", "timestamp", "voltage0/../x", "temp ambient"}) {
+  for (const char* bad :
+       {"", "volt0", "voltagex", "voltage_", "accel-x", "timestamp", "voltage0/../x", "temp ambient"}) {
     CAPTURE(bad);
     CHECK(iio_quantity(bad) == nullptr);
   }
@@ -223,7 +228,7 @@ TEST_CASE("US-13 what a channel measures, and its SI unit, is known by its name"
   CHECK(!iio_description({"volt0"}));
 }
 
-TEST_CASE("US-13 an IIO device is found by name, label, number and path, and says what it has") {
+TEST_CASE("FW-2 an IIO device is found by name, label, number and path, and says what it has") {
   FakeIio fake;
   const std::string& root = fake.directory.path();
   fake.directory.file("sys/bus/iio/devices/iio:device12/name", "bmp280\n");
@@ -257,7 +262,9 @@ TEST_CASE("US-13 an IIO device is found by name, label, number and path, and say
   CHECK(device.channel_or_error("acel_x").error().advice == "did you mean accel_x?");
 }
 
-TEST_CASE("US-13 polled: channels in SI units at the sensor's rate, in virtual time; a device that goes and comes back") {
+TEST_CASE(
+    "FW-2 an IIO device polled: channels in SI units at the sensor's rate, in virtual time; a device that goes and "
+    "comes back") {
   FakeIio fake;
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
@@ -294,7 +301,9 @@ TEST_CASE("US-13 polled: channels in SI units at the sensor's rate, in virtual t
   CHECK(sensor.counts().balances());
 }
 
-TEST_CASE("US-13 buffered: scans with the kernel's times; the buffer is turned on by the start and off by the end") {
+TEST_CASE(
+    "FW-2 US-15 an IIO device buffered: scans with the kernel's times; the buffer is turned on by the start and off by "
+    "the end") {
   FakeIio fake;
   fake.attribute("buffer/enable", "1\n");  // left on by a program that was killed
   fake.attribute("scan_elements/in_accel_x_en", "1\n");
@@ -305,7 +314,8 @@ TEST_CASE("US-13 buffered: scans with the kernel's times; the buffer is turned o
   config.watermark = 2;
   {
     IioBufferSensor one(stage.loop, {.name = "one"}, config);
-    stage.until([&] { return fake.attribute("buffer/enable") == "1" && one.health() == Health::ok; });
+    stage.until([&] { return fake.attribute("buffer/enable") == "1"; });
+    CHECK(one.health() == Health::ok);
     CHECK(stage.log.find("was on, and no program had it open") != std::string::npos);
     CHECK(fake.attribute("scan_elements/in_temp_en") == "1");
     CHECK(fake.attribute("scan_elements/in_timestamp_en") == "1");
@@ -336,11 +346,12 @@ TEST_CASE("US-13 buffered: scans with the kernel's times; the buffer is turned o
   CHECK(!imu.counts().lost_is_known);
   CHECK(stage.errors.empty());
   imu.close();
-  stage.loop.close();
-  CHECK(fake.attribute("buffer/enable") == "0");
+  stage.until([&] { return fake.attribute("buffer/enable") == "0"; });
 }
 
-TEST_CASE("US-13 buffered: scans that are missing, by their times or since the buffer was full, are told, and are a gap") {
+TEST_CASE(
+    "FW-2 US-15 an IIO device buffered: scans that are missing, by their times or since the buffer was full, are told, "
+    "and are a gap") {
   FakeIio fake;
   Stage stage;
   IioBufferSensor imu(stage.loop, {.name = "imu"}, stage.config(fake));
@@ -379,7 +390,7 @@ TEST_CASE("US-13 buffered: scans that are missing, by their times or since the b
   CHECK(imu.counts().balances());
 }
 
-TEST_CASE("US-13 buffered: times that cannot be are replaced by those of the reads, which is told") {
+TEST_CASE("FW-2 US-15 an IIO device buffered: times that cannot be are replaced by those of the reads, which is told") {
   FakeIio fake;
   Stage stage;
   IioBufferSensor imu(stage.loop, {.name = "imu"}, stage.config(fake));
@@ -389,12 +400,15 @@ TEST_CASE("US-13 buffered: times that cannot be are replaced by those of the rea
   fake.scan(2, 0, before + 1h);
   stage.until([&] { return stage.values.size() == 2; });
   CHECK(stage.has_error(Errc::bad_data, "the times of scans are not used"));
-  CHECK(stage.errors.size() == 1);
   CHECK(stage.times[1] > stage.times[0]);
   CHECK(imu.health() == Health::degraded);
+  fake.scan(3, 0, stage.now());
+  stage.until([&] { return imu.health() == Health::ok; });
 }
 
-TEST_CASE("US-13 buffered: a kernel that cannot be told its clock gives the time of day, which is put on our line") {
+TEST_CASE(
+    "FW-2 US-15 an IIO device buffered: a kernel that cannot be told its clock gives the time of day, which is put on "
+    "our line") {
   FakeIio fake;
   ::unlink((fake.directory.path() + "/sys/bus/iio/devices/iio:device0/current_timestamp_clock").c_str());
   Stage stage;
@@ -410,16 +424,17 @@ TEST_CASE("US-13 buffered: a kernel that cannot be told its clock gives the time
   CHECK(apart > -1ms);
 }
 
-TEST_CASE("US-13 US-9 buffered: a device that goes away is a fault and a gap, and is opened again when it is back") {
+TEST_CASE(
+    "FW-2 US-9 an IIO device buffered: a device that goes away is a fault and a gap, and is opened again when it is "
+    "back") {
   FakeIio fake;
   Stage stage;
   IioBufferSensor imu(stage.loop, {.name = "imu"}, stage.config(fake));
   for (int round = 0; round < 3; ++round) {
-    stage.until([&] { return fake.attribute("buffer/enable") == "1" && imu.health() == Health::ok; });
     const std::size_t before = stage.values.size();
     stage.until([&] {
       if (stage.values.size() == before) fake.scan(1, 0, stage.now());
-      return stage.values.size() > before;
+      return stage.values.size() > before && imu.health() == Health::ok;
     });
     fake.unplug();
     stage.until([&] { return imu.health() == Health::faulted; });
@@ -429,21 +444,22 @@ TEST_CASE("US-13 US-9 buffered: a device that goes away is a fault and a gap, an
   CHECK(imu.counts().balances());
 }
 
-TEST_CASE("US-13 buffered: what cannot be set up says what, why and what to do") {
+TEST_CASE("FW-2 US-15 an IIO device buffered: what cannot be set up says what, why and what to do") {
   FakeIio fake;
   Stage stage;
   IioBufferConfig config = stage.config(fake);
   config.required = true;
+  int topics = 0;
   const auto refusal = [&]() -> std::string {
     try {
-      IioBufferSensor imu(stage.loop, {.name = "imu"}, config);
+      IioBufferSensor imu(stage.loop, {.name = "imu", .topic = std::to_string(++topics)}, config);
     } catch (const SetupError& error) {
       return error.error().text();
     }
     return "";
   };
   const auto says = [](const std::string& text, const char* part) {
-    CAPTURE(text);
+    if (text.find(part) == std::string::npos) MESSAGE(text);
     return text.find(part) != std::string::npos;
   };
   config.device = "bmp280";
@@ -471,19 +487,21 @@ TEST_CASE("US-13 buffered: what cannot be set up says what, why and what to do")
   CHECK(says(refusal(), "its driver has none"));
 }
 
-TEST_CASE("US-13 buffered: stopped while it is being opened, it turns nothing on that stays on") {
+TEST_CASE("FW-2 US-15 an IIO device buffered: stopped while it is being opened, it turns nothing on that stays on") {
   FakeIio fake;
-  Stage stage;
-  stage.until([] { return true; });  // the system runs: opening is not waited for
-  Timer once(stage.loop, Duration{0}, [&] {
-    for (int i = 0; i < 20; ++i) {
-      IioBufferSensor imu(stage.loop, {.name = "imu"}, stage.config(fake));
-      imu.stop();
-    }
-    stage.loop.stop();
-  });
-  stage.loop.run();
-  CHECK(stage.loop.close() == 0);
+  {
+    Stage stage;
+    stage.until([] { return true; });  // the system runs: opening is not waited for
+    Timer once(stage.loop, Duration{0}, [&] {
+      for (int i = 0; i < 20; ++i) {
+        IioBufferSensor imu(stage.loop, {.name = "imu"}, stage.config(fake));
+        imu.stop();
+      }
+      stage.loop.stop();
+    });
+    stage.loop.run();
+    CHECK(stage.loop.close() == 0);
+  }
   CHECK(fake.attribute("buffer/enable") == "0");
 }
 

@@ -3,7 +3,6 @@
 #include <doctest/doctest.h>
 #include <unistd.h>
 
-#include "loop/core/loop_core.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "sensors/fixture.hpp"
 
@@ -19,7 +18,7 @@ constexpr const char* power_on = "50 05 4b 46 7f ff 0c 10 1c : crc=1c YES\n50 05
 
 }  // namespace
 
-TEST_CASE("US-13 a thermometer's text is degrees, and whatever else it may be is none") {
+TEST_CASE("FW-2 a thermometer's text is degrees, and whatever else it may be is none") {
   CHECK(parse_w1(good).or_throw() == doctest::Approx(25.062));
   CHECK(parse_w1("5e ff 4b 46 7f ff 02 10 d8 : crc=d8 YES\n5e ff 4b 46 7f ff 02 10 d8 t=-10125\n").or_throw() ==
         doctest::Approx(-10.125));
@@ -34,15 +33,15 @@ TEST_CASE("US-13 a thermometer's text is degrees, and whatever else it may be is
         "all bits are 0");
   CHECK(parse_w1("ff 07 4b 46 7f ff 0c 10 00 : crc=00 YES\nff 07 4b 46 7f ff 0c 10 00 t=127937\n").error().code ==
         Errc::out_of_range);
-  for (const char* bad : {"garbage", "91 01 4b 46 7f ff 0c 10 : crc=5e YES\nt=1", "9101 4b 46 7f ff 0c 10 5e : crc=5e YES\nt=1",
-                          "91 01 4b 46 7f ff 0c 10 5e : crc=5e YES\n t=", "91 01 4b 46 7f ff 0c 10 5e : crc=5e YES\n t=1.5",
-                          "t=25062", "91 01 4b 46 7f ff 0c 10 5e"}) {
+  for (const char* bad : {"garbage", "91 01 4b 46 7f ff 0c 10 : crc=5e YES\nt=1",
+                          "9101 4b 46 7f ff 0c 10 5e : crc=5e YES\nt=1", "91 01 4b 46 7f ff 0c 10 5e : crc=5e YES\n t=",
+                          "91 01 4b 46 7f ff 0c 10 5e : crc=5e YES\n t=1.5", "t=25062", "91 01 4b 46 7f ff 0c 10 5e"}) {
     CAPTURE(bad);
     CHECK(parse_w1(bad).error().code == Errc::bad_data);
   }
 }
 
-TEST_CASE("US-13 a thermometer is read, refused, gone and back, in virtual time") {
+TEST_CASE("FW-2 a thermometer is read, refused, gone and back, in virtual time") {
   ScratchDirectory directory;
   const std::string file = directory.file("sys/bus/w1/devices/28-000000c0ffee/w1_slave", good);
   Loop loop{Loop::Manual{}};
@@ -80,7 +79,7 @@ TEST_CASE("US-13 a thermometer is read, refused, gone and back, in virtual time"
   CHECK(sensor.counts().balances());
 }
 
-TEST_CASE("US-13 without a name there has to be one thermometer; a name is no path") {
+TEST_CASE("FW-2 without a name there has to be one thermometer; a name is no path") {
   ScratchDirectory directory;
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
@@ -104,12 +103,12 @@ TEST_CASE("US-13 without a name there has to be one thermometer; a name is no pa
   CHECK(refusal({.device = "/sys/x"}).find("no path") != std::string::npos);
 }
 
-TEST_CASE("US-13 a conversion of 750 ms holds no loop, and is one read at a time") {
+TEST_CASE("FW-2 a conversion of 750 ms holds no loop, and is one read at a time") {
   ScratchDirectory directory;
   directory.file("sys/bus/w1/devices/28-000000c0ffee/w1_slave", good);
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
-  loop.core().lanes.scripted_duration = 750ms;
+  loop.script_lane_duration(750ms);
   std::uint64_t others = 0;
   Ticker other(loop, 10ms, [&](const Tick& tick) {
     ++others;

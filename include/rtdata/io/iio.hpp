@@ -7,11 +7,12 @@
 ///     auto capture = rtdata::IioCapture::open(imu, {.channels = {"accel_x", "anglvel_z"}}).or_throw();
 ///     rtdata::FdWatch watch(loop, capture.fd(), rtdata::FdWatch::readable, [&](const rtdata::FdEvent&) {
 ///       while (const std::size_t bytes = capture.read(scans).or_throw())
-///         for (std::size_t at = 0; at < bytes; at += capture.layout().size()) capture.layout().decode(&scans[at], values);
+///         for (std::size_t at = 0; at < bytes; at += capture.layout().size())
+///           capture.layout().decode(&scans[at], values);
 ///     });
 ///
-/// Everything is in SI units: the kernel's are not all (voltage mV, temperature m°C, pressure kPa, magnetic field Gs, ...;
-/// Documentation/ABI/testing/sysfs-bus-iio), and `conversion` and `decode` have the factor in them.
+/// Everything is in SI units: the kernel's are not all (voltage mV, temperature m°C, pressure kPa, magnetic field Gs,
+/// ...; Documentation/ABI/testing/sysfs-bus-iio), and `conversion` and `decode` have the factor in them.
 ///
 /// A channel's name is that of its files without "in_" and "_raw" or "_input": "voltage0", "voltage0-voltage1",
 /// "accel_x", "temp", "humidityrelative". What a name measures, and so its unit, is known without the device.
@@ -65,11 +66,11 @@ std::size_t iio_values(std::string_view channel) noexcept;
 /// One input of a device.
 struct IioChannel {
   std::string name;
-  std::string unit;           ///< UCUM
-  std::string label = {};     ///< the driver's or device tree's name for it
-  bool is_processed = false;  ///< its file has the finished value ("_input"), no code
-  bool is_readable = false;   ///< by a file; some are in the buffer only
-  int index = -1;             ///< in scans; -1: it is in none
+  std::string unit;                        ///< UCUM
+  std::string label = {};                  ///< the driver's or device tree's name for it
+  bool is_processed = false;               ///< its file has the finished value ("_input"), no code
+  bool is_readable = false;                ///< by a file; some are in the buffer only
+  int index = -1;                          ///< in scans; -1: it is in none
   std::optional<IioStorage> storage = {};  ///< in scans
 };
 
@@ -201,6 +202,8 @@ class IioCapture {
   const std::vector<std::string>& notes() const noexcept { return notes_; }
   /// Blocks as opening does.
   void close() noexcept;
+  /// Leaves the buffer on and the driver alone, which hangs. Does not block; whoever opens it next takes it over.
+  void abandon() noexcept;
 
  private:
   IioCapture() = default;

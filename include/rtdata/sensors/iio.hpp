@@ -19,8 +19,8 @@
 ///   later), else converted from the time of day. A time that cannot be is replaced by that of the read, and told.
 /// - Buffered: the kernel does not tell of scans that it dropped, so `lost` is not detectable. But a buffer that was
 ///   found full, and times that are further apart than the rate says, are told and recorded as a gap (silent).
-/// - A device whose buffer another program has is an error (busy) that names it where that may be seen. One whose buffer
-///   is on while nobody has it, as after a kill, is taken over, which is logged.
+/// - A device whose buffer another program has is an error (busy) that names it where that may be seen. One whose
+///   buffer is on while nobody has it, as after a kill, is taken over, which is logged.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -57,13 +57,13 @@ struct IioConfig {
 };
 
 struct IioBufferConfig {
-  std::string device = {};                 ///< name, label, number, or path below /sys or /dev
-  std::vector<std::string> channels = {};  ///< "accel_x", "voltage0-voltage1"
-  std::string trigger = {};                ///< its name; empty: the device's own, or the one that it has
-  std::optional<Rate> rate = {};           ///< set in trigger or device; unset: left as it is
-  std::size_t length = 512;                ///< scans that the kernel's buffer holds
-  std::size_t watermark = 1;               ///< scans at a time: more cost less, and come later
-  std::string root = {};                   ///< put before /sys and /dev
+  std::string device = {};                                ///< name, label, number, or path below /sys or /dev
+  std::vector<std::string> channels = {};                 ///< "accel_x", "voltage0-voltage1"
+  std::string trigger = {};                               ///< its name; empty: the device's own, or the one that it has
+  std::optional<Rate> rate = {};                          ///< set in trigger or device; unset: left as it is
+  std::size_t length = 512;                               ///< scans that the kernel's buffer holds
+  std::size_t watermark = 1;                              ///< scans at a time: more cost less, and come later
+  std::string root = {};                                  ///< put before /sys and /dev
   Duration timeout = std::chrono::seconds{5};             ///< opening that takes longer is given up
   Duration silence{0};                                    ///< silent for longer, it has a gap; 0: it may be silent
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again

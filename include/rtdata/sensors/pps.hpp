@@ -31,9 +31,9 @@
 namespace rtdata {
 
 struct PpsPulse {
-  std::uint32_t count = 0;                ///< the kernel's number of it
-  std::optional<double> interval = {};    ///< since the one before, if that was seen
-  double clock_error = 0;                 ///< the machine's clock less the nearest whole second
+  std::uint32_t count = 0;              ///< the kernel's number of it
+  std::optional<double> interval = {};  ///< since the one before, if that was seen
+  double clock_error = 0;               ///< the machine's clock less the nearest whole second
   friend constexpr auto describe(type_tag<PpsPulse>) {
     return record("pps", field("count", &PpsPulse::count), field("interval", &PpsPulse::interval, "s"),
                   field("clock_error", &PpsPulse::clock_error, "s"));
@@ -47,15 +47,15 @@ constexpr auto describe(type_tag<PpsEdge>) {
 }
 
 struct PpsConfig {
-  std::string device = "pps0";                             ///< name, or /dev/pps0
+  std::string device = "pps0";  ///< name, or /dev/pps0
   PpsEdge edge = PpsEdge::assert_edge;
-  Duration accuracy = std::chrono::microseconds{50};       ///< of the pulse as the kernel sees it; 0: no source of time
-  Duration silence = std::chrono::seconds{3};              ///< silent for longer, it has a gap; 0: it may be silent
-  std::string root = {};                                   ///< put before /sys: where a container sees its host's
-  Duration retry_first = std::chrono::milliseconds{100};   ///< wait before a lost source is opened again
-  Duration retry_longest = std::chrono::seconds{10};       ///< the wait doubles up to this
-  bool required = false;                                   ///< a source that is not there at the start throws
-  bool start = true;                                       ///< start when made
+  Duration accuracy = std::chrono::microseconds{50};      ///< of the pulse as the kernel sees it; 0: no source of time
+  Duration silence = std::chrono::seconds{3};             ///< silent for longer, it has a gap; 0: it may be silent
+  std::string root = {};                                  ///< put before /sys: where a container sees its host's
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost source is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  bool required = false;                                  ///< a source that is not there at the start throws
+  bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<PpsConfig>) {
     using namespace std::chrono_literals;

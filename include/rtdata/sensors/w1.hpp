@@ -1,16 +1,17 @@
 /// W1Sensor: a DS18B20 or another thermometer on 1-Wire, through the kernel's driver w1_therm.
 ///
 ///     rtdata::W1Sensor boiler(loop, {.name = "boiler", .rate = 0.5_Hz}, {.device = "28-000000c0ffee"});
-///     auto s = loop.topic<rtdata::W1Temperature>("boiler").subscribe(loop, [](const auto& e) { use(e->temperature); });
+///     auto s = loop.topic<rtdata::W1Temperature>("boiler").subscribe(loop, [](const auto& e) { use(*e); });
 ///
 /// A conversion takes up to 750 ms at 12 bits: each thermometer is read on a lane of its own, so that it holds nobody,
-/// and those with a supply of their own convert at the same time. A rate above 1 Hz misses ticks. On a bus with parasitic
-/// power the kernel lets one convert at a time: `timeout` has to be as long as all of them take.
+/// and those with a supply of their own convert at the same time. A rate above 1 Hz misses ticks. On a bus with
+/// parasitic power the kernel lets one convert at a time: `timeout` has to be as long as all of them take.
 ///
-/// Not published, but unreadable: a wrong checksum; 85 °C as a thermometer shows it that has lost its supply and has not
-/// measured since (its byte 6 tells that from a measured one: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); all bytes 0, of
-/// a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet, "Operation -
-/// measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the kernel finds one
+/// Not published, but unreadable: a wrong checksum; 85 °C as a thermometer shows it that has lost its supply and has
+/// not measured since (its byte 6 tells that from a measured one: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); all bytes
+/// 0, of a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet, "Operation
+/// - measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the kernel finds
+///   one
 /// that is plugged in within 10 s.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.

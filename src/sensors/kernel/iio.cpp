@@ -81,9 +81,7 @@ Result<Plan> find(const IioConfig& config) {
 class FindDevice final : public detail::Transaction {
  public:
   explicit FindDevice(IioConfig config) : config_(std::move(config)) {}
-  void transact() noexcept override try {
-    plan = find(config_);
-  } catch (...) {  // so short that it needs no memory
+  void transact() noexcept override try { plan = find(config_); } catch (...) {  // so short that it needs no memory
     plan = Error{Errc::io_failed, "no memory", "", "", ""};
   }
   Result<Plan> plan = Plan{};
@@ -115,9 +113,7 @@ class ReadChannels final : public detail::Transaction {
   std::string holder;
 
  private:
-  void name_holder() noexcept try {
-    holder = detail::holder_of(node_);
-  } catch (...) {  // nobody is named
+  void name_holder() noexcept try { holder = detail::holder_of(node_); } catch (...) {  // nobody is named
   }
   const std::string node_;
 };

@@ -42,7 +42,7 @@ class IioOpening final : public LaneJob {
     if (state_.exchange(finished) == unwanted) capture = nullptr;
   }
   void done(Outcome outcome) override {
-    if (done_) done_(*this, outcome);
+    if (const auto done = std::exchange(done_, nullptr)) done(*this, outcome);
   }
   /// Returns what is to be closed. `done` is nobody's any more.
   std::shared_ptr<IioCapture> cancel() noexcept {
@@ -182,7 +182,10 @@ class IioBufferNode final : public StreamNode {
     at_ = end_ = 0;
     turned_on_ = later(began, -most_before);
     last_ = last_published_ = MonotonicTime{};
-    was_full_ = is_time_told_ = false;
+    was_full_ = false;
+    const std::string& clock = capture_->clock();
+    is_monotonic_ = clock == "monotonic" || clock == "monotonic_coarse";
+    has_clock_ = is_monotonic_ || clock == "realtime" || clock == "realtime_coarse";
     const double frequency = capture_->frequency();
     interval_ = frequency > 0 ? Rate::hertz(frequency).period() : Duration{0};
     opened();
@@ -225,6 +228,8 @@ class IioBufferNode final : public StreamNode {
     }
     const std::size_t size = capture_->layout().size();
     if (*got % size != 0) {
+      ++origin_.counts.received;
+      ++origin_.counts.unreadable;
       return lose({Errc::bad_data, "lost the IIO device", config_.device,
                    std::to_string(*got) + " bytes are no whole scans of " + std::to_string(size), ""},
                   loop()->now());
@@ -232,10 +237,9 @@ class IioBufferNode final : public StreamNode {
     heard();
     at_ = 0;
     end_ = *got;
-    ahead_ = difference(heard_at().time_since_epoch(),
-                        loop()->runtime.clock_log.clock().realtime().time_since_epoch());
+    is_full_ = *got / size >= config_.length;
+    ahead_ = difference(heard_at().time_since_epoch(), loop()->runtime.clock_log.clock().realtime().time_since_epoch());
     take_scans();
-    if (capture_ != nullptr) was_full_ = *got / size >= config_.length;
   }
   void on_rest() {
     Call call(*this);
@@ -259,20 +263,24 @@ class IioBufferNode final : public StreamNode {
       ++origin_.counts.published;
       origin_.topic.publish(origin_, loop()->runtime.event_time(time), values_.data());
     }
-    if (at_ < end_) rest_.start(Duration{0});
+    if (at_ < end_) {
+      rest_.start(Duration{0});
+    } else {
+      was_full_ = is_full_;
+    }
     if (missing_ > 0 || is_dropped) return tell_missing(is_dropped);
-    if (is_odd && !std::exchange(is_time_told_, true)) return tell_odd_time();
-    if (!is_time_told_) succeed();
+    if (is_odd) return tell_odd_time();
+    succeed();
   }
 
   /// By the device's clock if it can be, else by the read.
-  MonotonicTime time_of(const std::byte* scan, bool& is_odd) const noexcept {
+  MonotonicTime time_of(const std::byte* scan, bool& is_odd) noexcept {
     if (capture_->layout().has_timestamp()) {
       const std::int64_t stamp = capture_->layout().timestamp(scan);
-      const bool is_monotonic = capture_->clock().starts_with("monotonic");
-      const MonotonicTime time{is_monotonic ? Duration{stamp} : difference(ahead_, Duration{stamp})};
-      if (time >= turned_on_ && time <= later(heard_at(), most_ahead)) return time;
+      const MonotonicTime time{is_monotonic_ ? Duration{stamp} : difference(ahead_, Duration{stamp})};
+      if (has_clock_ && time >= turned_on_ && time <= later(heard_at(), most_ahead)) return time;
       is_odd = true;
+      odd_ = has_clock_ ? span_between(heard_at(), time) : Duration{0};
     }
     const auto after = static_cast<std::int64_t>((end_ - at_) / capture_->layout().size()) - 1;
     return later(heard_at(), -multiple(after, interval_));
@@ -295,14 +303,15 @@ class IioBufferNode final : public StreamNode {
   void tell_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
-    degrade({Errc::backlog, "scans are missing", config_.device,
-             is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
-             is_dropped ? "make `length` longer, or find out what held the loop"
-                        : "lower its rate, or look at its bus"});
+    degrade(
+        {Errc::backlog, "scans are missing", config_.device,
+         is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or look at its bus"});
   }
   void tell_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
-             "they are none of its clock \"" + capture_->clock() + "\" between its start and now",
+             has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
+                        : "it has the clock " + capture_->clock(),
              "those of the reads stand for them"});
   }
 
@@ -321,6 +330,7 @@ class IioBufferNode final : public StreamNode {
     StreamNode::on_close();
     rest_.close();
     look_.close();
+    for (const auto& capture : unclosed_) capture->abandon();  // its driver hangs
   }
 
   const IioBufferConfig config_;
@@ -341,8 +351,11 @@ class IioBufferNode final : public StreamNode {
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published
   std::uint64_t missing_ = 0;       // scans, as it seems
-  bool was_full_ = false;           // the buffer, at the last read
-  bool is_time_told_ = false;       // that its times cannot be used
+  bool is_full_ = false;            // the buffer was, at the last read
+  bool was_full_ = false;           // the same, when all of that read is published: some may be missing behind it
+  bool has_clock_ = false;          // one that can be put on our line
+  bool is_monotonic_ = false;
+  Duration odd_{0};  // how far the last time that cannot be is from the read
 };
 
 }  // namespace detail

@@ -13,7 +13,8 @@ namespace detail {
 namespace {
 
 constexpr const char* cannot_read = "cannot read the pulses";
-constexpr const char* find_advice = "`ls /sys/class/pps` lists the sources; an overlay or ldattach makes one (docs/iio.md)";
+constexpr const char*
+    find_advice = "`ls /sys/class/pps` lists the sources; an overlay or ldattach makes one (docs/iio.md)";
 constexpr std::string_view no_name = "`device` is a name such as pps0, or /dev/pps0";
 constexpr Duration least_wait = std::chrono::milliseconds{2};
 constexpr Duration first_wait = std::chrono::milliseconds{20};
@@ -91,6 +92,12 @@ class PpsNode final : public StreamNode {
     Call call(*this);
     const MonotonicTime before = std::exchange(looked_, loop()->now());
     const Result<PpsStamp> stamp = read();
+    if (!stamp && stamp.error().code == Errc::bad_data) {
+      check_.reset();
+      fail(stamp.error());
+      if (is_open() && is_running()) next_.start(longest_wait);
+      return;
+    }
     if (!stamp) return lose(stamp.error(), looked_);
     if (stamp->count != count_) take(*stamp, before);
     if (!is_open() || !is_running()) return;
@@ -167,11 +174,11 @@ class PpsNode final : public StreamNode {
 
   const PpsConfig config_;
   SysfsFile file_;
-  Timer next_;                             // look at the file
-  std::uint32_t count_ = 0;                // of the last pulse
-  MonotonicTime looked_{};                 // last
-  std::optional<MonotonicTime> last_;      // pulse, if its instant is known
-  std::optional<Duration> expected_;       // from one to the next
+  Timer next_;                         // look at the file
+  std::uint32_t count_ = 0;            // of the last pulse
+  MonotonicTime looked_{};             // last
+  std::optional<MonotonicTime> last_;  // pulse, if its instant is known
+  std::optional<Duration> expected_;   // from one to the next
   PpsTimeCheck check_;
   bool is_told_ = false;  // why it is no source of the time
 };
@@ -188,8 +195,8 @@ ReadTime read_time(const PpsConfig&) { return {.on_loop = std::chrono::microseco
 
 PpsSensor::PpsSensor(Loop& loop, FeedConfig feed, PpsConfig config) {
   const auto refuse = [&](std::string why, const char* advice) {
-    throw SetupError({Errc::bad_argument, "cannot use this source of pulses", "sensor " + feed.name, std::move(why),
-                      advice});
+    throw SetupError(
+        {Errc::bad_argument, "cannot use this source of pulses", "sensor " + feed.name, std::move(why), advice});
   };
   if (!detail::is_name(config.device)) refuse(std::string(detail::no_name), "`ls /sys/class/pps` lists them");
   if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");

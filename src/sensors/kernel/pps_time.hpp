@@ -37,6 +37,7 @@ class PpsTimeCheck {
 
  private:
   MonotonicTime last_{};
+  Time last_time_{};
   int in_a_row_ = 0;
 };
 
