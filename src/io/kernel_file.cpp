@@ -44,7 +44,9 @@ Result<std::string> read_kernel_file(const std::string& path, const char* what) 
     got = ::read(file.fd(), text.data(), text.size());
   } while (got < 0 && errno == EINTR);
   if (got < 0) return failure(errno, what, path);
-  return std::string(trimmed({text.data(), static_cast<std::size_t>(got)}));
+  // current_timestamp_clock ends with a zero byte, in kernels up to at least 6.1.
+  const std::string_view all(text.data(), static_cast<std::size_t>(got));
+  return std::string(trimmed(all.substr(0, all.find('\0'))));
 }
 
 Result<void> write_kernel_file(const std::string& path, std::string_view text, const char* what) {

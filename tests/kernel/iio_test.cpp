@@ -180,6 +180,7 @@ TEST_CASE("FW-2 NFR-3 the dummy device's scans, at the rate of a timer, in SI un
 TEST_CASE("FW-2 NFR-3 an IIO device that another program has is an error that names it, until it is free; a kill is no harm") {
   const IioDevice dummy = IioDevice::find(device("IIO")).or_throw();
   Stage stage("dummy");
+  put(dummy.folder() + "/trigger/current_trigger", device("IIO_TRIGGER"));
   Holder holder(dummy.node());
   const IioBufferConfig config{.device = device("IIO"),
                                .channels = {"accel_x"},

@@ -34,7 +34,7 @@ class FakeIio {
   FakeIio() {
     attribute("name", "mpu6050\n");
     attribute("sampling_frequency", "100\n");
-    attribute("current_timestamp_clock", "realtime\n");
+    attribute("current_timestamp_clock", std::string("realtime\n\0", 10));  // as the kernel writes it
     attribute("in_accel_scale", "0.5\n");
     attribute("in_temp_scale", "2\n");
     attribute("in_temp_offset", "-10\n");
@@ -452,7 +452,7 @@ TEST_CASE("FW-2 US-15 an IIO device buffered: what cannot be set up says what, w
   int topics = 0;
   const auto refusal = [&]() -> std::string {
     try {
-      IioBufferSensor imu(stage.loop, {.name = "imu", .topic = std::to_string(++topics)}, config);
+      IioBufferSensor imu(stage.loop, {.name = "imu" + std::to_string(++topics)}, config);
     } catch (const SetupError& error) {
       return error.error().text();
     }
