@@ -1,5 +1,8 @@
 // What every shipped sensor keeps, run over each of them on a real loop. Events bring each step about; nothing sleeps.
 #include <doctest/doctest.h>
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <functional>
 #include <memory>
@@ -12,7 +15,10 @@
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/levels.hpp"
+#include "rtdata/sensors/iio.hpp"
+#include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/w1.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
@@ -120,6 +126,111 @@ class FakeLine final : public Fake {
   Content content_ = Content::good;
 };
 
+class FakeBarometer final : public FakeFile {
+ public:
+  FakeBarometer() : FakeFile("sys/bus/iio/devices/iio:device0/in_pressure_input", "101.3\n") {
+    directory.file("sys/bus/iio/devices/iio:device0/name", "bmp280\n");
+  }
+  const char* kind() const override { return "iio"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return IioSensor(loop, common(is_required),
+                     {.device = "bmp280", .channels = {"pressure"}, .root = directory.path()});
+  }
+};
+
+class FakeOneWire final : public FakeFile {
+ public:
+  FakeOneWire()
+      : FakeFile("sys/bus/w1/devices/28-1/w1_slave",
+                 "91 01 4b 46 7f ff 0c 10 5e : crc=5e YES\n91 01 4b 46 7f ff 0c 10 5e t=25062\n") {}
+  const char* kind() const override { return "w1"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return W1Sensor(loop, common(is_required), {.device = "28-1", .root = directory.path()});
+  }
+};
+
+class FakePulse final : public FakeFile {
+ public:
+  FakePulse() : FakeFile("sys/class/pps/pps0/assert", "0.000000000#0\n") {}
+  const char* kind() const override { return "pps"; }
+  void plug_in() override {
+    is_there_ = true;
+    FakeFile::plug_in();
+  }
+  void unplug() override {
+    is_there_ = false;
+    FakeFile::unplug();
+  }
+  void set(Content content) override {
+    content_ = content;
+    FakeFile::set(content);
+  }
+  void speak() override {
+    if (!is_there_ || content_ == Content::corrupt) return;
+    const std::string ns = std::to_string(SystemClock().realtime().time_since_epoch().count());
+    good_ = ns.substr(0, 10) + "." + ns.substr(10) + "#" + std::to_string(++count_) + "\n";
+    FakeFile::set(Content::good);
+  }
+  bool has_rate() const override { return false; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return PpsSensor(loop, {.name = "s", .topic = "t"},
+                     {.root = directory.path(), .retry_first = 2ms, .retry_longest = 4ms, .required = is_required});
+  }
+
+ private:
+  bool is_there_ = false;
+  Content content_ = Content::good;
+  int count_ = 0;
+};
+
+/// A FIFO stands for the kernel's buffer of scans of two bytes.
+class FakeBuffer final : public Fake {
+ public:
+  FakeBuffer() : node_(directory.file("dev/iio:device0")) {
+    const std::string folder = "sys/bus/iio/devices/iio:device0/";
+    for (const auto& [name, content] : {std::pair{"name", "adc"},
+                                        {"in_voltage0_raw", "0"},
+                                        {"scan_elements/in_voltage0_en", "0"},
+                                        {"scan_elements/in_voltage0_index", "0"},
+                                        {"scan_elements/in_voltage0_type", "le:s16/16>>0"},
+                                        {"buffer/enable", "0"}})
+      directory.file(folder + name, content);
+  }
+  ~FakeBuffer() override { unplug(); }
+  const char* kind() const override { return "iio_buffer"; }
+  void plug_in() override {
+    ::mkfifo(node_.c_str(), 0600);
+    fd_ = ::open(node_.c_str(), O_RDWR | O_NONBLOCK | O_CLOEXEC);
+  }
+  void unplug() override {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = -1;
+    ::unlink(node_.c_str());
+  }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    const char scan[3] = {1, 2, 3};
+    if (fd_ < 0) return;
+    [[maybe_unused]] const auto put = ::write(fd_, scan, content_ == Content::good ? 2 : 3);
+  }
+  bool has_rate() const override { return false; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return IioBufferSensor(loop, {.name = "s", .topic = "t"},
+                           {.device = "adc",
+                            .channels = {"voltage0"},
+                            .length = 65536,
+                            .root = directory.path(),
+                            .retry_first = 2ms,
+                            .retry_longest = 4ms,
+                            .required = is_required});
+  }
+
+ private:
+  std::string node_;
+  int fd_ = -1;
+  Content content_ = Content::good;
+};
+
 class FakeReceiver final : public Fake {
  public:
   FakeReceiver() { gpsd_.vanish(); }
@@ -206,6 +317,10 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeAdc>());
   kinds.push_back(std::make_unique<FakeThermometer>());
   kinds.push_back(std::make_unique<FakeProc>());
+  kinds.push_back(std::make_unique<FakeBarometer>());
+  kinds.push_back(std::make_unique<FakeBuffer>());
+  kinds.push_back(std::make_unique<FakeOneWire>());
+  kinds.push_back(std::make_unique<FakePulse>());
   kinds.push_back(std::make_unique<FakeReceiver>());
   kinds.push_back(std::make_unique<FakeEdges>());
   kinds.push_back(std::make_unique<FakePulses>());

@@ -10,13 +10,16 @@
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/mcp3x08.hpp"
+#include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/sht.hpp"
+#include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
 #ifdef RTDATA_WITH_SQLITE
@@ -148,6 +151,24 @@ Registry standard_registry() {
       [](Loop& loop, const SensorConfig& common, const HostConfig& config) {
         return HostSensor(loop, common, config);
       });
+  registry.add_sensor<IioConfig>(
+      "iio", "any IIO device of the kernel, asked channel by channel",
+      [](const IioConfig& config) { return iio_description(config.channels); },
+      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); });
+  registry.add_sensor<IioBufferConfig>(
+      "iio_buffer", "any IIO device of the kernel, at the rate of its trigger, from its buffer",
+      [](const IioBufferConfig& config) { return iio_description(config.channels); },
+      [](Loop& loop, const FeedConfig& common, const IioBufferConfig& config) {
+        return IioBufferSensor(loop, common, config);
+      });
+  registry.add_sensor<PpsConfig>(
+      "pps", "pulses per second, as the kernel times them; a source of the time of day",
+      [](const PpsConfig&) { return Result(description_of<PpsPulse>()); },
+      [](Loop& loop, const FeedConfig& common, const PpsConfig& config) { return PpsSensor(loop, common, config); });
+  registry.add_sensor<W1Config>(
+      "w1", "temperature of a DS18B20 or the like on 1-Wire",
+      [](const W1Config&) { return Result(description_of<W1Temperature>()); },
+      [](Loop& loop, const SensorConfig& common, const W1Config& config) { return W1Sensor(loop, common, config); });
   registry.add_sensor<SerialConfig>(
       "serial", "a device that sends lines of CSV or JSON over a serial line",
       [](const SerialConfig& config) { return line_description(config.fields); },

@@ -16,6 +16,7 @@
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/io/gpio.hpp"
+#include "rtdata/io/iio.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -265,7 +266,44 @@ class Scanner {
                  R"(, "scale": 3.3, "unit": "V"})");
       }
       adc_count_ += count;
+      iio_line(found, device);
     }
+  }
+
+  /// All channels of a device: by its buffer, when it has a trigger of its own, else one by one.
+  void iio_line(FoundDevice& found, const std::string& device) const {
+    const std::string folder = "/sys/bus/iio/devices/" + device;
+    const std::string name = text(folder + "/name");
+    std::size_t alike = 0;
+    bool has_trigger = false;
+    for (const std::string& other : files_.names("/sys/bus/iio/devices")) {
+      const std::string its = text("/sys/bus/iio/devices/" + other + "/name");
+      if (other.starts_with("iio:device") && its == name) ++alike;
+      has_trigger = has_trigger || (other.starts_with("trigger") && its == name + "-dev" + device.substr(10));
+    }
+    const bool is_buffered = has_trigger && files_.exists(folder + "/buffer/enable");
+    std::string channels;
+    const auto add_channel = [&](const std::string& file, std::string_view end) {
+      if (!file.ends_with(end) || file.size() <= 3 + end.size()) return;
+      const std::string channel = file.substr(3, file.size() - 3 - end.size());
+      const std::string quoted = json_text(channel);
+      if (iio_quantity(channel) != nullptr && channels.find(quoted) == std::string::npos)
+        channels += (channels.empty() ? "" : ", ") + quoted;
+    };
+    for (const std::string& file : files_.names(is_buffered ? folder + "/scan_elements" : folder, "in_")) {
+      if (is_buffered) {
+        add_channel(file, "_type");
+      } else {
+        add_channel(file, "_raw");
+        add_channel(file, "_input");
+      }
+    }
+    if (channels.empty()) return;
+    const std::string which = name.empty() || alike != 1 ? device : name;
+    line(found, "sensors",
+         R"({"name": )" + json_text(which) + R"(, "type": ")" +
+             (is_buffered ? R"(iio_buffer")" : R"(iio", "rate": "10 Hz")") + R"(, "device": )" + json_text(which) +
+             R"(, "channels": [)" + channels + "]}");
   }
 
   void hwmon_chips() {
@@ -299,11 +337,9 @@ class Scanner {
                                                            : "family " + device.substr(0, 2),
                                R_OK);
       if (is_thermometer)
-        line(
-            found, "sensors",
-            R"({"name": )" + json_text(device) + R"(, "type": "analog", "rate": "0.5 Hz", "file": )" +
-                json_text(folder + "/temperature") +  // in thousandths of a degree
-                R"(, "signed_adc": true, "quantization_bits": 20, "scale": 1048.576, "unit": "Cel", "timeout": "2 s"})");
+        line(found, "sensors",
+             R"({"name": )" + json_text(device) + R"(, "type": "w1", "rate": "0.5 Hz", "device": )" +
+                 json_text(device) + "}");
     }
   }
 
@@ -311,7 +347,12 @@ class Scanner {
     for (const std::string& name : files_.names(folder)) {
       const std::string known = text(folder + "/" + name + "/name");
       const std::string device = "/dev/" + name;
-      add(kind, files_.exists(device) ? device : folder + "/" + name, known.empty() ? what : known, R_OK);
+      FoundDevice& found = add(kind, files_.exists(device) ? device : folder + "/" + name, known.empty() ? what : known,
+                               R_OK);
+      if (std::string_view(kind) != "pps") continue;
+      found.obstacle = found.advice = "";  // what is read is in /sys, for everybody
+      line(found, "sensors",
+           R"({"name": )" + json_text(name) + R"(, "type": "pps", "device": )" + json_text(name) + "}");
     }
   }
 
