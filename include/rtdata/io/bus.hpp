@@ -17,7 +17,8 @@
 ///      public:
 ///       static constexpr std::string_view type = "wire";             // as in configurations
 ///       WireDevice device(const WireDevice::Place& place);           // on the lane too
-///       static std::string text_of(const WireDevice::Place& place);  // "number 1"; no two sensors have the same
+///       static std::string text_of(const WireDevice::Place& place);  // "number 1"; no two sensors have the same,
+///                                                                       // unless it is empty
 ///     };
 ///
 /// What a device does to its bus must not need the Bus, which may be destroyed while a job hangs: both share it.
@@ -67,7 +68,8 @@ class Bus {
   /// Of each job of a sensor on it.
   Duration give_up_after() const noexcept { return give_up_after_; }
 
-  /// Of a place on the bus; free again when the last copy goes. SetupError (busy): somebody has it.
+  /// Of a place on the bus; free again when the last copy goes. An empty one is nobody's. SetupError (busy): somebody
+  /// has it.
   std::shared_ptr<void> claim(const std::string& place);
   const std::shared_ptr<detail::LaneThread>& lane_thread() const noexcept { return lane_thread_; }
 
