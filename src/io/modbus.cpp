@@ -1,5 +1,5 @@
-// Modbus by libmodbus, over descriptors that are opened here: serial lines for this program alone, connections in a time
-// that is known.
+// Modbus by libmodbus, over descriptors that are opened here: serial lines for this program alone, connections in a
+// time that is known.
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>

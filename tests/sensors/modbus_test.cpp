@@ -37,7 +37,8 @@ namespace {
 
 bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
-/// What a server has: holding register n is 1000 + n, input register n is 2000 + n; coil 3 and discrete input 5 are set.
+/// What a server has: holding register n is 1000 + n, input register n is 2000 + n; coil 3 and discrete input 5 are
+/// set.
 modbus_mapping_t* new_mapping() {
   modbus_mapping_t* const mapping = ::modbus_mapping_new(16, 16, 200, 200);
   for (int i = 0; i < 200; ++i) {

@@ -5,9 +5,9 @@
 ///     std::array<std::uint16_t, 2> words{};
 ///     meter.read_registers(ModbusTable::input, 0, words).or_throw();
 ///
-/// All calls block the thread that makes them, for at most `answer_timeout` each: a program that has a loop gives the bus
-/// to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share it: one request at a
-/// time, with the silence between two that RTU wants.
+/// All calls block the thread that makes them, for at most `answer_timeout` each: a program that has a loop gives the
+/// bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share it: one request
+/// at a time, with the silence between two that RTU wants.
 ///
 /// Addresses are those of the protocol, from 0: what documents call register 40001 is holding register 0, 30001 input
 /// register 0.
@@ -17,8 +17,8 @@
 ///
 /// Errors: timed-out (no answer), bad-data (a wrong checksum, an answer to something else), bad-argument (the device's
 /// exceptions 1 to 3: it has no such function, address or number), busy, io-failed (its other exceptions), disconnected
-/// (the line was unplugged, the server refuses or has closed), closed (of a job that was given up); and those of opening a
-/// serial line.
+/// (the line was unplugged, the server refuses or has closed), closed (of a job that was given up); and those of
+/// opening a serial line.
 ///
 /// In the library rtdata::modbus, which needs libmodbus. Thread: ModbusBus: any. The devices of one bus: one at a time.
 #pragma once
@@ -111,7 +111,8 @@ class ModbusDevice : public BusDevice {
 class ModbusBus : public Bus {
  public:
   static constexpr std::string_view type = "modbus";
-  /// Named as its device or host. SetupError (bad-argument): settings that there are not, none or both of device and host.
+  /// Named as its device or host. SetupError (bad-argument): settings that there are not, none or both of device and
+  /// host.
   explicit ModbusBus(ModbusConfig config);
   ModbusBus(std::string name, ModbusConfig config);
 

@@ -1,5 +1,5 @@
-/// SerialPort, SerialDevice: bytes over a serial line of the kernel (/dev/serial/by-id/..., /dev/ttyS0), or over whatever
-/// stands in for one: devices that answer requests.
+/// SerialPort, SerialDevice: bytes over a serial line of the kernel (/dev/serial/by-id/..., /dev/ttyS0), or over
+/// whatever stands in for one: devices that answer requests.
 ///
 ///     rtdata::SerialPort port({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 115200}});
 ///     rtdata::SerialDevice meter = port.device();
@@ -15,9 +15,9 @@
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
 /// - Several devices on one line (RS-485) share the port and its lane: one request at a time.
 ///
-/// Errors: timed-out (no answer, or not all of it), disconnected (the adapter was unplugged), does-not-fit (no delimiter
-/// within the most bytes), closed (of a job that was given up), and of opening: not-found, not-permitted, busy (who has
-/// it is named), bad-argument (no serial line), out-of-range (it cannot do these settings).
+/// Errors: timed-out (no answer, or not all of it), disconnected (the adapter was unplugged), does-not-fit (no
+/// delimiter within the most bytes), closed (of a job that was given up), and of opening: not-found, not-permitted,
+/// busy (who has it is named), bad-argument (no serial line), out-of-range (it cannot do these settings).
 ///
 /// Thread: SerialPort: any. SerialDevice: one at a time.
 #pragma once

@@ -3,9 +3,9 @@
 ///     rtdata::SerialPort port({.device = "/dev/ttyS0"});  // 9600 8N1
 ///     rtdata::DriverSensor<rtdata::MhZ19> air(loop, {.name = "air", .rate = 0.5_Hz}, port);
 ///
-/// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as is
-/// more than the 10000 ppm that it measures. It needs three minutes from being switched on (MH-Z19C: one), in which it
-/// does not say that its values are none.
+/// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as
+/// is more than the 10000 ppm that it measures. It needs three minutes from being switched on (MH-Z19C: one), in which
+/// it does not say that its values are none.
 ///
 /// Source: Winsen, MH-Z19B User's Manual V1.6, "UART output", command 0x86 and checksum.
 ///

@@ -6,11 +6,12 @@
 ///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
 ///
 /// - Each tick reads all fields: those that lie one behind the other in one request, others in one of their own; with
-///   `gap`, those too between which there are so many registers that no field has. A request that fails fails the reading.
-/// - Numbers of more than one register are put together in `word_order`, high word and high byte first ("abcd") unless it
-///   says otherwise.
-/// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others as they are. Coils and
-///   discrete inputs are bools.
+///   `gap`, those too between which there are so many registers that no field has. A request that fails fails the
+///   reading.
+/// - Numbers of more than one register are put together in `word_order`, high word and high byte first ("abcd") unless
+///   it says otherwise.
+/// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others as they are. Coils
+///   and discrete inputs are bools.
 /// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...): the field is then
 ///   absent, as it is with a float that is no number. Without `no_value` such a float makes the reading unreadable.
 /// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are told by name.

@@ -4,9 +4,9 @@
 ///     rtdata::DriverSensor<rtdata::Query> meter(loop, {.name = "meter", .rate = 5_Hz}, port, {},
 ///         {.request = "MEAS:VOLT:DC?\n", .fields = {{.name = "voltage", .unit = "V"}}});
 ///
-/// Each tick sends the request, and takes the line that comes back as SerialLineSensor (serial_line.hpp) takes lines: CSV
-/// (a single number is a line of one column) or JSON. What came before the request was sent, such as an answer that came
-/// too late, is dropped. Several sensors may ask one device, or several on one line, for different things.
+/// Each tick sends the request, and takes the line that comes back as SerialLineSensor (serial_line.hpp) takes lines:
+/// CSV (a single number is a line of one column) or JSON. What came before the request was sent, such as an answer that
+/// came too late, is dropped. Several sensors may ask one device, or several on one line, for different things.
 ///
 /// - No answer, or not all of it, within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
 ///   unreadable.
