@@ -70,7 +70,9 @@ Result<int> connect_to(const std::string& host, std::uint16_t port, Duration tim
     }
     number = ::connect(fd, one->ai_addr, one->ai_addrlen) == 0 ? 0 : errno;
     if (number == EINPROGRESS) {
-      struct pollfd ready{fd, POLLOUT, 0};
+      struct pollfd ready {
+        fd, POLLOUT, 0
+      };
       const auto ms = std::chrono::ceil<std::chrono::milliseconds>(timeout).count();
       const int count = ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(ms, 1'000'000)));
       socklen_t size = sizeof number;
@@ -128,8 +130,8 @@ struct ModbusDevice::Core {
 
   Result<Use> connect() {
     const bool is_rtu = !config.device.empty();
-    const Result<int> fd =
-        is_rtu ? detail::open_tty(config.device, config.serial) : connect_to(config.host, config.port, config.answer_timeout);
+    const Result<int> fd = is_rtu ? detail::open_tty(config.device, config.serial)
+                                  : connect_to(config.host, config.port, config.answer_timeout);
     if (!fd) return fd.error();
     // What the line is set to is not libmodbus's affair: it opens nothing.
     modbus_t* const context = is_rtu ? ::modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1)
@@ -176,7 +178,8 @@ struct ModbusDevice::Core {
 };
 
 Error ModbusDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
-  return {code, std::move(what), "bus " + core_->bus + ", unit " + std::to_string(unit_), std::move(why), std::move(advice)};
+  return {code, std::move(what), "bus " + core_->bus + ", unit " + std::to_string(unit_), std::move(why),
+          std::move(advice)};
 }
 
 Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
@@ -205,7 +208,8 @@ Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
     case EMBXGPATH:
       return exception(Errc::disconnected, "gateway path unavailable", "the gateway has no way to this unit");
     case EMBXGTAR:
-      return exception(Errc::timed_out, "gateway target device failed to respond", "look at the device behind the gateway");
+      return exception(Errc::timed_out, "gateway target device failed to respond",
+                       "look at the device behind the gateway");
     case EMBBADCRC:
       return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
                    "look at the wires, their termination, `baud_rate` and `parity`");
@@ -254,7 +258,8 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
     connection.last_frame = detail::lane_now();
     // After an answer that did not come, or was none, what comes next over TCP may be anything.
     const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
-    core_->release(*use, number == 0 || is_exception || (connection.is_tty && (number == ETIMEDOUT || number >= EMBBADCRC)));
+    core_->release(*use,
+                   number == 0 || is_exception || (connection.is_tty && (number == ETIMEDOUT || number >= EMBBADCRC)));
   }
   {
     const std::lock_guard lock(core_->mutex);
@@ -300,8 +305,8 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
 
 Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const std::uint16_t> words) {
   if (words.empty() || words.size() > MODBUS_MAX_WRITE_REGISTERS || first + words.size() > 65536)
-    return error(Errc::bad_argument, "cannot write to the device", "these are no registers that can be written at a time",
-                 "up to 123, up to address 65535");
+    return error(Errc::bad_argument, "cannot write to the device",
+                 "these are no registers that can be written at a time", "up to 123, up to address 65535");
   return ask([&](modbus_t* context) {
     return words.size() == 1 ? ::modbus_write_register(context, first, words[0])
                              : ::modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());

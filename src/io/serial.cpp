@@ -136,7 +136,8 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
     }
     if (pending_.size() > most) {
       pending_.clear();
-      return error(Errc::does_not_fit, "cannot use an answer", "more than " + std::to_string(most) + " bytes came without an end",
+      return error(Errc::does_not_fit, "cannot use an answer",
+                   "more than " + std::to_string(most) + " bytes came without an end",
                    "check `baud_rate`, and how the device ends its answers");
     }
     looked_at = pending_.size();

@@ -88,7 +88,8 @@ class KernelSerial final : public SerialTransport {
     for (int i = 0; i < 1024; ++i) {  // a device that sends all the time does not hold it
       const ssize_t got = ::read((*line)->fd, bytes, sizeof bytes);
       const int number = got < 0 ? errno : 0;
-      if (got == 0 || (number != 0 && number != EAGAIN && number != EINTR)) return gone(*line, number != 0 ? number : EIO);
+      if (got == 0 || (number != 0 && number != EAGAIN && number != EINTR))
+        return gone(*line, number != 0 ? number : EIO);
       if (number == EAGAIN) break;
     }
     return {};
@@ -121,7 +122,9 @@ class KernelSerial final : public SerialTransport {
     return system_error(number, lost, device_, advice);
   }
   Result<bool> wait(const std::shared_ptr<Line>& line, short what, Duration left) {
-    struct pollfd one{line->fd, what, 0};
+    struct pollfd one {
+      line->fd, what, 0
+    };
     const int ready = ::poll(&one, 1, milliseconds(left));
     if (ready < 0) {
       const int number = errno;

@@ -96,9 +96,10 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
         ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
         item.set(parameter.key, value);
         const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"},
-            "spi0": {"type": "spi", "device": "/no/such/controller"},)" + std::string(modbus_bus) +
-                                 R"("tty": {"type": "serial", "device": "/no/such/line"}}, ")" +
-                                 std::string(list) + "\": [" + item.to_json() + "]}";
+            "spi0": {"type": "spi", "device": "/no/such/controller"},)" +
+                                 std::string(modbus_bus) +
+                                 R"("tty": {"type": "serial", "device": "/no/such/line"}}, ")" + std::string(list) +
+                                 "\": [" + item.to_json() + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);
         ++(plan.good() ? made : refused);

@@ -52,7 +52,8 @@ modbus_mapping_t* new_mapping() {
 /// A unit of libmodbus behind a socket, on a thread: its calls block.
 class Unit {
  public:
-  explicit Unit(int number) : number_(number), context_(::modbus_new_rtu("/dev/null", 9600, 'N', 8, 1)), mapping_(new_mapping()) {
+  explicit Unit(int number)
+      : number_(number), context_(::modbus_new_rtu("/dev/null", 9600, 'N', 8, 1)), mapping_(new_mapping()) {
     REQUIRE(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends_) == 0);
     ::modbus_set_slave(context_, number);
     ::modbus_set_socket(context_, ends_[1]);
@@ -140,7 +141,8 @@ class Rs485 {
     }
   }
   static void send(int fd, const std::uint8_t* bytes, ssize_t size) {
-    if (size > 0) [[maybe_unused]] const ssize_t sent = ::write(fd, bytes, static_cast<std::size_t>(size));
+    if (size > 0) [[maybe_unused]]
+      const ssize_t sent = ::write(fd, bytes, static_cast<std::size_t>(size));
   }
   ScratchDirectory directory_;
   Pty pty_;
@@ -248,7 +250,8 @@ SensorConfig common(const char* name) {
 TEST_SUITE("sensors") {
   TEST_CASE("US-42 Modbus: numbers of registers in every order, scaled, and those that are none") {
     const auto word = [](std::uint32_t bits) {
-      return std::array<std::uint16_t, 2>{static_cast<std::uint16_t>(bits >> 16), static_cast<std::uint16_t>(bits & 0xffff)};
+      return std::array<std::uint16_t, 2>{static_cast<std::uint16_t>(bits >> 16),
+                                          static_cast<std::uint16_t>(bits & 0xffff)};
     };
     const ModbusField number{.name = "x", .type = Kind::f32};
     const auto a = word(std::bit_cast<std::uint32_t>(123.5f));
@@ -262,14 +265,15 @@ TEST_SUITE("sensors") {
     const ModbusField small{.name = "x", .type = Kind::i16, .scale = 0.1, .offset = 5};
     const std::array<std::uint16_t, 1> minus{0xff9c};
     CHECK(Modbus::decode(small, minus, WordOrder::abcd).or_throw() == doctest::Approx(-5));
-    CHECK(Modbus::decode(small, minus, WordOrder::dcba).or_throw() == doctest::Approx(-5));  // of one register: no order
+    CHECK(Modbus::decode(small, minus, WordOrder::dcba).or_throw() == doctest::Approx(-5));
     const ModbusField large{.name = "x", .type = Kind::i64};
     const std::array<std::uint16_t, 4> all{0xffff, 0xffff, 0xffff, 0xfffe};
     CHECK(Modbus::decode(large, all, WordOrder::abcd).or_throw() == -2);
     const ModbusField wide{.name = "x", .type = Kind::f64};
     const auto bits = std::bit_cast<std::uint64_t>(-0.125);
     const std::array<std::uint16_t, 4> eight{static_cast<std::uint16_t>(bits), static_cast<std::uint16_t>(bits >> 16),
-                                             static_cast<std::uint16_t>(bits >> 32), static_cast<std::uint16_t>(bits >> 48)};
+                                             static_cast<std::uint16_t>(bits >> 32),
+                                             static_cast<std::uint16_t>(bits >> 48)};
     CHECK(Modbus::decode(wide, eight, WordOrder::cdab).or_throw() == -0.125);
   }
 
@@ -353,14 +357,16 @@ TEST_SUITE("sensors") {
     const std::uint16_t port = server->port();
     Stage stage;
     ModbusBus bus("plc", {.host = "127.0.0.1", .port = port, .answer_timeout = 20ms});
-    DriverSensor<Modbus> meter(stage.loop, common("meter"), bus, {.unit = 1},
-                               {.fields = {{.name = "a", .address = 5},
-                                           {.name = "b", .table = ModbusTable::input, .address = 7, .scale = 0.5, .unit = "V"},
-                                           {.name = "c", .table = ModbusTable::coil, .address = 3}}});
+    DriverSensor<Modbus> meter(
+        stage.loop, common("meter"), bus, {.unit = 1},
+        {.fields = {{.name = "a", .address = 5},
+                    {.name = "b", .table = ModbusTable::input, .address = 7, .scale = 0.5, .unit = "V"},
+                    {.name = "c", .table = ModbusTable::coil, .address = 3}}});
     stage.until([&] { return stage.values.size() > 3; });
     CHECK(stage.values[0] == "meter: 1005 1003.5 true");
     server->set_silent(true);
-    stage.until([&] { return stage.has_error("bus plc, unit 1: no answer in 20 ms") && meter.health() == Health::faulted; });
+    stage.until(
+        [&] { return stage.has_error("bus plc, unit 1: no answer in 20 ms") && meter.health() == Health::faulted; });
     server->set_silent(false);
     std::size_t before = stage.values.size();
     stage.until([&] { return stage.values.size() > before + 3 && meter.health() == Health::ok; });
@@ -379,16 +385,18 @@ TEST_SUITE("sensors") {
 
   TEST_CASE("US-42 US-17 check refuses what a Modbus bus or sensor cannot be") {
     const auto report = [](const std::string& bus, const std::string& sensor) {
-      return plan_system(standard_registry(),
-                         parse_config(R"({"buses": {"b": {"type": "modbus", )" + bus +
-                                          R"(}}, "sensors": [{"name": "m", "type": "modbus", "rate": "1 Hz", "bus": "b", )" + sensor +
-                                          R"(}], "sinks": [{"type": "console"}]})",
-                                      "f.json"))
+      return plan_system(
+                 standard_registry(),
+                 parse_config(R"({"buses": {"b": {"type": "modbus", )" + bus +
+                                  R"(}}, "sensors": [{"name": "m", "type": "modbus", "rate": "1 Hz", "bus": "b", )" +
+                                  sensor + R"(}], "sinks": [{"type": "console"}]})",
+                              "f.json"))
           .report();
     };
     const std::string tcp = R"("host": "plc.local")", field = R"("fields": [{"name": "x", "address": 0}])";
     CHECK(report(tcp, field).empty());
-    CHECK(report(R"("device": "/dev/ttyUSB0", "baud_rate": 19200, "parity": "even")", field + R"(, "unit": 247)").empty());
+    CHECK(
+        report(R"("device": "/dev/ttyUSB0", "baud_rate": 19200, "parity": "even")", field + R"(, "unit": 247)").empty());
     CHECK(has(report(R"("port": 502)", field), "neither a `device` (RTU) nor a `host` (TCP)"));
     CHECK(has(report(R"("device": "/dev/x", "host": "h")", field), "there is a `device` too"));
     CHECK(has(report(tcp + R"(, "answer_timeout": "5 s")", field), "make `timeout` longer"));
@@ -409,9 +417,9 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   first.mapping().tab_registers[21] = 0x8000;
   Rs485 line({&first, &third});
   Stage stage;
-  ModbusBus bus("rs485", {.device = line.path(),
-                          .serial = {.baud_rate = 115200, .parity = Parity::even},
-                          .answer_timeout = 50ms});
+  ModbusBus bus(
+      "rs485",
+      {.device = line.path(), .serial = {.baud_rate = 115200, .parity = Parity::even}, .answer_timeout = 50ms});
   DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
                            {.fields = {{.name = "a", .address = 20, .type = Kind::i16},
                                        {.name = "none", .address = 21, .no_value = 0x8000},
@@ -419,11 +427,14 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   DriverSensor<Modbus> three(stage.loop, common("three"), bus, {.unit = 3},
                              {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2, .type = Kind::u32},
                                          {.name = "y", .table = ModbusTable::discrete, .address = 5}}});
-  DriverSensor<Modbus> nobody(stage.loop, common("nobody"), bus, {.unit = 9}, {.fields = {{.name = "x", .address = 0}}});
-  stage.until([&] { return one.counts().published > 3 && three.counts().published > 3 && nobody.health() == Health::faulted; });
+  DriverSensor<Modbus> nobody(stage.loop, common("nobody"), bus, {.unit = 9},
+                              {.fields = {{.name = "x", .address = 0}}});
+  stage.until(
+      [&] { return one.counts().published > 3 && three.counts().published > 3 && nobody.health() == Health::faulted; });
   CHECK(terminal_settings(line.device()).output_speed == 115200);
   CHECK(std::count(stage.values.begin(), stage.values.end(), "one: -1 absent 1022") > 3);
-  CHECK(std::count(stage.values.begin(), stage.values.end(), "three: " + std::to_string(2002u << 16 | 2003u) + " true") > 3);
+  CHECK(std::count(stage.values.begin(), stage.values.end(),
+                   "three: " + std::to_string(2002u << 16 | 2003u) + " true") > 3);
   CHECK(stage.has_error("bus rs485, unit 9: no answer in 50 ms: look at the device, its wires, `unit`"));
   CHECK(bus.counts(1).failed == 0);
   nobody.close();
@@ -450,7 +461,8 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   are_back();
   // Nothing but right values came.
   for (const std::string& value : stage.values)
-    CHECK_MESSAGE((value == "one: -1 absent 1022" || value == "three: " + std::to_string(2002u << 16 | 2003u) + " true"), value);
+    CHECK_MESSAGE(
+        (value == "one: -1 absent 1022" || value == "three: " + std::to_string(2002u << 16 | 2003u) + " true"), value);
   one.stop();
   three.stop();
   CHECK(one.counts().balances());

@@ -178,8 +178,10 @@ TEST_SUITE("sensors") {
 
   TEST_CASE("US-14 NMEA: the logs of real receivers, against what gpsd made of them") {
     const char* const from_outside = std::getenv("RTDATA_TEST_DATA");
-    const std::filesystem::path folder =
-        std::filesystem::path(from_outside != nullptr ? from_outside : test::in_source("../shared/data")) / "gps";
+    const std::filesystem::path folder = std::filesystem::path(from_outside != nullptr
+                                                                   ? from_outside
+                                                                   : test::in_source("../shared/data")) /
+                                         "gps";
     std::size_t logs = 0;
     std::error_code none;
     for (const auto& entry : std::filesystem::directory_iterator(folder, none)) {
@@ -243,8 +245,8 @@ TEST_SUITE("sensors") {
         same(fix.alt_hae, "altHAE", 1e-3);
         same(fix.speed, "speed", 1e-3);
       }
-      MESSAGE((name + ": ") << right << " sentences, " << wrong << " wrong, " << reader.got.size() << " fixes, " << compared
-                          << " values as gpsd's");
+      MESSAGE((name + ": ") << right << " sentences, " << wrong << " wrong, " << reader.got.size() << " fixes, "
+                            << compared << " values as gpsd's");
       CHECK(compared > reader.got.size());
     }
     if (logs == 0)

@@ -242,9 +242,8 @@ struct Bench {
 TEST_SUITE("sensors") {
   TEST_CASE("US-42 a query sends its request each tick and takes the answer's columns") {
     Bench bench;
-    bench.wires->on_write([](std::string_view request) {
-      return request == "READ?\r\n" ? "+1.25E+00,V,7\r\n" : std::string();
-    });
+    bench.wires->on_write(
+        [](std::string_view request) { return request == "READ?\r\n" ? "+1.25E+00,V,7\r\n" : std::string(); });
     DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 10_Hz}, bench.port, {},
                               {.request = "READ?\r\n",
                                .at_open = {"*RST\n", "CONF:VOLT\n"},
@@ -316,8 +315,8 @@ TEST_SUITE("sensors") {
     const std::array<std::uint8_t, 9> request{0xff, 0x01, 0x86, 0, 0, 0, 0, 0, 0x79};
     CHECK(MhZ19::checksum(request) == 0x79);
     const auto answer = [](unsigned ppm) {
-      std::array<std::uint8_t, 9> bytes{0xff, 0x86, static_cast<std::uint8_t>(ppm >> 8), static_cast<std::uint8_t>(ppm & 0xff),
-                                        0x47, 0, 0, 0, 0};
+      std::array<std::uint8_t, 9> bytes{
+          0xff, 0x86, static_cast<std::uint8_t>(ppm >> 8), static_cast<std::uint8_t>(ppm & 0xff), 0x47, 0, 0, 0, 0};
       bytes[8] = MhZ19::checksum(bytes);
       return bytes;
     };
@@ -334,9 +333,8 @@ TEST_SUITE("sensors") {
     Bench bench;
     const auto good = answer(415);
     std::string text(reinterpret_cast<const char*>(good.data()), good.size());
-    bench.wires->on_write([&](std::string_view asked) {
-      return asked.size() == 9 && asked[2] == '\x86' ? text : std::string();
-    });
+    bench.wires->on_write(
+        [&](std::string_view asked) { return asked.size() == 9 && asked[2] == '\x86' ? text : std::string(); });
     DriverSensor<MhZ19> air(bench.loop, {.name = "air", .rate = 1_Hz}, bench.port);
     bench.loop.advance(500ms);
     CHECK(bench.values == std::vector<std::string>{"415"});
@@ -354,11 +352,10 @@ TEST_SUITE("sensors") {
 
   TEST_CASE("US-42 US-17 check refuses what a serial port or a query cannot be, and a device that two have") {
     const auto report = [](const std::string& buses, const std::string& sensors) {
-      const SystemPlan plan =
-          plan_system(standard_registry(),
-                      parse_config(R"({"buses": {)" + buses + R"(}, "sensors": [)" + sensors +
-                                       R"(], "sinks": [{"type": "console"}]})",
-                                   "f.json"));
+      const SystemPlan plan = plan_system(standard_registry(),
+                                          parse_config(R"({"buses": {)" + buses + R"(}, "sensors": [)" + sensors +
+                                                           R"(], "sinks": [{"type": "console"}]})",
+                                                       "f.json"));
       return plan.report();
     };
     const std::string bus = R"("m": {"type": "serial", "device": "/dev/ttyUSB0"})";
@@ -367,22 +364,26 @@ TEST_SUITE("sensors") {
     };
     CHECK(report(bus, query(R"(, "request": "?\n")")).empty());
     // Two sensors may ask one device for different things.
-    CHECK(report(bus, query(R"(, "request": "A\n")") +
-                          R"(, {"name": "p", "type": "query", "rate": "1 Hz", "bus": "m", "fields": [{"name": "x"}], "request": "B\n"})")
-              .empty());
+    CHECK(
+        report(
+            bus,
+            query(R"(, "request": "A\n")") +
+                R"(, {"name": "p", "type": "query", "rate": "1 Hz", "bus": "m", "fields": [{"name": "x"}], "request": "B\n"})")
+            .empty());
     CHECK(has(report(bus, query("")), "there is no request"));
     CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is a `request` too"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are no bytes"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are no bytes"));
     CHECK(has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers hold it"));
-    CHECK(has(report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
-              "make `timeout` longer"));
-    const std::string line =
-        R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
+    CHECK(has(
+        report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
+        "make `timeout` longer"));
+    const std::string line = R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
     CHECK(has(report(bus, line), "bus m, at f.json:1:"));
     CHECK(has(report(bus, line), "has this device already; a device is one sensor's or one bus's alone"));
-    CHECK(has(report("", line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})"),
-              "sensor l, at f.json:1:"));
+    CHECK(has(
+        report("", line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})"),
+        "sensor l, at f.json:1:"));
     CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));
     CHECK(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "format": "nmea"})").empty());
   }

@@ -46,10 +46,10 @@ constexpr auto describe(type_tag<ModbusTable>) {
 }
 
 struct ModbusConfig {
-  std::string device = {};   ///< RTU: "/dev/serial/by-id/...", "/dev/ttyUSB0"; empty: TCP
+  std::string device = {};  ///< RTU: "/dev/serial/by-id/...", "/dev/ttyUSB0"; empty: TCP
   SerialSettings serial = {};
-  std::string host = {};     ///< TCP: a name or an address; empty: RTU
-  std::uint16_t port = 502;  ///< TCP
+  std::string host = {};                                     ///< TCP: a name or an address; empty: RTU
+  std::uint16_t port = 502;                                  ///< TCP
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< a device that has not answered by then is silent
   Duration timeout = std::chrono::seconds{5};  ///< what a sensor does on the bus at a time; longer, it is given up
 
@@ -57,8 +57,7 @@ struct ModbusConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
-        include_member(&ModbusConfig::serial),
-        parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
+        include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
         parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
         parameter("answer_timeout", &ModbusConfig::answer_timeout, "an answer that is not complete by then is missed",
                   range(Duration{1ms}, Duration{10min})),

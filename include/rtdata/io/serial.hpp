@@ -63,8 +63,8 @@ struct SerialPortConfig {
     return parameter_list(
         parameter("device", &SerialPortConfig::device, "the serial device", required, TextIs::device),
         include_member(&SerialPortConfig::serial),
-        parameter("answer_timeout", &SerialPortConfig::answer_timeout, "an answer that is not complete by then is missed",
-                  range(Duration{1ms}, Duration{10min})),
+        parameter("answer_timeout", &SerialPortConfig::answer_timeout,
+                  "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
         parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }

@@ -26,7 +26,9 @@ namespace rtdata {
 
 struct Co2Reading {
   double co2 = 0;
-  friend constexpr auto describe(type_tag<Co2Reading>) { return record("co2", field("co2", &Co2Reading::co2, "[ppm]")); }
+  friend constexpr auto describe(type_tag<Co2Reading>) {
+    return record("co2", field("co2", &Co2Reading::co2, "[ppm]"));
+  }
 };
 
 class MhZ19 {
@@ -34,9 +36,11 @@ class MhZ19 {
   static constexpr std::string_view type = "mhz19";
   static constexpr std::string_view description = "CO2 of a Winsen MH-Z19 on a serial line";
   static constexpr std::string_view notes =
-      "Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 Bd. "
+      "Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 "
+      "Bd. "
       "It has no address: one on a line.\n"
-      "It measures anew every 2 s at most: `\"rate\": \"0.2 Hz\"` is plenty. After switching on it needs 3 minutes, in which "
+      "It measures anew every 2 s at most: `\"rate\": \"0.2 Hz\"` is plenty. After switching on it needs 3 minutes, in "
+      "which "
       "its values are none.";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -52,7 +56,8 @@ class MhZ19 {
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();
-      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "look at its wires and its supply")};
+      return Unreadable{
+          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "look at its wires and its supply")};
     }
     return *reading;
   }
@@ -66,7 +71,9 @@ class MhZ19 {
   /// Of an answer to command 0x86. Errors: bad-data.
   static Result<Co2Reading> decode(std::span<const std::uint8_t, 9> answer) {
     constexpr unsigned most = 10000;
-    const auto refuse = [](std::string why) { return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""}; };
+    const auto refuse = [](std::string why) {
+      return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""};
+    };
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];

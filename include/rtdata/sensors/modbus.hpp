@@ -36,17 +36,18 @@ namespace rtdata {
 struct ModbusField {
   std::string name = {};
   ModbusTable table = ModbusTable::holding;
-  std::uint16_t address = 0;              ///< of its first register, from 0
-  Kind type = Kind::u16;                  ///< of the registers: integers of 16 to 64 bits, float, double
+  std::uint16_t address = 0;  ///< of its first register, from 0
+  Kind type = Kind::u16;      ///< of the registers: integers of 16 to 64 bits, float, double
   double scale = 1;
-  double offset = 0;                      ///< added after scaling
-  std::string unit = {};                  ///< UCUM
-  std::optional<double> no_value = {};    ///< the raw number that stands for none
+  double offset = 0;                    ///< added after scaling
+  std::string unit = {};                ///< UCUM
+  std::optional<double> no_value = {};  ///< the raw number that stands for none
 
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
         parameter("name", &ModbusField::name, "name of the field", required, TextIs::field),
-        parameter("table", &ModbusField::table, "what it is one of: registers (holding, input) or bits (coil, discrete)"),
+        parameter("table", &ModbusField::table,
+                  "what it is one of: registers (holding, input) or bits (coil, discrete)"),
         parameter("address", &ModbusField::address, "of its first register or bit, from 0", required),
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
@@ -73,18 +74,19 @@ class Modbus {
   static constexpr std::string_view type = "modbus";
   static constexpr std::string_view description = "registers of a device that speaks Modbus, over a serial line or TCP";
   static constexpr std::string_view notes =
-      "The bus is a `modbus` one. Addresses count from 0: a document's register 40001 is `\"address\": 0` of the holding "
+      "The bus is a `modbus` one. Addresses count from 0: a document's register 40001 is `\"address\": 0` of the "
+      "holding "
       "registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
   struct Config {
     std::vector<ModbusField> fields = {};
     WordOrder word_order = WordOrder::abcd;  ///< of numbers of more than one register
-    unsigned gap = 0;  ///< registers, or bits, that are read along though no field has them
+    unsigned gap = 0;                        ///< registers, or bits, that are read along though no field has them
     friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(parameter("fields", &Config::fields, "what is read", required),
-                            parameter("word_order", &Config::word_order,
-                                      "the bytes of numbers of more than one register, the highest called a"),
-                            parameter("gap", &Config::gap, "addresses that may be read along though no field has them",
-                                      range(0, 120)));
+      return parameter_list(
+          parameter("fields", &Config::fields, "what is read", required),
+          parameter("word_order", &Config::word_order,
+                    "the bytes of numbers of more than one register, the highest called a"),
+          parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
     }
     /// That the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);

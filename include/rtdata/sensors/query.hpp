@@ -31,17 +31,20 @@ namespace rtdata {
 class Query {
  public:
   static constexpr std::string_view type = "query";
-  static constexpr std::string_view description = "a device on a serial line that answers a request with a line of text";
+  static constexpr std::string_view
+      description = "a device on a serial line that answers a request with a line of text";
   static constexpr std::string_view notes =
-      "The bus is a `serial` one. `request` is sent as it stands: it ends with what ends the device's commands, \"\\n\" or "
-      "\"\\r\\n\". Binary requests are written as `request_hex`, such as \"02 4d 0d\". Answers are lines of CSV (a number "
+      "The bus is a `serial` one. `request` is sent as it stands: it ends with what ends the device's commands, "
+      "\"\\n\" or "
+      "\"\\r\\n\". Binary requests are written as `request_hex`, such as \"02 4d 0d\". Answers are lines of CSV (a "
+      "number "
       "alone is one column) or JSON, as of [serial](serial.md); a column without a name, such as a unit, is not kept.";
   struct Config {
-    std::string request = {};            ///< with its end
-    std::string request_hex = {};        ///< instead of `request`: bytes, as hexadecimal digits
+    std::string request = {};               ///< with its end
+    std::string request_hex = {};           ///< instead of `request`: bytes, as hexadecimal digits
     std::vector<std::string> at_open = {};  ///< sent after each opening of the port, in order
-    char answer_end = '\n';              ///< a carriage return before it does not count
-    unsigned skip_lines = 0;             ///< before the answer
+    char answer_end = '\n';                 ///< a carriage return before it does not count
+    unsigned skip_lines = 0;                ///< before the answer
     LineFormat format = LineFormat::csv;
     std::vector<LineField> fields = {};
     char separator = ',';  ///< between the columns of CSV; a blank stands for any number of blanks

@@ -61,12 +61,15 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
     if (!std::isfinite(field.scale) || field.scale == 0 || !std::isfinite(field.offset))
       return refused(field, "its scale is 0, or it is no number", "set `scale`");
     using Presence = DescriptionBuilder::Presence;
-    builder.field(field.name, published_kind(field), field.unit, may_be_absent(field) ? Presence::optional : Presence::always);
+    builder.field(field.name, published_kind(field), field.unit,
+                  may_be_absent(field) ? Presence::optional : Presence::always);
   }
-  if (config.fields.empty()) return Error{Errc::bad_argument, "cannot use these fields", "", "there are none", "list them in `fields`"};
+  if (config.fields.empty())
+    return Error{Errc::bad_argument, "cannot use these fields", "", "there are none", "list them in `fields`"};
   auto made = builder.build();
   if (made && (*made)->size() > max_payload_size)
-    return Error{Errc::bad_argument, "cannot use these fields", "", "they need more than 4 KiB", "divide them among sensors"};
+    return Error{Errc::bad_argument, "cannot use these fields", "", "they need more than 4 KiB",
+                 "divide them among sensors"};
   return made;
 }
 
@@ -76,7 +79,8 @@ void check_config(const Modbus::Config& config, const ConfigItem& item, Problems
   const Error& e = described.error();
   const ConfigItem* at = item.find("fields");
   problems.add((at != nullptr ? *at : item)
-                   .problem("bad-value", (e.where.empty() ? "" : e.where + ": ") + e.why + (e.advice.empty() ? "" : "; ") + e.advice));
+                   .problem("bad-value", (e.where.empty() ? "" : e.where + ": ") + e.why +
+                                             (e.advice.empty() ? "" : "; ") + e.advice));
 }
 
 std::vector<Modbus::Request> Modbus::requests(const Config& config) {
@@ -89,8 +93,8 @@ std::vector<Modbus::Request> Modbus::requests(const Config& config) {
     const ModbusField& field = config.fields[i];
     const unsigned end = field.address + width_of(field);
     const std::size_t most = is_of_bits(field.table) ? ModbusDevice::most_bits : ModbusDevice::most_registers;
-    if (!made.empty() && made.back().table == field.table && field.address <= made.back().first + made.back().count + config.gap &&
-        end - made.back().first <= most) {
+    if (!made.empty() && made.back().table == field.table &&
+        field.address <= made.back().first + made.back().count + config.gap && end - made.back().first <= most) {
       made.back().count = std::max(made.back().count, end - made.back().first);
       made.back().fields.push_back(i);
     } else {
@@ -169,9 +173,10 @@ Reading<DescribedValue> Modbus::read(ModbusDevice& device) {
   std::array<std::uint8_t, ModbusDevice::most_bits> flags{};
   for (const Request& request : requests_) {
     const bool has_bits = is_of_bits(request.table);
-    const Result<void> done =
-        has_bits ? device.read_bits(request.table, request.first, std::span(flags).first(request.count))
-                 : device.read_registers(request.table, request.first, std::span(words).first(request.count));
+    const Result<void> done = has_bits ? device.read_bits(request.table, request.first,
+                                                          std::span(flags).first(request.count))
+                                       : device.read_registers(request.table, request.first,
+                                                               std::span(words).first(request.count));
     if (!done && done.error().code == Errc::bad_data) return Unreadable{done.error()};
     if (!done) return done.error();
     for (const std::size_t i : request.fields) {

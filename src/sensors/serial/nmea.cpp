@@ -72,7 +72,8 @@ struct NmeaFixes::Columns {
     if (word.empty()) return std::optional<std::int64_t>();
     const auto value = number(i);
     if (!value) return value.error();
-    const bool is_time = word.size() >= 6 && std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
+    const bool is_time = word.size() >= 6 &&
+                         std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
     if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is no time");
     const auto pair = [&](std::size_t at_) { return (word[at_] - '0') * 10 + (word[at_ + 1] - '0'); };
     if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is no time");
@@ -90,9 +91,12 @@ struct NmeaFixes::Columns {
     if (word.empty()) return std::optional<std::int64_t>();
     if (word.size() != 6 || !std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }))
       return bad(i, "is no date");
-    const auto pair = [&](std::size_t at_) { return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0')); };
+    const auto pair = [&](std::size_t at_) {
+      return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0'));
+    };
     const int year = static_cast<int>(pair(4)) + (pair(4) >= 80 ? 1900 : 2000);
-    const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)), std::chrono::day(pair(0))};
+    const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)),
+                                          std::chrono::day(pair(0))};
     if (!day.ok()) return bad(i, "is no date");
     return std::optional<std::int64_t>(std::chrono::sys_days(day).time_since_epoch().count() * 86400 * second);
   }
@@ -190,7 +194,8 @@ Result<void> NmeaFixes::read_vtg(const Columns& columns, Draft& draft) const {
 
 Result<void> NmeaFixes::read_gsa(const Columns& columns, Draft& draft) const {
   RTDATA_NMEA_TAKE(mode, columns.whole(2, 3));
-  if (mode && *mode > 0) draft.gsa_mode = static_cast<std::uint8_t>(std::max<unsigned>(*mode, draft.gsa_mode.value_or(0)));
+  if (mode && *mode > 0)
+    draft.gsa_mode = static_cast<std::uint8_t>(std::max<unsigned>(*mode, draft.gsa_mode.value_or(0)));
   return {};
 }
 
@@ -261,7 +266,8 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   }
   columns.name = columns.text[0];
   const std::string_view name = columns.name;
-  const std::string_view kind = name.size() == 5 && name[0] != 'P' ? name.substr(2) : std::string_view();  // P: a maker's own
+  const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a maker's own
+  const std::string_view kind = is_standard ? name.substr(2) : std::string_view();
   if (kind == "GSV") return take_gsv(columns);
   Step step;
   if (kind == "GGA") {

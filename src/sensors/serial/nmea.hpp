@@ -69,10 +69,10 @@ class NmeaFixes {
   text<128> device_;
   Draft draft_;
   std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};  // in this fix, of each kind
-  std::optional<Step> ends_with_;                                          // the last sentence of the fix before
-  unsigned without_end_ = 0;                                               // fixes in a row that had no such sentence
-  Step last_{};                                                            // sentence of this fix
-  Time time_{};                                                            // at which that was read
+  std::optional<Step> ends_with_;                                           // the last sentence of the fix before
+  unsigned without_end_ = 0;                                                // fixes in a row that had no such sentence
+  Step last_{};                                                             // sentence of this fix
+  Time time_{};                                                             // at which that was read
   bool is_begun_ = false;
   bool is_published_ = false;
   std::array<Visible, 8> visible_{};

@@ -69,8 +69,8 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
   if (const auto mistake = mistake_in_request(config)) {
     const ConfigItem* at = item.find(mistake->key);
     problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", std::string(at != nullptr ? "" : mistake->key) + (at != nullptr ? "" : ": ") +
-                                               mistake->why + "; " + mistake->advice));
+                     .problem("bad-value", std::string(at != nullptr ? "" : mistake->key) +
+                                               (at != nullptr ? "" : ": ") + mistake->why + "; " + mistake->advice));
   }
   check_config(as_lines(config), item, problems);
 }
