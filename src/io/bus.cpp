@@ -43,6 +43,7 @@ Bus::Bus(std::string name, Duration give_up_after)
 Bus::~Bus() = default;
 
 std::shared_ptr<void> Bus::claim(const std::string& place) {
+  if (place.empty()) return nullptr;
   const std::lock_guard lock(places_->mutex);
   if (std::exchange(places_->all[place].is_claimed, true)) {
     throw SetupError({Errc::busy, "cannot use this place of a bus", "bus " + name_ + ", " + place,

@@ -11,19 +11,58 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdio>
+#include <fstream>
+#include <sstream>
 
 namespace rtdata::detail {
 namespace {
 
 constexpr const char* cannot_open = "cannot open the serial line";
-constexpr const char* used_by = "another program uses it";
 
 Error bad_setting(std::string why, const char* advice) {
   return {Errc::bad_argument, "cannot use these serial settings", "", std::move(why), advice};
 }
 
-std::string fuser_advice(const std::string& path) {
-  return "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)";
+std::string first_line_of(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  return line;
+}
+
+/// The process that has locked the file, of those that the kernel lists; 0: none of them.
+long locked_by(const std::string& path) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) return 0;
+  // "1: FLOCK  ADVISORY  WRITE 1234 00:05:678 0 EOF": the process, then the file's device and inode
+  char file[64];
+  std::snprintf(file, sizeof file, "%02x:%02x:%llu", major(status.st_dev), minor(status.st_dev),
+                static_cast<unsigned long long>(status.st_ino));
+  std::ifstream locks("/proc/locks");
+  std::string line;
+  while (std::getline(locks, line)) {
+    std::istringstream words(line);
+    std::string number, kind, mode, access, where;
+    long process = 0;
+    if (words >> number >> kind >> mode >> access >> process >> where && kind == "FLOCK" && where == file)
+      return process;
+  }
+  return 0;
+}
+
+Error busy_error(const std::string& path) {
+  const long process = locked_by(path);
+  if (process == ::getpid())
+    return {Errc::busy, cannot_open, path, "this program has it open already", "one sensor or bus has it for itself"};
+  if (process > 0) {
+    const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
+    return {Errc::busy, cannot_open, path,
+            (name.empty() ? "a program" : name) + " (process " + std::to_string(process) + ") uses it",
+            "end it: a serial line is for one program"};
+  }
+  return {Errc::busy, cannot_open, path, "another program uses it",
+          "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)"};
 }
 
 Error open_error(int number, const std::string& path) {
@@ -32,7 +71,7 @@ Error open_error(int number, const std::string& path) {
       return system_error(number, cannot_open, path,
                           "add the user to the device's group (`sudo usermod -aG dialout $USER`) and log in again");
     case EBUSY:
-      return {Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
+      return busy_error(path);
     case ENOENT:
     case ENXIO:
     case ENODEV:
@@ -54,7 +93,7 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
     return Error{Errc::bad_argument, cannot_open, path, "it is no serial line", "check `device`"};
   }
   if (::flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
-    return Error{Errc::busy, cannot_open, path, used_by, fuser_advice(path)};
+    return busy_error(path);
   }
   ::ioctl(fd, TIOCEXCL);  // whoever opens it from now on gets EBUSY (but for root, whom the lock keeps out)
   tty.c_iflag = settings.parity == Parity::none ? 0 : INPCK;

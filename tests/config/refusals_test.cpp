@@ -35,6 +35,11 @@ const std::map<std::string, std::string> right_sensors{
     {"edge", R"({"name": "s", "type": "edge", "line": "no-such-line"})"},
     {"gpio", R"({"name": "s", "type": "gpio", "rate": "10 Hz", "lines": [{"name": "x", "line": "no-such-line"}]})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
+    {"mhz19", R"({"name": "s", "type": "mhz19", "rate": "1 Hz", "bus": "tty"})"},
+    {"modbus",
+     R"({"name": "s", "type": "modbus", "rate": "1 Hz", "bus": "plc", "fields": [{"name": "x", "address": 0}]})"},
+    {"query",
+     R"({"name": "s", "type": "query", "rate": "1 Hz", "bus": "tty", "request": "?", "fields": [{"name": "x"}]})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"pps", R"({"name": "s", "type": "pps"})"},
     {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},
@@ -42,6 +47,12 @@ const std::map<std::string, std::string> right_sensors{
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
                                                      {"console", R"({"type": "console", "descriptor": 2})"}};
+
+#ifdef RTDATA_WITH_MODBUS
+constexpr const char* modbus_bus = R"("plc": {"type": "modbus", "device": "/no/such/rs485"},)";
+#else
+constexpr const char* modbus_bus = "";
+#endif
 
 std::string in_folder(std::string text, const Folder& folder) {
   for (auto at = text.find("FOLDER"); at != std::string::npos; at = text.find("FOLDER"))
@@ -70,7 +81,7 @@ std::vector<ConfigItem> odd_values() {
   return parse_config(
              R"([null, true, 0, 1, -1, 0.5, 1e300, 63, 300, 99999999999, "", " ", "x", "a b", "#", "a/b", "/", "$x",
       ".", "/no/such/folder/x", "nul\u0000here", "0 s", "1 ns", "1 ms", "-1 ms", "1 d", "200 d", "1 Hz", "1 MHz", "2 MHz", "1 GHz",
-      "csv", "json", "raw", "two_point", "disk", "network", "temperature", "fifo", [], [""], ["x"], ["a b"], ["a/#/b"], {},
+      "csv", "json", "nmea", "raw", "two_point", "disk", "network", "temperature", "fifo", [], [""], ["x"], ["a b"], ["a/#/b"], {},
       {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}, {"file": "/no/such/file"}, {"env": 3}, {"env": "A", "file": "B"},
       [{"name": ""}], [{"name": "time"}], [{"name": "x"}, {"name": "X"}], [{"name": "x", "type": "record"}],
       [{"name": "x", "type": "text", "length": 0}], [{"name": "x", "scale": 2, "type": "int8"}], [{"key": "x"}]])",
@@ -92,8 +103,10 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
         ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
         item.set(parameter.key, value);
         const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"},
-            "spi0": {"type": "spi", "device": "/no/such/controller"}}, ")" +
-                                 std::string(list) + "\": [" + item.to_json() + "]}";
+            "spi0": {"type": "spi", "device": "/no/such/controller"},)" +
+                                 std::string(modbus_bus) +
+                                 R"("tty": {"type": "serial", "device": "/no/such/line"}}, ")" + std::string(list) +
+                                 "\": [" + item.to_json() + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);
         ++(plan.good() ? made : refused);

@@ -1,7 +1,7 @@
 """Holds the documentation to the product:  docs_test.py SOURCE_DIR BUILD_DIR CXX
 
 A comment on the line before a code block says what is done with it:
-  <!-- test: configuration -->   `rtdata check` finds no mistake in it
+  <!-- test: configuration [TYPE] -->   `rtdata check` finds no mistake in it; skipped where the program has no such type
   <!-- test: compile -->         it compiles
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
@@ -41,6 +41,10 @@ def pages(source):
     return sorted(source.glob("*.md")) + sorted((source / "docs").glob("*.md")) + [source / "examples/README.md"]
 
 
+def has_type(program, name):
+    return run([program, "types", name]).returncode == 0
+
+
 def check_blocks(source, build, compiler, program):
     skipped = 0
     for page in pages(source):
@@ -65,8 +69,8 @@ def check_blocks(source, build, compiler, program):
                     problem(where, f"unknown mark: {block['test']}")
                 elif program is None:
                     skipped += 1
-                elif kind == "configuration" and page.name == "gpio.md" and run([program, "types", "edge"]).returncode != 0:
-                    print(f"skipped: {where}, since the program was built without libgpiod")
+                elif kind == "configuration" and argument and not has_type(program, argument):
+                    print(f"skipped: {where}, since this program has no type {argument}")
                 elif kind == "configuration":
                     file = Path(folder) / "block.json"
                     file.write_text(block["text"])

@@ -4,8 +4,13 @@
 #include <doctest/doctest.h>
 #include <sys/ioctl.h>
 
+#include <array>
+
 #include "io/tty.hpp"
 #include "kernel/bench.hpp"
+#include "rtdata/io/serial.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "rtdata/sensors/query.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 
 using namespace bench;
@@ -78,6 +83,74 @@ void check_lines(const std::string& sender, const std::string& receiver, LineFor
 }  // namespace
 
 TEST_SUITE("drivers") {
+  TEST_CASE("US-13 US-42 NFR-3 serial ports: every byte goes both ways, at several speeds and with every parity") {
+    std::array<std::uint8_t, 256> every{};
+    for (std::size_t i = 0; i < every.size(); ++i) every[i] = static_cast<std::uint8_t>(i);
+    for (const std::uint32_t baud_rate : {9600u, 250000u}) {
+      for (const Parity parity : {Parity::none, Parity::even, Parity::odd, Parity::mark, Parity::space}) {
+        const SerialSettings settings{.baud_rate = baud_rate, .parity = parity, .stop_bits = 2};
+        SerialPort a({.device = device("TTY_A"), .serial = settings, .answer_timeout = 10s, .timeout = 20s});
+        SerialPort b({.device = device("TTY_B"), .serial = settings, .answer_timeout = 10s, .timeout = 20s});
+        SerialDevice here = a.device(), there = b.device();
+        here.drop_input().or_throw();
+        there.drop_input().or_throw();
+        for (auto [from, to] : {std::pair(&here, &there), std::pair(&there, &here)}) {
+          from->write(every).or_throw();
+          std::array<std::uint8_t, 256> came{};
+          to->read(came).or_throw();
+          CHECK(came == every);
+        }
+      }
+    }
+  }
+  TEST_CASE("US-42 NFR-3 serial ports: requests and answers between two of them, and silence") {
+    Loop loop;
+    be_quiet(loop);
+    loop.on_error([](const ErrorReport&) {});
+    const int instrument = detail::open_tty(device("TTY_B"), {.baud_rate = 115200}).or_throw();
+    {
+      bool is_silent = false;
+      std::string asked;
+      std::uint64_t answers = 0;
+      FdWatch answering(loop, instrument, FdWatch::readable, "instrument", [&](const FdEvent&) {
+        char bytes[64];
+        const ssize_t got = ::read(instrument, bytes, sizeof bytes);
+        if (got > 0) asked.append(bytes, static_cast<std::size_t>(got));
+        for (auto end = asked.find('\n'); end != std::string::npos; end = asked.find('\n')) {
+          CHECK(asked.substr(0, end) == "MEAS?");
+          asked.erase(0, end + 1);
+          if (is_silent) continue;
+          const std::string answer = std::to_string(++answers) + ".5\r\n";
+          CHECK(::write(instrument, answer.data(), answer.size()) == static_cast<ssize_t>(answer.size()));
+        }
+      });
+      SerialPort port({.device = device("TTY_A"), .serial = {.baud_rate = 115200}, .answer_timeout = 200ms});
+      DriverSensor<Query> meter(loop, {.name = "meter", .rate = 20_Hz, .required = true}, port, {},
+                                {.request = "MEAS?\n", .fields = {{.name = "voltage", .unit = "V"}}});
+      double last = 0;
+      const auto heard = loop.subscribe("meter", [&](const EventView& event) {
+        const double value = std::stod(to_string(event.value("voltage").value()));
+        CHECK(value > last);
+        last = value;
+        if (meter.counts().published == 20 || meter.counts().failed > 0) loop.stop();
+      });
+      Timer patience = limit(loop);
+      loop.run();
+      CHECK(meter.counts().published == 20);
+      is_silent = true;
+      Ticker look(loop, 10ms, [&](const Tick&) {
+        if (meter.counts().failed >= 2) is_silent = false;
+      });
+      patience.start(20s);
+      loop.run();  // until the first value after the silence
+      CHECK(meter.counts().failed >= 2);
+      CHECK(meter.health() == Health::ok);
+      meter.stop();
+      CHECK(meter.counts().balances());
+      close_balanced(loop);
+    }
+    detail::close_tty(instrument);
+  }
   TEST_CASE("US-13 NFR-3 serial ports: lines of CSV arrive whole and in order at several speeds") {
     for (const std::uint32_t baud_rate : {9600u, 115200u, 250000u, 1000000u}) {
       check_lines(device("TTY_A"), device("TTY_B"), LineFormat::csv, baud_rate);

@@ -202,7 +202,7 @@ class Registry {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     add_sensor<C>(
-        type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
+        type, std::move(doc), [](const C& config) { return description_of_driver<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },

@@ -17,7 +17,8 @@
 ///      public:
 ///       static constexpr std::string_view type = "wire";             // as in configurations
 ///       WireDevice device(const WireDevice::Place& place);           // on the lane too
-///       static std::string text_of(const WireDevice::Place& place);  // "number 1"; no two sensors have the same
+///       static std::string text_of(const WireDevice::Place& place);  // "number 1"; no two sensors have the same,
+///                                                                       // unless it is empty
 ///     };
 ///
 /// What a device does to its bus must not need the Bus, which may be destroyed while a job hangs: both share it.
@@ -77,7 +78,8 @@ class Bus {
   /// Of each job of a sensor on it.
   Duration give_up_after() const noexcept { return give_up_after_; }
 
-  /// Of a place on the bus; free again when the last copy goes. SetupError (busy): it is taken.
+  /// Of a place on the bus; free again when the last copy goes. An empty one can be had by many. SetupError (busy): it
+  /// is taken.
   std::shared_ptr<void> claim(const std::string& place);
   /// What each place has cost, by name: of all that devices were asked for. Any thread.
   std::vector<PlaceAccount> accounts() const;

@@ -17,7 +17,11 @@
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
-/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead.
+/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. A driver
+/// whose Config says what it publishes has the Value `DescribedValue`, and a function
+///
+///     static rtdata::Result<std::shared_ptr<const rtdata::Description>> describe(const Config& config);
+///
 /// Configurations know a driver by `registry.add_driver<Lm75>()`.
 ///
 /// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
@@ -29,9 +33,11 @@
 
 #include <algorithm>
 #include <concepts>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -42,6 +48,19 @@
 #include "rtdata/sensors/transaction.hpp"
 
 namespace rtdata {
+
+/// The bytes of a payload that has a description and no C++ type. All are 0 at first: optional values are absent.
+class DescribedValue {
+ public:
+  explicit DescribedValue(const Description& description) : bytes_(description.size()) {}
+  explicit DescribedValue(std::span<const std::byte> payload) : bytes_(payload.begin(), payload.end()) {}
+  /// Laid out as the description says (`Leaf::offset`).
+  std::byte* data() noexcept { return bytes_.data(); }
+  std::size_t size() const noexcept { return bytes_.size(); }
+
+ private:
+  std::vector<std::byte> bytes_;
+};
 
 /// What one read brings, in order. Used on the lane, by the driver.
 template <class T>
@@ -95,6 +114,17 @@ constexpr typename D::Device::Place default_place() {
     return D::place;
   } else {
     return {};
+  }
+}
+
+/// What a driver with this Config publishes.
+template <Driver D>
+Result<std::shared_ptr<const Description>> description_of_driver(const typename D::Config& config) {
+  if constexpr (std::is_same_v<typename D::Value, DescribedValue>) {
+    return D::describe(config);
+  } else {
+    (void)config;
+    return description_of<typename D::Value>();
   }
 }
 
@@ -236,9 +266,9 @@ class DriverDevice final : public detail::LaneDevice {
     for (auto& sample : samples.samples_) {
       if (sample.time) {
         last_ = std::max(std::min(*sample.time, read.ended), last_ + Duration{1});
-        port.publish_at(&sample.value, last_);
+        port.publish_at(payload_of(sample.value), last_);
       } else {
-        port.publish(&sample.value);
+        port.publish(payload_of(sample.value));
       }
     }
     for (Error& error : samples.unreadable_) port.unreadable(std::move(error));
@@ -257,12 +287,20 @@ class DriverDevice final : public detail::LaneDevice {
     }
   }
   Error given_up_error() const override {
-    return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + ", " + BusOf::text_of(place_),
+    const std::string place = BusOf::text_of(place_);
+    return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + (place.empty() ? "" : ", " + place),
             "no answer within " + to_string(bus_.give_up_after()),
             "look at the chip and its wires; `timeout` of the bus sets how long to wait"};
   }
 
  private:
+  static void* payload_of(Value& value) {
+    if constexpr (std::is_same_v<Value, DescribedValue>) {
+      return value.data();
+    } else {
+      return &value;
+    }
+  }
   std::shared_ptr<Session> make_session() const { return std::make_shared<Session>(config_, bus_.device(place_)); }
 
   BusOf& bus_;
@@ -280,8 +318,20 @@ class DriverSensor : public AnySensor {
   /// SetupError: as `Sensor`; what the driver's constructor throws; a place on the bus that is none, or that is taken.
   DriverSensor(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
                typename D::Device::Place place = default_place<D>(), typename D::Config config = {})
-      : AnySensor(detail::make_sensor(loop, std::move(sensor), detail::payload_type<typename D::Value>(),
-                                      std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)))) {}
+      : AnySensor(make(loop, std::move(sensor), bus, std::move(place), std::move(config))) {}
+
+ private:
+  static detail::Node* make(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
+                            typename D::Device::Place place, typename D::Config config) {
+    detail::PayloadType type;
+    if constexpr (std::is_same_v<typename D::Value, DescribedValue>) {
+      type = detail::described_type(D::describe(config).or_throw());
+    } else {
+      type = detail::payload_type<typename D::Value>();
+    }
+    auto device = std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config));
+    return detail::make_sensor(loop, std::move(sensor), std::move(type), std::move(device));
+  }
 };
 
 }  // namespace rtdata

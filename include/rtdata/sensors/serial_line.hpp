@@ -32,6 +32,20 @@
 ///   unreadable; also while it waits for the end of what may be half a line.
 /// - The line is taken for this program alone.
 ///
+/// `format` nmea: a receiver of GPS or other satellites without gpsd, which sends sentences of NMEA 0183. `fields` is
+/// not used: events are `GpsFix` (gps.hpp), as of GpsSensor.
+///
+///     rtdata::SerialLineSensor gps(loop, {.name = "gps"}, {.device = "/dev/ttyACM0", .format = LineFormat::nmea});
+///
+/// - The sentences of one instant become one event: GGA, RMC, VTG and GSA; the number of visible satellites is that of
+///   the GSV sentences before. It is published with the last of them, which is learned from the instant before, or when
+///   the first of the next instant comes; its time is that of the read which brought the last. Sentences without a time
+///   (VTG, GSA) belong to the last with one; RMC's velocity is used before VTG's.
+/// - What a sentence does not say is no value, never 0; without a fix (GGA 0, RMC V) there is no position and no
+///   velocity.
+/// - A sentence with a wrong checksum, without one, or with what cannot be read, is counted as unreadable; what it
+///   would have said is absent. Received are fixes and unreadable sentences; sentences of other kinds are not counted.
+///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
 
@@ -73,9 +87,10 @@ struct LineField {
   }
 };
 
-enum class LineFormat { csv, json };
+enum class LineFormat { csv, json, nmea };
 constexpr auto describe(type_tag<LineFormat>) {
-  return enumeration("format", value("csv", LineFormat::csv), value("json", LineFormat::json));
+  return enumeration("format", value("csv", LineFormat::csv), value("json", LineFormat::json),
+                     value("nmea", LineFormat::nmea));
 }
 enum class FirstLine { discard, keep };
 constexpr auto describe(type_tag<FirstLine>) {
@@ -104,9 +119,11 @@ struct SerialConfig {
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
         include_member(&SerialConfig::serial), parameter("format", &SerialConfig::format, "how a line is written"),
-        parameter("fields", &SerialConfig::fields, "what is in a line", rtdata::required),
+        parameter("fields", &SerialConfig::fields, "what is in a line; not with `format` nmea",
+                  only_with("format", "csv", "json")),
         parameter("separator", &SerialConfig::separator, "between the columns of CSV", only_with("format", "csv")),
-        parameter("comment", &SerialConfig::comment, "lines that begin with it are skipped"),
+        parameter("comment", &SerialConfig::comment, "lines that begin with it are skipped",
+                  only_with("format", "csv", "json")),
         parameter("skip_lines", &SerialConfig::skip_lines, "lines skipped after each opening, such as a heading",
                   range(0, 1000000)),
         parameter("first_line", &SerialConfig::first_line,
@@ -114,7 +131,7 @@ struct SerialConfig {
         parameter("max_line", &SerialConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
         parameter("sequence_field", &SerialConfig::sequence_field, "the field by which the device numbers its lines",
-                  TextIs::field),
+                  TextIs::field, only_with("format", "csv", "json")),
         parameter("silence", &SerialConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("retry_first", &SerialConfig::retry_first, "wait before a lost device is opened again",
@@ -126,6 +143,8 @@ struct SerialConfig {
   }
 };
 
+/// The description of what such a line publishes: by its fields, or that of a fix. Errors: as `line_description`.
+Result<std::shared_ptr<const Description>> serial_description(const SerialConfig& config);
 /// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
 Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
 

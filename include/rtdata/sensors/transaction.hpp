@@ -81,5 +81,7 @@ class LaneDevice {
 };
 
 Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<LaneDevice> device);
+/// The type of a payload that has a description and no C++ type. SetupError (bad-description): it is null.
+PayloadType described_type(std::shared_ptr<const Description> description);
 
 }  // namespace rtdata::detail

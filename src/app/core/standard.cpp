@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/bmp280.hpp"
@@ -17,11 +18,16 @@
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/mcp3x08.hpp"
 #include "rtdata/sensors/pps.hpp"
+#include "rtdata/sensors/mhz19.hpp"
+#include "rtdata/sensors/query.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/sht.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
+#ifdef RTDATA_WITH_MODBUS
+#include "rtdata/sensors/modbus.hpp"
+#endif
 #ifdef RTDATA_WITH_SQLITE
 #include "rtdata/sinks/sqlite.hpp"
 #endif
@@ -103,6 +109,17 @@ Registry standard_registry() {
   registry.add_bus<SpiConfig>(
       std::string(SpiBus::type), "an SPI controller of the kernel",
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
+  registry.add_bus<SerialPortConfig>(
+      std::string(SerialPort::type), "a serial line of the kernel, to devices that answer requests",
+      [](Runtime&, const std::string& name, const SerialPortConfig& config) { return SerialPort(name, config); });
+#ifdef RTDATA_WITH_MODBUS
+  registry.add_bus<ModbusConfig>(
+      std::string(ModbusBus::type), "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)",
+      [](Runtime&, const std::string& name, const ModbusConfig& config) { return ModbusBus(name, config); });
+  registry.add_driver<Modbus>();
+#endif
+  registry.add_driver<MhZ19>();
+  registry.add_driver<Query>();
   registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
   registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
   registry.add_driver<Lm75>();
@@ -170,10 +187,13 @@ Registry standard_registry() {
       [](const W1Config&) { return Result(description_of<W1Temperature>()); },
       [](Loop& loop, const SensorConfig& common, const W1Config& config) { return W1Sensor(loop, common, config); });
   registry.add_sensor<SerialConfig>(
-      "serial", "a device that sends lines of CSV or JSON over a serial line",
-      [](const SerialConfig& config) { return line_description(config.fields); },
+      "serial", "a device that sends lines of CSV, JSON or NMEA over a serial line",
+      [](const SerialConfig& config) { return serial_description(config); },
       [](Loop& loop, const FeedConfig& common, const SerialConfig& config) {
         return SerialLineSensor(loop, common, config);
+      },
+      [](PartPlan& plan, const SerialConfig& config) {
+        plan.place = {"", config.device};
       });
 #ifdef RTDATA_WITH_SQLITE
   registry.add_sink<SqliteConfig>(

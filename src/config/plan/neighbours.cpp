@@ -81,9 +81,11 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   if (is_new) return;
   if (!is_on_bus) {
     problems.add(child_or_self(part.item, "device")
-                     .problem("duplicate-place",
-                              part.kind + " " + known->second->name + ", at " + place_of(known->second->item) +
-                                  ", has this device already; one is enough, for all that is on it"));
+                     .problem("duplicate-place", known->second->object() + ", at " + place_of(known->second->item) +
+                                                     ", has this device already; " +
+                                                     (part.kind == known->second->kind && part.kind == "bus"
+                                                          ? "one is enough, for all that is on it"
+                                                          : "a device is one sensor's or one bus's alone")));
     return;
   }
   const std::string key = taken.text.substr(0, taken.text.find(' '));

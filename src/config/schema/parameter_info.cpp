@@ -1,5 +1,6 @@
 #include "rtdata/config/parameter_info.hpp"
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
@@ -262,7 +263,13 @@ std::string ParameterType::range() const {
 
 std::string ParameterInfo::default_text() const {
   if (default_value.is_null()) return "";
-  if (const std::string* text = default_value.as_string()) return *text;
+  const std::string* text = default_value.as_string();
+  const auto is_control = [](char c) { return c >= 0 && c < ' '; };
+  if (text != nullptr && std::any_of(text->begin(), text->end(), is_control)) {  // as in a file: \n
+    const std::string json = default_value.to_json(ConfigItem::Layout::one_line);
+    return json.substr(1, json.size() - 2);
+  }
+  if (text != nullptr) return *text;
   return default_value.to_json(ConfigItem::Layout::one_line);
 }
 

@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <optional>
 
 #include "data/utf8.hpp"
 #include "io/tty.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "sensors/core/stream_node.hpp"
 #include "sensors/serial/line_decoder.hpp"
+#include "sensors/serial/nmea.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -26,12 +28,16 @@ constexpr std::size_t least_unended = 4096;
 class SerialLineNode final : public StreamNode {
  public:
   SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config, std::unique_ptr<LineDecoder> decoder)
-      : StreamNode(loop, feed, described_type(decoder->description()),
+      : StreamNode(loop, feed, decoder != nullptr ? described_type(decoder->description()) : payload_type<GpsFix>(),
                    {config.silence, config.retry_first, config.retry_longest}),
         config_(std::move(config)),
         decoder_(std::move(decoder)) {
     line_.reserve(config_.max_line + most_read);
-    origin_.counts.lost_is_known = decoder_->has_sequence();
+    if (decoder_ != nullptr) {
+      origin_.counts.lost_is_known = decoder_->has_sequence();
+    } else {
+      fixes_ = std::make_unique<NmeaFixes>(config_.device);
+    }
   }
 
   void start() override {
@@ -39,15 +45,20 @@ class SerialLineNode final : public StreamNode {
     Result<int> fd = open_tty(config_.device, config_.serial);
     if (!fd && config_.required) throw SetupError(std::move(fd).error());
     begin();
-    decoder_->forget_sequence();
+    if (decoder_ != nullptr) decoder_->forget_sequence();
+    last_fix_.reset();
     unusable_lines_ = 0;
     take(std::move(fd));
   }
   void stop() override {
-    if (is_open()) tell_unended();
+    if (is_open()) {
+      finish_fix();
+      tell_unended();
+    }
     StreamNode::stop();
   }
   void stop_schedule(MonotonicTime end) override {
+    finish_fix();
     tell_unended();
     StreamNode::stop_schedule(end);
   }
@@ -66,6 +77,7 @@ class SerialLineNode final : public StreamNode {
   }
   void use(int fd) {
     fd_ = fd;
+    if (fixes_ != nullptr) fixes_->reset();
     ++openings_;
     line_.clear();
     is_overlong_ = false;
@@ -96,6 +108,7 @@ class SerialLineNode final : public StreamNode {
       time_ = loop()->runtime.event_time(heard_at());
       take_lines(before);
     } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
+      finish_fix();
       constexpr const char* what = "lost the serial line";
       constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
       lose(got == 0 || error_number == EIO || error_number == EAGAIN
@@ -166,6 +179,7 @@ class SerialLineNode final : public StreamNode {
       return;
     }
     if (line.size() > config_.max_line) return fail_overlong();
+    if (fixes_ != nullptr) return take_sentence(line);
     if (decoder_->is_skipped(line)) return;
     const Result<void> decoded = decoder_->decode(line);
     if (!decoded) return fail_line(decoded.error());
@@ -180,6 +194,43 @@ class SerialLineNode final : public StreamNode {
       origin_.topic.publish(origin_, time_, decoder_->payload());
     }
     succeed();
+  }
+
+  void take_sentence(std::string_view line) {
+    if (line.empty()) return;
+    // What stands before the sentence, such as a maker's own bytes, makes no line of its own.
+    const std::size_t begin = line.rfind('$');
+    const bool has_more = line.front() != '!' && begin != 0 && begin != std::string_view::npos;
+    const unsigned opening = openings_;
+    if (has_more) {
+      fail_line({Errc::bad_data, "cannot use what stands before a sentence", config_.device,
+                 std::to_string(begin) + " bytes that are no sentence of NMEA", "let the receiver send NMEA only"});
+      if (fd_ < 0 || openings_ != opening) return;
+      line.remove_prefix(begin);
+    }
+    const Result<void> taken = fixes_->take(line, time_, publish_fix_);
+    if (!taken) return fail_line(taken.error());
+    if (!has_more) succeed();
+  }
+  void publish(GpsFix fix, Time time) {
+    ++origin_.counts.received;
+    // A receiver that says the same instant again has nothing new; without a time, each fix may be.
+    const bool is_repeated = fix.gps_time && last_fix_ && is_same(*last_fix_, fix);
+    last_fix_ = fix;
+    if (is_repeated) {
+      ++origin_.counts.repeated;
+    } else {
+      ++origin_.counts.published;
+      origin_.topic.publish(origin_, time, &fix);
+    }
+  }
+  static bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
+    return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl &&
+           a.speed == b.speed && a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
+  }
+  /// What has come of the last fix, when no more will.
+  void finish_fix() {
+    if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
   }
 
   void fail_overlong() {
@@ -198,7 +249,10 @@ class SerialLineNode final : public StreamNode {
   }
 
   const SerialConfig config_;
-  std::unique_ptr<LineDecoder> decoder_;
+  std::unique_ptr<LineDecoder> decoder_;  // null: NMEA
+  std::unique_ptr<NmeaFixes> fixes_;
+  const NmeaFixes::Publish publish_fix_ = [this](const GpsFix& fix, Time time) { publish(fix, time); };
+  std::optional<GpsFix> last_fix_;
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
@@ -215,7 +269,13 @@ class SerialLineNode final : public StreamNode {
 
 }  // namespace detail
 
+Result<std::shared_ptr<const Description>> serial_description(const SerialConfig& config) {
+  if (config.format == LineFormat::nmea) return description_of<GpsFix>();
+  return line_description(config.fields);
+}
+
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  if (config.format == LineFormat::nmea) return;
   try {
     const detail::LineDecoder decoder(config);
   } catch (const SetupError& error) {
@@ -242,7 +302,7 @@ SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig con
   if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
   const bool starts = config.start;
-  auto decoder = std::make_unique<detail::LineDecoder>(config);
+  auto decoder = config.format == LineFormat::nmea ? nullptr : std::make_unique<detail::LineDecoder>(config);
   auto* node = new detail::SerialLineNode(loop.core(), feed, std::move(config), std::move(decoder));
   SerialLineSensor made(node);
   if (starts) node->start();

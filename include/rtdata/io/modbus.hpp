@@ -1,0 +1,129 @@
+/// ModbusBus, ModbusDevice: devices that speak Modbus, RTU over a serial line (RS-485) or TCP.
+///
+///     rtdata::ModbusBus bus({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 19200, .parity = Parity::even}});
+///     rtdata::ModbusDevice meter = bus.device({.unit = 3});
+///     std::array<std::uint16_t, 2> words{};
+///     meter.read_registers(ModbusTable::input, 0, words).or_throw();
+///
+/// All calls block the thread that makes them, for at most `answer_timeout` each: a program that has a loop gives the
+/// bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share it: one request
+/// at a time, with the silence between two that RTU wants.
+///
+/// Addresses are those of the protocol, from 0: what documents call register 40001 is holding register 0, 30001 input
+/// register 0.
+///
+/// The line or connection is opened by the first call, and again after it was lost. A serial line is this program's
+/// alone, as of SerialPort (serial.hpp).
+///
+/// Errors: timed-out (no answer), bad-data (a wrong checksum, an answer to something else), bad-argument (the device's
+/// exceptions 1 to 3: it has no such function, address or number), busy, io-failed (its other exceptions), disconnected
+/// (the line was unplugged, the server refuses or has closed), closed (of a job that was given up); and those of
+/// opening a serial line.
+///
+/// In the library rtdata::modbus, which needs libmodbus. Thread: ModbusBus: any. The devices of one bus: one at a time.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/problem.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/io/bus.hpp"
+#include "rtdata/io/serial_settings.hpp"
+
+namespace rtdata {
+
+/// What a device has: registers of 16 bits, and single bits.
+enum class ModbusTable { holding, input, coil, discrete };
+constexpr auto describe(type_tag<ModbusTable>) {
+  return enumeration("table", value("holding", ModbusTable::holding), value("input", ModbusTable::input),
+                     value("coil", ModbusTable::coil), value("discrete", ModbusTable::discrete));
+}
+
+struct ModbusConfig {
+  std::string device = {};  ///< RTU: "/dev/serial/by-id/...", "/dev/ttyUSB0"; empty: TCP
+  SerialSettings serial = {};
+  std::string host = {};                                     ///< TCP: a name or an address; empty: RTU
+  std::uint16_t port = 502;                                  ///< TCP
+  Duration answer_timeout = std::chrono::milliseconds{500};  ///< a device that has not answered by then is silent
+  Duration timeout = std::chrono::seconds{5};  ///< what a sensor does on the bus at a time; longer, it is given up
+
+  friend constexpr auto parameters(type_tag<ModbusConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
+        include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
+        parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
+        parameter("answer_timeout", &ModbusConfig::answer_timeout, "an answer that is not complete by then is missed",
+                  range(Duration{1ms}, Duration{10min})),
+        parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
+                  range(Duration{2ms}, Duration{1h})));
+  }
+  /// That there is a device or a host, and that `timeout` is longer than `answer_timeout`.
+  friend void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems);
+};
+
+class ModbusBus;
+
+class ModbusDevice : public BusDevice {
+ public:
+  using Bus = ModbusBus;
+  struct Place {
+    unsigned unit = 1;  ///< address of the device, 1 to 247
+    friend constexpr auto parameters(type_tag<Place>) {
+      return parameter_list(parameter("unit", &Place::unit, "address of the device (\"slave\")", range(1, 247)));
+    }
+  };
+  static constexpr std::size_t most_registers = 125;  ///< of one request
+  static constexpr std::size_t most_bits = 2000;
+
+  /// Functions 3 (holding) and 4 (input): up to `most_registers`.
+  Result<void> read_registers(ModbusTable table, std::uint16_t first, std::span<std::uint16_t> words);
+  /// Functions 1 (coil) and 2 (discrete): up to `most_bits`, each 0 or 1.
+  Result<void> read_bits(ModbusTable table, std::uint16_t first, std::span<std::uint8_t> bits);
+  /// Function 6, or 16 for several: up to 123.
+  Result<void> write_registers(std::uint16_t first, std::span<const std::uint16_t> words);
+  /// Function 5.
+  Result<void> write_coil(std::uint16_t address, std::uint8_t bit);
+  /// Whether the line or the server is there.
+  Result<void> look_at();
+
+  /// An error of this device, for drivers: "cannot read the meter: bus rs485, unit 3: ...".
+  Error error(Errc code, std::string what, std::string why, std::string advice = {}) const;
+
+ private:
+  friend class ModbusBus;
+  struct Core;
+  ModbusDevice(std::shared_ptr<Core> core, unsigned unit) : core_(std::move(core)), unit_(unit) {}
+  template <class Ask>
+  Result<void> ask(Ask&& ask);
+  Error failure(int number, const char* libmodbus_text) const;
+  std::shared_ptr<Core> core_;
+  unsigned unit_;
+};
+
+class ModbusBus : public Bus {
+ public:
+  static constexpr std::string_view type = "modbus";
+  /// Named as its device or host. SetupError (bad-argument): settings that there are not, none or both of device and
+  /// host.
+  explicit ModbusBus(ModbusConfig config);
+  ModbusBus(std::string name, ModbusConfig config);
+
+  /// SetupError (bad-argument): no unit of 1 to 247.
+  ModbusDevice device(const ModbusDevice::Place& place) const;
+  /// None: several sensors may read one device.
+  static std::string text_of(const ModbusDevice::Place&) { return {}; }
+  /// What the unit has cost the bus. Any thread.
+  TransferCounts counts(unsigned unit) const;
+
+ private:
+  std::shared_ptr<ModbusDevice::Core> core_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,85 @@
+/// MhZ19: the CO2 sensors MH-Z19, MH-Z19B and MH-Z19C of Winsen on a serial line.
+///
+///     rtdata::SerialPort port({.device = "/dev/ttyS0"});  // 9600 8N1
+///     rtdata::DriverSensor<rtdata::MhZ19> air(loop, {.name = "air", .rate = 0.5_Hz}, port);
+///
+/// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as
+/// is more than the 10000 ppm that it measures. It needs three minutes from being switched on (MH-Z19C: one), in which
+/// it does not say that its values are none.
+///
+/// Source: Winsen, MH-Z19B User's Manual V1.6, "UART output", command 0x86 and checksum.
+///
+/// Driver (driver.hpp): used on the port's lane.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/io/serial.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+struct Co2Reading {
+  double co2 = 0;
+  friend constexpr auto describe(type_tag<Co2Reading>) {
+    return record("co2", field("co2", &Co2Reading::co2, "[ppm]"));
+  }
+};
+
+class MhZ19 {
+ public:
+  static constexpr std::string_view type = "mhz19";
+  static constexpr std::string_view description = "CO2 of a Winsen MH-Z19 on a serial line";
+  static constexpr std::string_view notes =
+      "Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 "
+      "Bd. "
+      "It has no address: one on a line.\n"
+      "It measures anew every 2 s at most: `\"rate\": \"0.2 Hz\"` is plenty. After switching on it needs 3 minutes, in "
+      "which "
+      "its values are none.";
+  struct Config {
+    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
+  };
+  using Value = Co2Reading;
+  using Device = SerialDevice;
+  explicit MhZ19(const Config&) {}
+
+  Reading<Co2Reading> read(SerialDevice& line) {
+    constexpr std::array<std::uint8_t, 9> request{0xff, 0x01, 0x86, 0, 0, 0, 0, 0, 0x79};
+    std::array<std::uint8_t, 9> answer{};
+    if (auto done = line.transact(request, answer); !done) return std::move(done).error();
+    Result<Co2Reading> reading = decode(answer);
+    if (!reading) {
+      const Error& e = reading.error();
+      return Unreadable{
+          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "look at its wires and its supply")};
+    }
+    return *reading;
+  }
+
+  /// Of the bytes but the first and the last.
+  static constexpr std::uint8_t checksum(std::span<const std::uint8_t, 9> bytes) noexcept {
+    unsigned sum = 0;
+    for (std::size_t i = 1; i < 8; ++i) sum += bytes[i];
+    return static_cast<std::uint8_t>((256 - sum % 256) % 256);
+  }
+  /// Of an answer to command 0x86. Errors: bad-data.
+  static Result<Co2Reading> decode(std::span<const std::uint8_t, 9> answer) {
+    constexpr unsigned most = 10000;
+    const auto refuse = [](std::string why) {
+      return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""};
+    };
+    if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
+    if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
+    const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
+    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is nothing that it measures");
+    return Co2Reading{static_cast<double>(ppm)};
+  }
+};
+
+}  // namespace rtdata

@@ -1,0 +1,86 @@
+/// Query: a device that answers a text with a line of numbers: multimeters, scales, power supplies (SCPI and the like).
+///
+///     rtdata::SerialPort port({.device = "/dev/serial/by-id/usb-Meter-if00"});
+///     rtdata::DriverSensor<rtdata::Query> meter(loop, {.name = "meter", .rate = 5_Hz}, port, {},
+///         {.request = "MEAS:VOLT:DC?\n", .fields = {{.name = "voltage", .unit = "V"}}});
+///
+/// Each tick sends the request, and takes the line that comes back as SerialLineSensor (serial_line.hpp) takes lines:
+/// CSV (a single number is a line of one column) or JSON. What came before the request was sent, such as an answer that
+/// came too late, is dropped. Several sensors may ask one device, or several on one line, for different things.
+///
+/// - No answer, or not all of it, within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
+///   unreadable.
+/// - `at_open` is sent after each opening of the port: what sets the device up.
+/// - `skip_lines`: lines before the answer, of devices that send back what they are sent.
+///
+/// Driver (driver.hpp): used on the port's lane.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/io/serial.hpp"
+#include "rtdata/sensors/driver.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+
+namespace rtdata {
+
+class Query {
+ public:
+  static constexpr std::string_view type = "query";
+  static constexpr std::string_view
+      description = "a device on a serial line that answers a request with a line of text";
+  static constexpr std::string_view notes =
+      "The bus is a `serial` one. `request` is sent as it stands: it ends with what ends the device's commands, "
+      "\"\\n\" or "
+      "\"\\r\\n\". Binary requests are written as `request_hex`, such as \"02 4d 0d\". Answers are lines of CSV (a "
+      "number "
+      "alone is one column) or JSON, as of [serial](serial.md); a column without a name, such as a unit, is not kept.";
+  struct Config {
+    std::string request = {};               ///< with its end
+    std::string request_hex = {};           ///< instead of `request`: bytes, as hexadecimal digits
+    std::vector<std::string> at_open = {};  ///< sent after each opening of the port, in order
+    char answer_end = '\n';                 ///< a carriage return before it does not count
+    unsigned skip_lines = 0;                ///< before the answer
+    LineFormat format = LineFormat::csv;
+    std::vector<LineField> fields = {};
+    char separator = ',';  ///< between the columns of CSV; a blank stands for any number of blanks
+    friend constexpr auto parameters(type_tag<Config>) {
+      return parameter_list(
+          parameter("request", &Config::request, "what is sent, with its end"),
+          parameter("request_hex", &Config::request_hex, "instead of `request`: bytes, such as \"02 4d 0d\""),
+          parameter("at_open", &Config::at_open, "what is sent after each opening of the port"),
+          parameter("answer_end", &Config::answer_end, "the character that ends an answer"),
+          parameter("skip_lines", &Config::skip_lines, "lines before the answer, such as an echo", range(0, 100)),
+          parameter("format", &Config::format, "how the answer is written",
+                    choices(value("csv", LineFormat::csv), value("json", LineFormat::json))),
+          parameter("fields", &Config::fields, "what is in the answer", required),
+          parameter("separator", &Config::separator, "between the columns of CSV", only_with("format", "csv")));
+    }
+    /// That there is one request, and that `fields` and the others go together.
+    friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
+  };
+  using Value = DescribedValue;
+  using Device = SerialDevice;
+  static Result<std::shared_ptr<const Description>> describe(const Config& config) {
+    return line_description(config.fields);
+  }
+  static constexpr std::size_t longest_answer = 4096;
+
+  /// SetupError (bad-argument, bad-description): a configuration that cannot work.
+  explicit Query(const Config& config);
+  ~Query();
+  Result<void> open(SerialDevice& line);
+  Reading<DescribedValue> read(SerialDevice& line);
+
+ private:
+  struct Decoding;
+  const Config config_;
+  const std::string request_;
+  const std::unique_ptr<Decoding> decoding_;
+};
+
+}  // namespace rtdata

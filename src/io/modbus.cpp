@@ -1,0 +1,342 @@
+// Modbus by libmodbus, over descriptors that are opened here: serial lines for this program alone, connections in a
+// time that is known.
+#include "rtdata/io/modbus.hpp"
+
+#include <fcntl.h>
+#include <modbus.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/select.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <mutex>
+
+#include "io/tty.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/lane.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_ask = "cannot read the device";
+constexpr const char* cannot_connect = "cannot connect";
+constexpr unsigned last_unit = 247;
+
+/// Why a bus cannot be made of it; empty: it can.
+struct Mistake {
+  const char* key = "";
+  std::string why = {};
+};
+Mistake mistake_in(const ModbusConfig& config) {
+  if (config.device.empty() && config.host.empty())
+    return {"device", "there is neither a `device` (RTU) nor a `host` (TCP); set one of them"};
+  if (!config.device.empty() && !config.host.empty())
+    return {"host", "there is a `device` too; a bus is a serial line (RTU) or a server (TCP)"};
+  if (config.answer_timeout >= config.timeout)
+    return {"answer_timeout", "it is " + to_string(config.answer_timeout) + ", and a reading is given up after " +
+                                  to_string(config.timeout) + ": make `timeout` longer"};
+  return {};
+}
+
+/// Lets the lane's silences between two frames pass.
+Duration silence_between_frames(const SerialSettings& settings) {
+  constexpr Duration least = std::chrono::microseconds{1750};  // Modbus over serial line, V1.02, 2.5.1.1
+  const Duration of_characters{static_cast<std::int64_t>(3.5 * 11 * 1e9 / std::max(settings.baud_rate, 1u))};
+  return std::max(least, of_characters);
+}
+
+/// Connects in that time, to the first of the addresses that takes it.
+Result<int> connect_to(const std::string& host, std::uint16_t port, Duration timeout) {
+  const std::string server = host + " port " + std::to_string(port);
+  addrinfo hints{};
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  if (const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found); status != 0)
+    return Error{Errc::not_found, cannot_connect, server, ::gai_strerror(status), "check `host`"};
+  const std::unique_ptr<addrinfo, void (*)(addrinfo*)> list(found, ::freeaddrinfo);
+  int number = ECONNREFUSED;
+  for (const addrinfo* one = list.get(); one != nullptr; one = one->ai_next) {
+    const int fd = ::socket(one->ai_family, one->ai_socktype | SOCK_NONBLOCK | SOCK_CLOEXEC, one->ai_protocol);
+    if (fd < 0) {
+      number = errno;
+      continue;
+    }
+    number = ::connect(fd, one->ai_addr, one->ai_addrlen) == 0 ? 0 : errno;
+    if (number == EINPROGRESS) {
+      struct pollfd ready {
+        fd, POLLOUT, 0
+      };
+      const auto ms = std::chrono::ceil<std::chrono::milliseconds>(timeout).count();
+      const int count = ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(ms, 1'000'000)));
+      socklen_t size = sizeof number;
+      if (count == 0) {
+        number = ETIMEDOUT;
+      } else if (count < 0 || ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &number, &size) != 0) {
+        number = errno;
+      }
+    }
+    if (number == 0) {
+      const int on = 1;
+      ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+      return fd;
+    }
+    ::close(fd);
+  }
+  Error error = system_error(number, cannot_connect, server, "check `host` and `port`, and whether the device is on");
+  if (number == ECONNREFUSED || number == EHOSTUNREACH || number == ENETUNREACH) error.code = Errc::disconnected;
+  return error;
+}
+
+}  // namespace
+
+void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems) {
+  const Mistake mistake = mistake_in(config);
+  if (mistake.why.empty()) return;
+  const ConfigItem* at = item.find(mistake.key);
+  problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
+}
+
+/// Shared by the bus and its devices, which may hang and outlive it.
+struct ModbusDevice::Core {
+  /// An open line or connection, with what libmodbus knows of it. Shared with a request that hangs.
+  struct Connection {
+    Connection(const Connection&) = delete;
+    Connection& operator=(const Connection&) = delete;
+    Connection(modbus_t* context_, int fd_, bool is_tty_) : context(context_), fd(fd_), is_tty(is_tty_) {}
+    ~Connection() {
+      ::modbus_free(context);  // leaves the descriptor open
+      if (is_tty)
+        detail::close_tty(fd);
+      else
+        ::close(fd);
+    }
+    modbus_t* const context;
+    const int fd;
+    const bool is_tty;
+    std::atomic<bool> is_in_use{true};  // by who has made it, at first
+    MonotonicTime last_frame{};         // when it ended
+  };
+  using Use = std::shared_ptr<Connection>;
+
+  Core(std::string bus_, ModbusConfig config_)
+      : bus(std::move(bus_)), config(std::move(config_)), silence(silence_between_frames(config.serial)) {}
+
+  Result<Use> connect() {
+    const bool is_rtu = !config.device.empty();
+    const Result<int> fd = is_rtu ? detail::open_tty(config.device, config.serial)
+                                  : connect_to(config.host, config.port, config.answer_timeout);
+    if (!fd) return fd.error();
+    // What the line is set to is not libmodbus's affair: it opens nothing.
+    modbus_t* const context = is_rtu ? ::modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1)
+                                     : ::modbus_new_tcp_pi(config.host.c_str(), std::to_string(config.port).c_str());
+    if (context == nullptr || *fd >= FD_SETSIZE) {  // libmodbus waits by select(2)
+      const int number = context == nullptr ? errno : EMFILE;
+      if (context != nullptr) ::modbus_free(context);
+      is_rtu ? detail::close_tty(*fd) : static_cast<void>(::close(*fd));
+      return system_error(number, cannot_connect, "bus " + bus, "this program has too many files open for libmodbus");
+    }
+    ::modbus_set_socket(context, *fd);
+    const auto us = std::chrono::duration_cast<std::chrono::microseconds>(config.answer_timeout).count();
+    const auto seconds = static_cast<std::uint32_t>(us / 1'000'000), rest = static_cast<std::uint32_t>(us % 1'000'000);
+    ::modbus_set_response_timeout(context, seconds, rest);
+    ::modbus_set_byte_timeout(context, seconds, rest);
+    return std::make_shared<Connection>(context, *fd, is_rtu);
+  }
+
+  /// The connection, for one request. A new one where there is none, or where a request that was given up hangs in it.
+  Result<Use> acquire() {
+    {
+      const std::lock_guard lock(mutex);
+      if (connection != nullptr && !connection->is_in_use.exchange(true)) return connection;
+      connection = nullptr;
+    }
+    Result<Use> made = connect();
+    if (!made) return made;
+    const std::lock_guard lock(mutex);
+    return connection = *made;
+  }
+  void release(const Use& use, bool is_of_use) {
+    use->is_in_use = false;
+    if (is_of_use) return;
+    const std::lock_guard lock(mutex);
+    if (connection == use) connection = nullptr;
+  }
+
+  const std::string bus;
+  const ModbusConfig config;
+  const Duration silence;
+  mutable std::mutex mutex;  // of what follows; not while it connects or asks
+  Use connection;
+  std::array<TransferCounts, last_unit + 1> counts{};
+};
+
+Error ModbusDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
+  return {code, std::move(what), "bus " + core_->bus + ", unit " + std::to_string(unit_), std::move(why),
+          std::move(advice)};
+}
+
+Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
+  const auto exception = [&](Errc code, const char* name, const char* advice) {
+    return error(code, cannot_ask, "it answers with exception " + std::to_string(number - MODBUS_ENOBASE) + ", " + name,
+                 advice);
+  };
+  switch (number) {
+    case EMBXILFUN:
+      return exception(Errc::bad_argument, "illegal function", "it has no such `table`");
+    case EMBXILADD:
+      return exception(Errc::bad_argument, "illegal data address",
+                       "it has not all of these addresses; documents that count from 1, or from 40001, mean one less");
+    case EMBXILVAL:
+      return exception(Errc::bad_argument, "illegal data value", "");
+    case EMBXSFAIL:
+      return exception(Errc::io_failed, "server device failure", "");
+    case EMBXACK:
+      return exception(Errc::busy, "acknowledge", "it takes longer");
+    case EMBXSBUSY:
+      return exception(Errc::busy, "server device busy", "");
+    case EMBXNACK:
+      return exception(Errc::io_failed, "negative acknowledge", "");
+    case EMBXMEMPAR:
+      return exception(Errc::io_failed, "memory parity error", "");
+    case EMBXGPATH:
+      return exception(Errc::disconnected, "gateway path unavailable", "the gateway has no way to this unit");
+    case EMBXGTAR:
+      return exception(Errc::timed_out, "gateway target device failed to respond",
+                       "look at the device behind the gateway");
+    case EMBBADCRC:
+      return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
+                   "look at the wires, their termination, `baud_rate` and `parity`");
+    case EMBBADSLAVE:
+      return error(Errc::bad_data, cannot_ask, "another unit answers", "do two devices have this address?");
+    case EMBBADDATA:
+    case EMBBADEXC:
+    case EMBUNKEXC:
+    case EMBMDATA:
+      return error(Errc::bad_data, cannot_ask, libmodbus_text, "");
+    case ETIMEDOUT:
+      return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
+                   core_->config.host.empty() ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"
+                                              : "look at the device, and at `unit`");
+    case EIO:
+    case ENXIO:
+    case ENODEV:
+    case ECONNRESET:
+    case EPIPE:
+    case EBADF:
+      return error(Errc::disconnected, core_->config.host.empty() ? "lost the serial line" : "lost the connection",
+                   core_->config.host.empty() ? "the device has gone away" : "the server has closed it",
+                   "it is opened again when it is back");
+    default:
+      return system_error(number, cannot_ask, "bus " + core_->bus + ", unit " + std::to_string(unit_));
+  }
+}
+
+/// `ask(context)` is a call of libmodbus: how many it has read or written; -1 with errno.
+template <class Ask>
+Result<void> ModbusDevice::ask(Ask&& ask) {
+  if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
+  const MonotonicTime began = detail::lane_now();
+  const Result<Core::Use> use = core_->acquire();
+  int number = 0;
+  if (use) {
+    Core::Connection& connection = **use;
+    if (connection.is_tty) {
+      const Duration quiet = detail::lane_now() - connection.last_frame;
+      if (quiet < core_->silence) wait(core_->silence - quiet);
+    }
+    ::modbus_set_slave(connection.context, static_cast<int>(unit_));
+    ::modbus_flush(connection.context);  // what came too late, or unasked
+    errno = 0;
+    if (ask(connection.context) < 0) number = errno != 0 ? errno : EIO;
+    connection.last_frame = detail::lane_now();
+    // After an answer that did not come, or was none, what comes next over TCP may be anything.
+    const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
+    core_->release(*use,
+                   number == 0 || is_exception || (connection.is_tty && (number == ETIMEDOUT || number >= EMBBADCRC)));
+  }
+  {
+    const std::lock_guard lock(core_->mutex);
+    core_->counts[unit_].add(detail::lane_now() - began, use && number == 0);
+  }
+  if (!use) return use.error();
+  return number == 0 ? Result<void>() : Result<void>(failure(number, ::modbus_strerror(number)));
+}
+
+Result<void> ModbusDevice::look_at() {
+  if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
+  const Result<Core::Use> use = core_->acquire();
+  if (!use) return use.error();
+  core_->release(*use, true);
+  return {};
+}
+
+Result<void> ModbusDevice::read_registers(ModbusTable table, std::uint16_t first, std::span<std::uint16_t> words) {
+  const bool is_holding = table == ModbusTable::holding;
+  if (words.empty() || words.size() > most_registers || first + words.size() > 65536 ||
+      (!is_holding && table != ModbusTable::input))
+    return error(Errc::bad_argument, cannot_ask, "these are no registers that can be read at a time",
+                 "up to 125, of the holding or the input registers, up to address 65535");
+  const int count = static_cast<int>(words.size());
+  return ask([&](modbus_t* context) {
+    return is_holding ? ::modbus_read_registers(context, first, count, words.data())
+                      : ::modbus_read_input_registers(context, first, count, words.data());
+  });
+}
+
+Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std::span<std::uint8_t> bits) {
+  const bool is_coil = table == ModbusTable::coil;
+  if (bits.empty() || bits.size() > most_bits || first + bits.size() > 65536 ||
+      (!is_coil && table != ModbusTable::discrete))
+    return error(Errc::bad_argument, cannot_ask, "these are no bits that can be read at a time",
+                 "up to 2000, of the coils or the discrete inputs, up to address 65535");
+  const int count = static_cast<int>(bits.size());
+  return ask([&](modbus_t* context) {
+    return is_coil ? ::modbus_read_bits(context, first, count, bits.data())
+                   : ::modbus_read_input_bits(context, first, count, bits.data());
+  });
+}
+
+Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const std::uint16_t> words) {
+  if (words.empty() || words.size() > MODBUS_MAX_WRITE_REGISTERS || first + words.size() > 65536)
+    return error(Errc::bad_argument, "cannot write to the device",
+                 "these are no registers that can be written at a time", "up to 123, up to address 65535");
+  return ask([&](modbus_t* context) {
+    return words.size() == 1 ? ::modbus_write_register(context, first, words[0])
+                             : ::modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());
+  });
+}
+
+Result<void> ModbusDevice::write_coil(std::uint16_t address, std::uint8_t bit) {
+  return ask([&](modbus_t* context) { return ::modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
+}
+
+ModbusBus::ModbusBus(ModbusConfig config)
+    : ModbusBus(config.device.empty() ? std::string(config.host) : std::string(config.device), config) {}
+
+ModbusBus::ModbusBus(std::string name, ModbusConfig config) : Bus(name, config.timeout) {
+  if (const Mistake mistake = mistake_in(config); !mistake.why.empty())
+    throw SetupError({Errc::bad_argument, "cannot use this bus", "bus " + name, mistake.why, ""});
+  if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
+  core_ = std::make_shared<ModbusDevice::Core>(std::move(name), std::move(config));
+}
+
+ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
+  if (place.unit < 1 || place.unit > last_unit)
+    throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
+                      "units have the numbers 1 to 247, not " + std::to_string(place.unit), ""});
+  return {core_, place.unit};
+}
+
+TransferCounts ModbusBus::counts(unsigned unit) const {
+  const std::lock_guard lock(core_->mutex);
+  return unit < core_->counts.size() ? core_->counts[unit] : TransferCounts{};
+}
+
+}  // namespace rtdata

@@ -1,0 +1,188 @@
+#include "rtdata/io/serial.hpp"
+
+#include <algorithm>
+#include <array>
+#include <mutex>
+
+#include "io/tty.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/lane.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_read = "no answer";
+
+std::span<const std::uint8_t> bytes_of(std::string_view text) {
+  return {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()};
+}
+
+}  // namespace
+
+void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems) {
+  if (config.answer_timeout < config.timeout) return;
+  const ConfigItem* at = item.find("answer_timeout");
+  if (at == nullptr) at = item.find("timeout");
+  problems.add((at != nullptr ? *at : item)
+                   .problem("out-of-range", "answer_timeout is " + to_string(config.answer_timeout) +
+                                                ", and a reading is given up after " + to_string(config.timeout) +
+                                                ": make `timeout` longer"));
+}
+
+/// Shared by the port and its devices, which may hang and outlive it.
+struct SerialDevice::Core {
+  Core(std::string bus_, std::shared_ptr<SerialTransport> transport_, SerialPortConfig config_)
+      : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
+  void count(MonotonicTime began, bool is_good) {
+    const Duration took = detail::lane_now() - began;
+    const std::lock_guard lock(mutex);
+    counts.add(took, is_good);
+  }
+  const std::string bus;
+  const std::shared_ptr<SerialTransport> transport;
+  const SerialPortConfig config;
+  mutable std::mutex mutex;  // of the counts
+  TransferCounts counts;
+};
+
+Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
+  return {code, std::move(what), "bus " + core_->bus, std::move(why), std::move(advice)};
+}
+
+Duration SerialDevice::answer_timeout() const noexcept { return core_->config.answer_timeout; }
+
+Result<void> SerialDevice::check_wanted() const {
+  if (is_abandoned()) return error(Errc::closed, "cannot talk to the device", "this reading was given up before");
+  return {};
+}
+
+Result<void> SerialDevice::look_at() {
+  if (auto wanted = check_wanted(); !wanted) return wanted;
+  return core_->transport->open();
+}
+
+Result<void> SerialDevice::drop_input() {
+  pending_.clear();
+  if (auto wanted = check_wanted(); !wanted) return wanted;
+  return core_->transport->drop_input();
+}
+
+Result<void> SerialDevice::write(std::span<const std::uint8_t> bytes) {
+  if (auto wanted = check_wanted(); !wanted) return wanted;
+  const MonotonicTime began = detail::lane_now();
+  Result<void> done = core_->transport->write(bytes, core_->config.answer_timeout);
+  core_->count(began, static_cast<bool>(done));
+  return done;
+}
+
+Result<void> SerialDevice::write(std::string_view text) { return write(bytes_of(text)); }
+
+Result<bool> SerialDevice::receive(MonotonicTime until) {
+  if (auto wanted = check_wanted(); !wanted) return std::move(wanted).error();
+  std::array<std::uint8_t, 512> bytes{};
+  const MonotonicTime began = detail::lane_now();
+  const Result<std::size_t> got = core_->transport->read(bytes, std::max(until - began, Duration{0}));
+  core_->count(began, got && *got > 0);
+  if (!got) return got.error();
+  pending_.append(reinterpret_cast<const char*>(bytes.data()), *got);
+  return *got > 0;
+}
+
+Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Duration> timeout) {
+  const Duration patience = timeout.value_or(core_->config.answer_timeout);
+  const MonotonicTime until = detail::lane_now() + patience;
+  while (pending_.size() < bytes.size()) {
+    const Result<bool> came = receive(until);
+    if (!came) return came.error();
+    if (*came) continue;
+    return error(Errc::timed_out, cannot_read,
+                 std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
+                     to_string(patience),
+                 "look at the device, its wires, and `baud_rate`");
+  }
+  std::copy_n(pending_.begin(), bytes.size(), bytes.begin());
+  pending_.erase(0, bytes.size());
+  return {};
+}
+
+Result<std::uint8_t> SerialDevice::read_byte(std::optional<Duration> timeout) {
+  std::uint8_t byte = 0;
+  if (auto done = read({&byte, 1}, timeout); !done) return std::move(done).error();
+  return byte;
+}
+
+Result<std::size_t> SerialDevice::read_some(std::span<std::uint8_t> bytes, std::optional<Duration> timeout) {
+  const Duration patience = timeout.value_or(core_->config.answer_timeout);
+  if (pending_.empty()) {
+    const Result<bool> came = receive(detail::lane_now() + patience);
+    if (!came) return came.error();
+    if (!*came) return error(Errc::timed_out, cannot_read, "nothing came in " + to_string(patience));
+  }
+  const std::size_t count = std::min(pending_.size(), bytes.size());
+  std::copy_n(pending_.begin(), count, bytes.begin());
+  pending_.erase(0, count);
+  return count;
+}
+
+Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Duration> timeout, std::size_t most) {
+  const Duration patience = timeout.value_or(core_->config.answer_timeout);
+  const MonotonicTime until = detail::lane_now() + patience;
+  for (std::size_t looked_at = 0;;) {
+    const std::size_t end = pending_.find(delimiter, looked_at);
+    if (end != std::string::npos && end <= most) {
+      std::string text = pending_.substr(0, end);
+      pending_.erase(0, end + 1);
+      return text;
+    }
+    if (pending_.size() > most) {
+      pending_.clear();
+      return error(Errc::does_not_fit, "cannot use an answer",
+                   "more than " + std::to_string(most) + " bytes came without an end",
+                   "check `baud_rate`, and how the device ends its answers");
+    }
+    looked_at = pending_.size();
+    const Result<bool> came = receive(until);
+    if (!came) return came.error();
+    if (*came) continue;
+    return error(Errc::timed_out, cannot_read,
+                 pending_.empty()
+                     ? "nothing came in " + to_string(patience)
+                     : std::to_string(pending_.size()) + " bytes came in " + to_string(patience) + ", without an end",
+                 "look at the device, its wires, `baud_rate`, and how it ends its answers");
+  }
+}
+
+Result<void> SerialDevice::transact(std::span<const std::uint8_t> request, std::span<std::uint8_t> answer,
+                                    std::optional<Duration> timeout) {
+  if (auto dropped = drop_input(); !dropped) return dropped;
+  if (auto written = write(request); !written) return written;
+  return read(answer, timeout);
+}
+
+Result<std::string> SerialDevice::transact(std::string_view request, char delimiter, std::optional<Duration> timeout,
+                                           std::size_t most) {
+  if (auto dropped = drop_input(); !dropped) return std::move(dropped).error();
+  if (auto written = write(request); !written) return std::move(written).error();
+  return read_until(delimiter, timeout, most);
+}
+
+SerialPort::SerialPort(SerialPortConfig config) : SerialPort(std::string(config.device), config) {}
+
+// Not moved: which argument is made first is the compiler's choice.
+SerialPort::SerialPort(std::string name, SerialPortConfig config)
+    : SerialPort(std::move(name), make_kernel_serial(config.device, config.serial), config) {}
+
+SerialPort::SerialPort(std::string name, std::shared_ptr<SerialTransport> transport, SerialPortConfig config)
+    : Bus(name, config.timeout),
+      core_(std::make_shared<SerialDevice::Core>(std::move(name), std::move(transport), std::move(config))) {
+  if (const auto flags = detail::control_flags(core_->config.serial); !flags) throw SetupError(flags.error());
+}
+
+SerialDevice SerialPort::device(const SerialDevice::Place&) const { return SerialDevice(core_); }
+
+TransferCounts SerialPort::counts() const {
+  const std::lock_guard lock(core_->mutex);
+  return core_->counts;
+}
+
+}  // namespace rtdata

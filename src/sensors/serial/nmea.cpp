@@ -1,0 +1,314 @@
+// NMEA 0183, as IEC 61162-1 has it: "$", talker and sentence, fields separated by commas, "*", checksum.
+#include "sensors/serial/nmea.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <chrono>
+#include <cmath>
+
+#include "data/number_text.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr const char* what = "cannot use a sentence";
+constexpr double knot = 1852.0 / 3600;  // m/s
+constexpr double kilometre_per_hour = 1 / 3.6;
+constexpr std::int64_t second = 1'000'000'000;
+
+Error failure(Errc code, std::string_view sentence, std::string why) {
+  std::string shown;
+  for (const char c : sentence.substr(0, 8)) shown += c >= ' ' && c < 127 ? c : '?';
+  return {code, what, std::move(shown), std::move(why), "check `baud_rate`, and the receiver"};
+}
+
+int hex_digit(char c) noexcept {
+  if (c >= '0' && c <= '9') return c - '0';
+  if (c >= 'A' && c <= 'F') return c - 'A' + 10;
+  return c >= 'a' && c <= 'f' ? c - 'a' + 10 : -1;
+}
+
+}  // namespace
+
+struct NmeaFixes::Columns {
+  std::string_view name;  // "GPGGA"
+  std::array<std::string_view, 32> text{};
+  std::size_t count = 0;
+
+  std::string_view at(std::size_t i) const noexcept { return i < count ? text[i] : std::string_view(); }
+  Error bad(std::size_t i, const char* why) const {
+    return failure(Errc::bad_data, name, "\"" + std::string(at(i).substr(0, 20)) + "\" " + why);
+  }
+  /// Nothing when the field is empty.
+  Result<std::optional<double>> number(std::size_t i) const {
+    const std::string_view word = at(i);
+    if (word.empty()) return std::optional<double>();
+    double value = 0;
+    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return bad(i, "is no number");
+    return std::optional<double>(value);
+  }
+  Result<std::optional<unsigned>> whole(std::size_t i, unsigned most) const {
+    const std::string_view word = at(i);
+    if (word.empty()) return std::optional<unsigned>();
+    unsigned value = 0;
+    if (read_number(word, value) != std::errc{} || value > most) return bad(i, "is no number that may stand here");
+    return std::optional<unsigned>(value);
+  }
+  /// "4804.14539" and the hemisphere after it: degrees and minutes.
+  Result<std::optional<double>> angle(std::size_t i, double most, char positive, char negative) const {
+    const auto value = number(i);
+    if (!value) return value.error();
+    if (!*value) return std::optional<double>();
+    const std::string_view side = at(i + 1);
+    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return bad(i + 1, "is no hemisphere");
+    const double degrees = std::floor(**value / 100), minutes = **value - 100 * degrees;
+    const double angle = degrees + minutes / 60;
+    if (**value < 0 || minutes >= 60 || angle > most) return bad(i, "is no angle");
+    return std::optional<double>(side[0] == positive ? angle : -angle);
+  }
+  /// "092835.00": ns since midnight. A leap second is 23:59:60.
+  Result<std::optional<std::int64_t>> time_of_day(std::size_t i) const {
+    const std::string_view word = at(i);
+    if (word.empty()) return std::optional<std::int64_t>();
+    const auto value = number(i);
+    if (!value) return value.error();
+    const bool is_time = word.size() >= 6 &&
+                         std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
+    if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is no time");
+    const auto pair = [&](std::size_t at_) { return (word[at_] - '0') * 10 + (word[at_ + 1] - '0'); };
+    if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is no time");
+    std::int64_t fraction = 0, unit = second;
+    for (std::size_t j = 7; j < word.size(); ++j) {
+      if (word[j] < '0' || word[j] > '9') return bad(i, "is no time");
+      unit /= 10;
+      fraction += unit * (word[j] - '0');
+    }
+    return std::optional<std::int64_t>((pair(0) * 3600 + pair(2) * 60 + pair(4)) * second + fraction);
+  }
+  /// "210615": the day's beginning, ns since the Unix epoch. Years of two digits: 1980 to 2079.
+  Result<std::optional<std::int64_t>> date(std::size_t i) const {
+    const std::string_view word = at(i);
+    if (word.empty()) return std::optional<std::int64_t>();
+    if (word.size() != 6 || !std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }))
+      return bad(i, "is no date");
+    const auto pair = [&](std::size_t at_) {
+      return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0'));
+    };
+    const int year = static_cast<int>(pair(4)) + (pair(4) >= 80 ? 1900 : 2000);
+    const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)),
+                                          std::chrono::day(pair(0))};
+    if (!day.ok()) return bad(i, "is no date");
+    return std::optional<std::int64_t>(std::chrono::sys_days(day).time_since_epoch().count() * 86400 * second);
+  }
+};
+
+std::uint8_t NmeaFixes::checksum(std::string_view text) noexcept {
+  unsigned sum = 0;
+  for (const char c : text) sum ^= static_cast<unsigned char>(c);
+  return static_cast<std::uint8_t>(sum);
+}
+
+NmeaFixes::NmeaFixes(std::string_view device) {
+  if (device.size() <= decltype(device_)::capacity()) device_ = device;  // a longer path is left out
+}
+
+void NmeaFixes::reset() noexcept {
+  draft_ = {};
+  seen_ = {};
+  ends_with_.reset();
+  without_end_ = 0;
+  is_begun_ = is_published_ = false;
+  visible_ = {};
+}
+
+// Each of these returns the first column that is wrong.
+#define RTDATA_NMEA_TAKE(name, expression)      \
+  const auto name##_read = expression;          \
+  if (!name##_read) return name##_read.error(); \
+  const auto name = *name##_read
+
+Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
+  RTDATA_NMEA_TAKE(time, columns.time_of_day(1));
+  RTDATA_NMEA_TAKE(lat, columns.angle(2, 90, 'N', 'S'));
+  RTDATA_NMEA_TAKE(lon, columns.angle(4, 180, 'E', 'W'));
+  RTDATA_NMEA_TAKE(quality, columns.whole(6, 9));
+  RTDATA_NMEA_TAKE(used, columns.whole(7, 999));
+  RTDATA_NMEA_TAKE(altitude, columns.number(9));
+  RTDATA_NMEA_TAKE(geoid, columns.number(11));
+  if (time) draft.time_of_day = time;
+  draft.fix.satellites_used.reset();
+  if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
+  if (!quality || *quality == 0) {
+    draft.is_void = true;
+    return {};
+  }
+  draft.fix.lat = lat;
+  draft.fix.lon = lon;
+  draft.fix.alt_msl = altitude;
+  draft.fix.geoid_sep = geoid;
+  if (altitude && geoid) draft.fix.alt_hae = *altitude + *geoid;
+  // As gpsd's status: 1 GPS, 2 DGPS, 3 RTK, 4 floating RTK, 5 dead reckoning, 8 simulated.
+  constexpr std::uint8_t status_of[] = {0, 1, 2, 0, 3, 4, 5, 0, 8, 0};
+  if (status_of[*quality] != 0) draft.fix.status = status_of[*quality];
+  return {};
+}
+
+Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
+  RTDATA_NMEA_TAKE(time, columns.time_of_day(1));
+  RTDATA_NMEA_TAKE(lat, columns.angle(3, 90, 'N', 'S'));
+  RTDATA_NMEA_TAKE(lon, columns.angle(5, 180, 'E', 'W'));
+  RTDATA_NMEA_TAKE(speed, columns.number(7));
+  RTDATA_NMEA_TAKE(track, columns.number(8));
+  RTDATA_NMEA_TAKE(date, columns.date(9));
+  RTDATA_NMEA_TAKE(variation, columns.number(10));
+  const std::string_view side = columns.at(11);
+  if (variation && side != "E" && side != "W") return columns.bad(11, "is no direction");
+  if (time) draft.time_of_day = time;
+  draft.fix.gps_time.reset();
+  if (time && date) draft.fix.gps_time = *date + *time;
+  if (columns.at(2) != "A") {
+    draft.is_void = true;
+    return {};
+  }
+  if (!draft.fix.lat || !draft.fix.lon) {  // GGA may have more digits
+    draft.fix.lat = lat;
+    draft.fix.lon = lon;
+  }
+  if (speed) draft.fix.speed = *speed * knot;
+  draft.fix.track = track;
+  if (variation) draft.fix.mag_var = side == "E" ? *variation : -*variation;
+  draft.has_rmc_velocity = true;
+  return {};
+}
+
+Result<void> NmeaFixes::read_vtg(const Columns& columns, Draft& draft) const {
+  RTDATA_NMEA_TAKE(track, columns.number(1));
+  RTDATA_NMEA_TAKE(knots, columns.number(5));
+  RTDATA_NMEA_TAKE(kilometres, columns.number(7));
+  if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC says the time of what it says
+  if (track) draft.fix.track = track;
+  if (knots) draft.fix.speed = *knots * knot;
+  if (kilometres && !knots) draft.fix.speed = *kilometres * kilometre_per_hour;
+  return {};
+}
+
+Result<void> NmeaFixes::read_gsa(const Columns& columns, Draft& draft) const {
+  RTDATA_NMEA_TAKE(mode, columns.whole(2, 3));
+  if (mode && *mode > 0)
+    draft.gsa_mode = static_cast<std::uint8_t>(std::max<unsigned>(*mode, draft.gsa_mode.value_or(0)));
+  return {};
+}
+
+Result<void> NmeaFixes::take_gsv(const Columns& columns) {
+  RTDATA_NMEA_TAKE(message, columns.whole(2, 99));
+  RTDATA_NMEA_TAKE(count, columns.whole(3, 999));
+  if (!message || *message != 1) return {};
+  const std::array<char, 2> talker{columns.name[0], columns.name[1]};
+  for (Visible& one : visible_) {
+    if (one.talker != talker && one.talker != std::array<char, 2>{}) continue;
+    one = {talker, static_cast<std::uint16_t>(count.value_or(0))};
+    break;
+  }
+  return {};
+}
+
+#undef RTDATA_NMEA_TAKE
+
+GpsFix NmeaFixes::completed() const {
+  GpsFix fix = draft_.fix;
+  fix.device = device_;
+  if (draft_.is_void || draft_.gsa_mode == 1) {
+    fix.mode = 1;
+    fix.lat = fix.lon = fix.alt_msl = fix.alt_hae = fix.geoid_sep = fix.speed = fix.track = fix.mag_var = std::nullopt;
+    fix.status.reset();
+  } else if (draft_.gsa_mode) {
+    fix.mode = *draft_.gsa_mode;
+  } else if (fix.lat) {
+    fix.mode = fix.alt_msl ? 3 : 2;
+  }
+  unsigned visible = 0;
+  bool is_known = false;
+  for (const Visible& one : visible_) {
+    is_known = is_known || one.talker != std::array<char, 2>{};
+    visible += one.count;
+  }
+  if (is_known) fix.satellites_visible = static_cast<std::uint16_t>(visible);
+  return fix;
+}
+
+void NmeaFixes::finish(const Publish& publish) {
+  if (!is_begun_) return;
+  const bool was_published = std::exchange(is_published_, true);
+  is_begun_ = false;
+  // One sentence that is missing or broken does not change what the last one is.
+  constexpr unsigned enough = 3;
+  if (!ends_with_ || was_published || ++without_end_ == enough) {
+    ends_with_ = last_;
+    without_end_ = 0;
+  }
+  if (!was_published) publish(completed(), time_);
+}
+
+Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
+  const auto bad = [&](const char* why) { return failure(Errc::bad_data, line, why); };
+  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is no sentence of NMEA");
+  const std::size_t star = line.size() - 3;
+  if (line[star] != '*') return bad("it has no checksum");
+  const int high = hex_digit(line[star + 1]), low = hex_digit(line[star + 2]);
+  const std::string_view body = line.substr(1, star - 1);
+  if (high < 0 || low < 0 || checksum(body) != high * 16 + low) return bad("its checksum is wrong");
+
+  Columns columns;
+  for (std::size_t begin = 0; begin <= body.size() && columns.count < columns.text.size();) {
+    const std::size_t end = std::min(body.find(',', begin), body.size());
+    columns.text[columns.count++] = body.substr(begin, end - begin);
+    begin = end + 1;
+  }
+  columns.name = columns.text[0];
+  const std::string_view name = columns.name;
+  const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a maker's own
+  const std::string_view kind = is_standard ? name.substr(2) : std::string_view();
+  if (kind == "GSV") return take_gsv(columns);
+  Step step;
+  if (kind == "GGA") {
+    step.sentence = Sentence::gga;
+  } else if (kind == "RMC") {
+    step.sentence = Sentence::rmc;
+  } else if (kind == "VTG") {
+    step.sentence = Sentence::vtg;
+  } else if (kind == "GSA") {
+    step.sentence = Sentence::gsa;
+  } else {
+    return {};
+  }
+
+  const bool has_time = step.sentence == Sentence::gga || step.sentence == Sentence::rmc;
+  if (!has_time && !is_begun_) return {};  // the rest of a fix whose beginning was not heard
+  std::size_t place = static_cast<std::size_t>(step.sentence);
+  bool begins = false;
+  if (has_time) {
+    const auto said = columns.time_of_day(1);
+    if (!said) return said.error();
+    begins = !is_begun_ || seen_[place] > 0 || (*said && draft_.time_of_day && *said != draft_.time_of_day);
+  }
+  Draft draft = begins ? Draft{} : draft_;
+  Result<void> read = step.sentence == Sentence::gga   ? read_gga(columns, draft)
+                      : step.sentence == Sentence::rmc ? read_rmc(columns, draft)
+                      : step.sentence == Sentence::vtg ? read_vtg(columns, draft)
+                                                       : read_gsa(columns, draft);
+  if (!read) return read;
+  if (begins) {
+    finish(publish);
+    seen_ = {};
+    is_begun_ = true;
+    is_published_ = false;
+  }
+  draft_ = draft;
+  step.number = ++seen_[place];
+  last_ = step;
+  time_ = time;
+  if (ends_with_ == step && !std::exchange(is_published_, true)) publish(completed(), time_);
+  return {};
+}
+
+}  // namespace rtdata::detail

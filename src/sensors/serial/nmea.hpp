@@ -1,0 +1,81 @@
+// Sentences of NMEA 0183 to fixes.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/sensors/gps.hpp"
+
+namespace rtdata::detail {
+
+/// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
+///
+/// GGA and RMC say the time: one with another time than that before it, or of a kind that was there already, begins a
+/// fix. VTG and GSA say none, and belong to the last that did. A fix is complete with the sentence that was the last of
+/// those before it, or else when the next one begins. GSV gives the number of visible satellites for those that follow.
+class NmeaFixes {
+ public:
+  explicit NmeaFixes(std::string_view device);
+
+  using Publish = std::function<void(const GpsFix& fix, Time time)>;
+  /// A line without its end, which was read at that time. Errors: bad-data (no sentence, its checksum, its text),
+  /// not-a-number, out-of-range; then nothing of it is used.
+  Result<void> take(std::string_view line, Time time, const Publish& publish);
+  /// What there is of a fix, as the last before the line is closed.
+  void finish(const Publish& publish);
+  /// As if nothing had come: the line was opened anew.
+  void reset() noexcept;
+
+  /// The exclusive or of the bytes between `$` and `*`.
+  static std::uint8_t checksum(std::string_view text) noexcept;
+
+ private:
+  enum class Sentence : std::uint8_t { gga, rmc, vtg, gsa, count };
+  /// Where in a fix a sentence is: of its kind the so many-th.
+  struct Step {
+    Sentence sentence = Sentence::gga;
+    unsigned number = 0;
+    bool operator==(const Step&) const = default;
+  };
+  struct Columns;
+  struct Draft;
+
+  Result<void> read_gga(const Columns& columns, Draft& draft) const;
+  Result<void> read_rmc(const Columns& columns, Draft& draft) const;
+  Result<void> read_vtg(const Columns& columns, Draft& draft) const;
+  Result<void> read_gsa(const Columns& columns, Draft& draft) const;
+  Result<void> take_gsv(const Columns& columns);
+  GpsFix completed() const;
+
+  struct Draft {
+    GpsFix fix;
+    std::optional<std::int64_t> time_of_day;  // ns, by the last sentence that says it
+    bool is_void = false;                     // a sentence says that there is no fix
+    bool has_rmc_velocity = false;
+    std::optional<std::uint8_t> gsa_mode;
+  };
+  /// In which talker's messages so many satellites are visible.
+  struct Visible {
+    std::array<char, 2> talker{};
+    std::uint16_t count = 0;
+  };
+
+  text<128> device_;
+  Draft draft_;
+  std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};  // in this fix, of each kind
+  std::optional<Step> ends_with_;                                           // the last sentence of the fix before
+  unsigned without_end_ = 0;                                                // fixes in a row that had no such sentence
+  Step last_{};                                                             // sentence of this fix
+  Time time_{};                                                             // at which that was read
+  bool is_begun_ = false;
+  bool is_published_ = false;
+  std::array<Visible, 8> visible_{};
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,475 @@
+// Modbus against the servers of libmodbus: units on one RS-485 line made of a pseudo terminal, and a server of TCP.
+#include <doctest/doctest.h>
+
+#ifndef RTDATA_WITH_MODBUS
+
+TEST_CASE("US-42 Modbus is tested where libmodbus is") {
+  MESSAGE("skipped: Modbus, since libmodbus is not installed (script/bootstrap --all installs it)");
+}
+
+#else
+
+#include <modbus.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <array>
+#include <atomic>
+#include <bit>
+#include <cerrno>
+#include <functional>
+#include <mutex>
+#include <thread>
+
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/modbus.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/pty.hpp"
+#include "sensors/termios2.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+namespace {
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+/// What a server has: holding register n is 1000 + n, input register n is 2000 + n; coil 3 and discrete input 5 are
+/// set.
+modbus_mapping_t* new_mapping() {
+  modbus_mapping_t* const mapping = ::modbus_mapping_new(16, 16, 200, 200);
+  for (int i = 0; i < 200; ++i) {
+    mapping->tab_registers[i] = static_cast<std::uint16_t>(1000 + i);
+    mapping->tab_input_registers[i] = static_cast<std::uint16_t>(2000 + i);
+  }
+  mapping->tab_bits[3] = mapping->tab_input_bits[5] = 1;
+  return mapping;
+}
+
+/// A unit of libmodbus behind a socket, on a thread: its calls block.
+class Unit {
+ public:
+  explicit Unit(int number)
+      : number_(number), context_(::modbus_new_rtu("/dev/null", 9600, 'N', 8, 1)), mapping_(new_mapping()) {
+    REQUIRE(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends_) == 0);
+    ::modbus_set_slave(context_, number);
+    ::modbus_set_socket(context_, ends_[1]);
+    thread_ = std::thread([this] {
+      std::uint8_t request[MODBUS_RTU_MAX_ADU_LENGTH];
+      for (;;) {
+        const int length = ::modbus_receive(context_, request);
+        if (length < 0 && errno != EMBBADCRC) return;
+        if (length > 0) ::modbus_reply(context_, request, length, mapping_);
+      }
+    });
+  }
+  Unit(const Unit&) = delete;
+  Unit& operator=(const Unit&) = delete;
+  ~Unit() {
+    ::shutdown(ends_[0], SHUT_RDWR);
+    thread_.join();
+    ::close(ends_[0]);
+    ::close(ends_[1]);
+    ::modbus_free(context_);
+    ::modbus_mapping_free(mapping_);
+  }
+  int number() const { return number_; }
+  /// The line's end.
+  int line() const { return ends_[0]; }
+  /// To be set before it is asked.
+  modbus_mapping_t& mapping() { return *mapping_; }
+
+ private:
+  const int number_;
+  modbus_t* context_;
+  modbus_mapping_t* mapping_;
+  int ends_[2] = {-1, -1};
+  std::thread thread_;
+};
+
+/// An RS-485 line. A unit hears what is for it alone: libmodbus takes what comes after another's request for the answer
+/// to that. A thread carries it, since both ends of it block.
+class Rs485 {
+ public:
+  enum class Fault { none, silent, broken, half };
+  explicit Rs485(std::vector<Unit*> units) : pty_(directory_.file("tty")), units_(std::move(units)) { plug_in(); }
+  Rs485(const Rs485&) = delete;
+  Rs485& operator=(const Rs485&) = delete;
+  ~Rs485() { unplug(); }
+  void plug_in() {
+    pty_.plug_in();
+    REQUIRE(::pipe(stop_) == 0);
+    thread_ = std::thread([this] { carry(); });
+  }
+  void unplug() {
+    if (!thread_.joinable()) return;
+    ::close(stop_[1]);
+    thread_.join();
+    ::close(stop_[0]);
+    pty_.unplug();
+  }
+  void set(Fault fault) { fault_ = fault; }
+  const std::string& path() const { return pty_.path(); }
+  int device() const { return pty_.device(); }
+  unsigned requests() const { return requests_; }
+
+ private:
+  void carry() {
+    std::vector<pollfd> ends{{stop_[0], POLLIN, 0}, {pty_.master(), POLLIN, 0}};
+    for (const Unit* unit : units_) ends.push_back({unit->line(), POLLIN, 0});
+    while (::poll(ends.data(), ends.size(), -1) >= 0 && ends[0].revents == 0) {
+      std::uint8_t bytes[300];
+      if (ends[1].revents != 0) {
+        const ssize_t got = ::read(pty_.master(), bytes, sizeof bytes);
+        if (got > 0) ++requests_;
+        for (const Unit* unit : units_) {
+          if (got > 0 && bytes[0] == unit->number()) send(unit->line(), bytes, got);
+        }
+      }
+      for (std::size_t i = 2; i < ends.size(); ++i) {
+        if (ends[i].revents == 0) continue;
+        ssize_t got = ::read(ends[i].fd, bytes, sizeof bytes);
+        const Fault fault = fault_;
+        if (fault == Fault::silent || got <= 0) continue;
+        if (fault == Fault::broken) bytes[3] = static_cast<std::uint8_t>(bytes[3] ^ 0x10);
+        if (fault == Fault::half) got /= 2;
+        send(pty_.master(), bytes, got);
+      }
+    }
+  }
+  static void send(int fd, const std::uint8_t* bytes, ssize_t size) {
+    if (size > 0) [[maybe_unused]]
+      const ssize_t sent = ::write(fd, bytes, static_cast<std::size_t>(size));
+  }
+  ScratchDirectory directory_;
+  Pty pty_;
+  std::vector<Unit*> units_;
+  std::atomic<Fault> fault_{Fault::none};
+  std::atomic<unsigned> requests_{0};
+  int stop_[2] = {-1, -1};
+  std::thread thread_;
+};
+
+/// A server of Modbus TCP on the loopback, one connection at a time.
+class TcpServer {
+ public:
+  explicit TcpServer(int port = 0) : context_(::modbus_new_tcp("127.0.0.1", port)), mapping_(new_mapping()) {
+    listening_ = ::modbus_tcp_listen(context_, 4);
+    REQUIRE(listening_ >= 0);
+    sockaddr_in address{};
+    socklen_t size = sizeof address;
+    ::getsockname(listening_, reinterpret_cast<sockaddr*>(&address), &size);
+    port_ = ntohs(address.sin_port);
+    thread_ = std::thread([this] {
+      int socket = listening_;
+      while (::modbus_tcp_accept(context_, &socket) >= 0) {
+        {
+          const std::lock_guard lock(mutex_);
+          peer_ = ::modbus_get_socket(context_);
+        }
+        std::uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
+        for (int length = 0; (length = ::modbus_receive(context_, request)) >= 0;) {
+          if (length > 0 && !is_silent_) ::modbus_reply(context_, request, length, mapping_);
+        }
+        const std::lock_guard lock(mutex_);
+        peer_ = -1;
+        ::modbus_close(context_);
+        socket = listening_;
+      }
+    });
+  }
+  TcpServer(const TcpServer&) = delete;
+  TcpServer& operator=(const TcpServer&) = delete;
+  ~TcpServer() {
+    ::shutdown(listening_, SHUT_RDWR);
+    drop();
+    thread_.join();
+    ::close(listening_);
+    ::modbus_free(context_);
+    ::modbus_mapping_free(mapping_);
+  }
+  /// Ends the connection.
+  void drop() {
+    const std::lock_guard lock(mutex_);
+    if (peer_ >= 0) ::shutdown(peer_, SHUT_RDWR);
+  }
+  void set_silent(bool is_silent) { is_silent_ = is_silent; }
+  std::uint16_t port() const { return port_; }
+
+ private:
+  modbus_t* context_;
+  modbus_mapping_t* mapping_;
+  int listening_ = -1;
+  std::uint16_t port_ = 0;
+  std::mutex mutex_;
+  int peer_ = -1;
+  std::atomic<bool> is_silent_{false};
+  std::thread thread_;
+};
+
+struct Stage {
+  Loop loop;
+  std::vector<std::string> errors;
+  std::vector<std::string> values;
+  Subscription heard;
+  Stage() {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    heard = loop.subscribe("#", [this](const EventView& event) {
+      if (event.topic().starts_with("$")) return;
+      std::string text;
+      for (const Leaf& leaf : event.description().leaves())
+        text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+      values.push_back(std::string(event.topic()) + ": " + text);
+    });
+  }
+  void until(const std::function<bool()>& is_so) {
+    bool done = false;
+    Timer limit(loop, 20s, [&] { loop.stop(); });
+    Ticker look(loop, 1ms, [&](const Tick&) {
+      done = is_so();
+      if (done) loop.stop();
+    });
+    loop.run();
+    CHECK(done);
+  }
+  bool has_error(const std::string& part) const {
+    return std::any_of(errors.begin(), errors.end(), [&](const std::string& one) { return has(one, part); });
+  }
+};
+
+SensorConfig common(const char* name) {
+  return {.name = name, .rate = 100_Hz, .faulted_after = 3, .retry_first = 2ms, .retry_longest = 4ms};
+}
+
+}  // namespace
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-42 Modbus: numbers of registers in every order, scaled, and those that are none") {
+    const auto word = [](std::uint32_t bits) {
+      return std::array<std::uint16_t, 2>{static_cast<std::uint16_t>(bits >> 16),
+                                          static_cast<std::uint16_t>(bits & 0xffff)};
+    };
+    const ModbusField number{.name = "x", .type = Kind::f32};
+    const auto a = word(std::bit_cast<std::uint32_t>(123.5f));
+    const auto swapped = [](std::uint16_t one) { return static_cast<std::uint16_t>(one >> 8 | one << 8); };
+    CHECK(Modbus::decode(number, a, WordOrder::abcd).or_throw() == 123.5);
+    CHECK(Modbus::decode(number, std::array{a[1], a[0]}, WordOrder::cdab).or_throw() == 123.5);
+    CHECK(Modbus::decode(number, std::array{swapped(a[0]), swapped(a[1])}, WordOrder::badc).or_throw() == 123.5);
+    CHECK(Modbus::decode(number, std::array{swapped(a[1]), swapped(a[0])}, WordOrder::dcba).or_throw() == 123.5);
+    CHECK(Modbus::decode(number, word(0x7fc00000), WordOrder::abcd).error().code == Errc::not_a_number);
+    CHECK(Modbus::decode(number, word(0x7f800000), WordOrder::abcd).error().code == Errc::not_a_number);
+    const ModbusField small{.name = "x", .type = Kind::i16, .scale = 0.1, .offset = 5};
+    const std::array<std::uint16_t, 1> minus{0xff9c};
+    CHECK(Modbus::decode(small, minus, WordOrder::abcd).or_throw() == doctest::Approx(-5));
+    CHECK(Modbus::decode(small, minus, WordOrder::dcba).or_throw() == doctest::Approx(-5));
+    const ModbusField large{.name = "x", .type = Kind::i64};
+    const std::array<std::uint16_t, 4> all{0xffff, 0xffff, 0xffff, 0xfffe};
+    CHECK(Modbus::decode(large, all, WordOrder::abcd).or_throw() == -2);
+    const ModbusField wide{.name = "x", .type = Kind::f64};
+    const auto bits = std::bit_cast<std::uint64_t>(-0.125);
+    const std::array<std::uint16_t, 4> eight{static_cast<std::uint16_t>(bits), static_cast<std::uint16_t>(bits >> 16),
+                                             static_cast<std::uint16_t>(bits >> 32),
+                                             static_cast<std::uint16_t>(bits >> 48)};
+    CHECK(Modbus::decode(wide, eight, WordOrder::cdab).or_throw() == -0.125);
+  }
+
+  TEST_CASE("US-42 Modbus: what lies one behind the other is one request, up to what a request may bring") {
+    Modbus::Config config;
+    const auto add = [&](ModbusTable table, unsigned address, Kind type = Kind::u16) {
+      config.fields.push_back({.name = "f" + std::to_string(config.fields.size()),
+                               .table = table,
+                               .address = static_cast<std::uint16_t>(address),
+                               .type = type});
+    };
+    add(ModbusTable::holding, 12);
+    add(ModbusTable::holding, 10, Kind::f32);
+    add(ModbusTable::input, 13);
+    add(ModbusTable::holding, 16);
+    add(ModbusTable::coil, 13);
+    add(ModbusTable::holding, 10);  // the same register again, as another number
+    auto requests = Modbus::requests(config);
+    REQUIRE(requests.size() == 4);
+    CHECK(requests[0].first == 10);
+    CHECK(requests[0].count == 3);
+    CHECK(requests[0].fields == std::vector<std::size_t>{1, 5, 0});
+    CHECK(requests[1].first == 16);
+    config.gap = 3;
+    requests = Modbus::requests(config);
+    REQUIRE(requests.size() == 3);
+    CHECK(requests[0].count == 7);
+    config = {};
+    for (unsigned i = 0; i < 300; ++i) add(ModbusTable::holding, i);
+    requests = Modbus::requests(config);
+    REQUIRE(requests.size() == 3);
+    CHECK(requests[0].count == 125);
+    CHECK(requests[2].count == 50);
+    config = {};
+    add(ModbusTable::holding, 65535);
+    CHECK(Modbus::describe(config));
+    add(ModbusTable::holding, 65535, Kind::f32);
+    CHECK_FALSE(Modbus::describe(config));
+  }
+
+  TEST_CASE("US-42 Modbus TCP: every function, the device's exceptions by name, limits") {
+    TcpServer server;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port(), .answer_timeout = 5s, .timeout = 10s});
+    ModbusDevice device = bus.device({.unit = 7});
+    std::array<std::uint16_t, 3> words{};
+    device.read_registers(ModbusTable::holding, 10, words).or_throw();
+    CHECK(words == std::array<std::uint16_t, 3>{1010, 1011, 1012});
+    device.read_registers(ModbusTable::input, 10, words).or_throw();
+    CHECK(words == std::array<std::uint16_t, 3>{2010, 2011, 2012});
+    std::array<std::uint8_t, 8> bits{};
+    device.read_bits(ModbusTable::coil, 0, bits).or_throw();
+    CHECK(bits == std::array<std::uint8_t, 8>{0, 0, 0, 1, 0, 0, 0, 0});
+    device.read_bits(ModbusTable::discrete, 0, bits).or_throw();
+    CHECK(bits == std::array<std::uint8_t, 8>{0, 0, 0, 0, 0, 1, 0, 0});
+    const std::array<std::uint16_t, 1> one{77};
+    const std::array<std::uint16_t, 2> two{88, 99};
+    device.write_registers(10, one).or_throw();
+    device.write_registers(11, two).or_throw();
+    device.write_coil(0, 1).or_throw();
+    device.read_registers(ModbusTable::holding, 10, words).or_throw();
+    CHECK(words == std::array<std::uint16_t, 3>{77, 88, 99});
+    device.read_bits(ModbusTable::coil, 0, bits).or_throw();
+    CHECK(bits[0] == 1);
+
+    const Error address = device.read_registers(ModbusTable::holding, 199, words).error();
+    CHECK(address.code == Errc::bad_argument);
+    CHECK(has(address.text(), "bus plc, unit 7: it answers with exception 2, illegal data address"));
+    device.read_registers(ModbusTable::holding, 0, words).or_throw();  // over the same connection
+    std::array<std::uint16_t, 126> many{};
+    CHECK(device.read_registers(ModbusTable::holding, 0, many).error().code == Errc::bad_argument);
+    CHECK(device.read_registers(ModbusTable::coil, 0, words).error().code == Errc::bad_argument);
+    CHECK(bus.counts(7).failed == 1);
+    CHECK(bus.counts(7).transfers == 11);
+    CHECK_THROWS_AS((void)bus.device({.unit = 0}), SetupError);
+    device.abandon();
+    CHECK(device.read_registers(ModbusTable::holding, 0, words).error().code == Errc::closed);
+  }
+
+  TEST_CASE("US-42 NFR-1 Modbus TCP: a server that is absent, silent, closes and comes back") {
+    auto server = std::make_unique<TcpServer>();
+    const std::uint16_t port = server->port();
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = port, .answer_timeout = 20ms});
+    DriverSensor<Modbus> meter(
+        stage.loop, common("meter"), bus, {.unit = 1},
+        {.fields = {{.name = "a", .address = 5},
+                    {.name = "b", .table = ModbusTable::input, .address = 7, .scale = 0.5, .unit = "V"},
+                    {.name = "c", .table = ModbusTable::coil, .address = 3}}});
+    stage.until([&] { return stage.values.size() > 3; });
+    CHECK(stage.values[0] == "meter: 1005 1003.5 true");
+    server->set_silent(true);
+    stage.until(
+        [&] { return stage.has_error("bus plc, unit 1: no answer in 20 ms") && meter.health() == Health::faulted; });
+    server->set_silent(false);
+    std::size_t before = stage.values.size();
+    stage.until([&] { return stage.values.size() > before + 3 && meter.health() == Health::ok; });
+    server->drop();
+    stage.until([&] { return stage.has_error("lost the connection: bus plc, unit 1: the server has closed it"); });
+    before = stage.values.size();
+    stage.until([&] { return stage.values.size() > before + 3; });
+    server.reset();
+    stage.until([&] { return meter.health() == Health::faulted && stage.has_error("cannot connect: 127.0.0.1 port"); });
+    server = std::make_unique<TcpServer>(port);
+    before = stage.values.size();
+    stage.until([&] { return stage.values.size() > before + 3 && meter.health() == Health::ok; });
+    meter.stop();
+    CHECK(meter.counts().balances());
+  }
+
+  TEST_CASE("US-42 US-17 check refuses what a Modbus bus or sensor cannot be") {
+    const auto report = [](const std::string& bus, const std::string& sensor) {
+      return plan_system(
+                 standard_registry(),
+                 parse_config(R"({"buses": {"b": {"type": "modbus", )" + bus +
+                                  R"(}}, "sensors": [{"name": "m", "type": "modbus", "rate": "1 Hz", "bus": "b", )" +
+                                  sensor + R"(}], "sinks": [{"type": "console"}]})",
+                              "f.json"))
+          .report();
+    };
+    const std::string tcp = R"("host": "plc.local")", field = R"("fields": [{"name": "x", "address": 0}])";
+    CHECK(report(tcp, field).empty());
+    CHECK(
+        report(R"("device": "/dev/ttyUSB0", "baud_rate": 19200, "parity": "even")", field + R"(, "unit": 247)").empty());
+    CHECK(has(report(R"("port": 502)", field), "neither a `device` (RTU) nor a `host` (TCP)"));
+    CHECK(has(report(R"("device": "/dev/x", "host": "h")", field), "there is a `device` too"));
+    CHECK(has(report(tcp + R"(, "answer_timeout": "5 s")", field), "make `timeout` longer"));
+    CHECK(has(report(tcp, field + R"(, "unit": 0)"), "unit"));
+    CHECK(has(report(tcp, field + R"(, "unit": 248)"), "unit"));
+    CHECK(has(report(tcp, R"("fields": [])"), "there are none"));
+    CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 65535, "type": "float"}])"), "beyond address 65535"));
+    CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 0}, {"name": "x", "address": 1}])"), "x"));
+    CHECK_THROWS_AS(ModbusBus("b", {}), SetupError);
+  }
+}
+
+TEST_SUITE_BEGIN("sensors" * doctest::skip(!terminals_can_be_set_up()));
+
+TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missing answers; unplugged and back") {
+  Unit first(1), third(3);
+  first.mapping().tab_registers[20] = 0xffff;
+  first.mapping().tab_registers[21] = 0x8000;
+  Rs485 line({&first, &third});
+  Stage stage;
+  ModbusBus bus(
+      "rs485",
+      {.device = line.path(), .serial = {.baud_rate = 115200, .parity = Parity::even}, .answer_timeout = 50ms});
+  DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
+                           {.fields = {{.name = "a", .address = 20, .type = Kind::i16},
+                                       {.name = "none", .address = 21, .no_value = 0x8000},
+                                       {.name = "b", .address = 22}}});
+  DriverSensor<Modbus> three(stage.loop, common("three"), bus, {.unit = 3},
+                             {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2, .type = Kind::u32},
+                                         {.name = "y", .table = ModbusTable::discrete, .address = 5}}});
+  DriverSensor<Modbus> nobody(stage.loop, common("nobody"), bus, {.unit = 9},
+                              {.fields = {{.name = "x", .address = 0}}});
+  stage.until(
+      [&] { return one.counts().published > 3 && three.counts().published > 3 && nobody.health() == Health::faulted; });
+  CHECK(terminal_settings(line.device()).output_speed == 115200);
+  CHECK(std::count(stage.values.begin(), stage.values.end(), "one: -1 absent 1022") > 3);
+  CHECK(std::count(stage.values.begin(), stage.values.end(),
+                   "three: " + std::to_string(2002u << 16 | 2003u) + " true") > 3);
+  CHECK(stage.has_error("bus rs485, unit 9: no answer in 50 ms: look at the device, its wires, `unit`"));
+  CHECK(bus.counts(1).failed == 0);
+  nobody.close();
+
+  line.set(Rs485::Fault::broken);
+  stage.until([&] { return one.counts().unreadable > 0 && three.counts().unreadable > 0; });
+  CHECK(stage.has_error("bus rs485, unit 1: the checksum of its answer is wrong"));
+  line.set(Rs485::Fault::half);
+  const std::uint64_t failed = one.counts().failed;
+  stage.until([&] { return one.counts().failed > failed + 1; });
+  line.set(Rs485::Fault::none);
+  const auto are_back = [&] {
+    const std::uint64_t a = one.counts().published, b = three.counts().published;
+    stage.until([&, a, b] {
+      return one.counts().published > a + 3 && three.counts().published > b + 3 && one.health() == Health::ok &&
+             three.health() == Health::ok;
+    });
+  };
+  are_back();
+  line.unplug();
+  stage.until([&] { return one.health() == Health::faulted && three.health() == Health::faulted; });
+  CHECK(stage.has_error("has gone away"));
+  line.plug_in();
+  are_back();
+  // Nothing but right values came.
+  for (const std::string& value : stage.values)
+    CHECK_MESSAGE(
+        (value == "one: -1 absent 1022" || value == "three: " + std::to_string(2002u << 16 | 2003u) + " true"), value);
+  one.stop();
+  three.stop();
+  CHECK(one.counts().balances());
+  CHECK(three.counts().balances());
+  CHECK(stage.loop.runtime().balances());
+}
+
+TEST_SUITE_END();
+
+#endif

@@ -1,0 +1,390 @@
+// Serial ports as buses: bytes and arrays on pseudo terminals, requests and answers of drivers on a fake.
+#include "rtdata/io/serial.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/file.h>
+#include <sys/wait.h>
+
+#include <array>
+#include <cerrno>
+#include <thread>
+
+#include "io/tty.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/io/fake_serial.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/mhz19.hpp"
+#include "rtdata/sensors/query.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/pty.hpp"
+#include "sensors/termios2.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+namespace {
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+std::string read_all(int fd, std::size_t size) {
+  std::string text;
+  for (int i = 0; i < 1000 && text.size() < size; ++i) {  // of what was written: it is there at once
+    char bytes[512];
+    const ssize_t got = ::read(fd, bytes, sizeof bytes);
+    if (got > 0) text.append(bytes, static_cast<std::size_t>(got));
+  }
+  return text;
+}
+
+struct Line {
+  ScratchDirectory directory;
+  Pty pty{directory.file("tty")};
+  Line() { pty.plug_in(); }
+  SerialPortConfig config() const { return {.device = pty.path(), .answer_timeout = 2s, .timeout = 10s}; }
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("sensors" * doctest::skip(!terminals_can_be_set_up()));
+
+TEST_CASE("US-13 US-42 a serial port writes and reads bytes, arrays and texts") {
+  Line line;
+  SerialPort port(line.config());
+  SerialDevice device = port.device();
+  device.write(std::uint8_t{0x00}).or_throw();
+  std::array<std::uint8_t, 256> every{};
+  for (std::size_t i = 0; i < every.size(); ++i) every[i] = static_cast<std::uint8_t>(i);
+  device.write(every).or_throw();
+  device.write("MEAS?\n").or_throw();
+  std::string wanted(1, '\0');
+  wanted.append(reinterpret_cast<const char*>(every.data()), every.size());
+  CHECK(read_all(line.pty.master(), 263) == wanted + "MEAS?\n");
+
+  line.pty.send(wanted + "1.5\r\nrest");
+  CHECK(device.read_byte().or_throw() == 0);
+  std::array<std::uint8_t, 256> back{};
+  device.read(back).or_throw();
+  CHECK(back == every);
+  CHECK(device.read_until('\n').or_throw() == "1.5\r");
+  std::array<std::uint8_t, 16> some{};
+  CHECK(device.read_some(some).or_throw() == 4);
+  CHECK(std::string(reinterpret_cast<const char*>(some.data()), 4) == "rest");
+
+  line.pty.send("stale");
+  device.drop_input().or_throw();
+  line.pty.send("x");
+  CHECK(device.read_byte().or_throw() == 'x');
+  CHECK(port.counts().failed == 0);
+  CHECK(port.counts().transfers >= 5);
+}
+
+TEST_CASE("US-13 US-42 a serial port has the settings that it is given, 9600 8N1 by default, and is one program's") {
+  Line line;
+  {
+    SerialPort port(SerialPortConfig{.device = line.pty.path()});
+    port.device().look_at().or_throw();
+    CHECK(terminal_settings(line.pty.device()).output_speed == 9600);
+    CHECK(terminal_settings(line.pty.device()).is_exclusive);
+    // A second one is refused, and is told who has it.
+    SerialPort second("second", line.config());
+    const Error error = second.device().look_at().error();
+    CHECK(error.code == Errc::busy);
+    CHECK(has(error.text(), "this program has it open already"));
+  }
+  CHECK_FALSE(terminal_settings(line.pty.device()).is_exclusive);
+  SerialPort fast(SerialPortConfig{.device = line.pty.path(), .serial = {.baud_rate = 250000}});
+  fast.device().look_at().or_throw();
+  CHECK(terminal_settings(line.pty.device()).input_speed == 250000);
+  CHECK_THROWS_AS(SerialPort(SerialPortConfig{.device = "x", .serial = {.character_size = 9}}), SetupError);
+}
+
+TEST_CASE("US-13 who holds a serial line is named: another program by its name and process") {
+  Line line;
+  int ready[2];
+  REQUIRE(::pipe(ready) == 0);
+  const pid_t other = ::fork();
+  if (other == 0) {
+    const int fd = ::open(line.pty.path().c_str(), O_RDWR | O_NOCTTY);
+    const char is_locked = ::flock(fd, LOCK_EX) == 0 ? 'y' : 'n';
+    [[maybe_unused]] const ssize_t told = ::write(ready[1], &is_locked, 1);
+    ::pause();
+    ::_exit(0);
+  }
+  char is_locked = 'n';
+  CHECK(::read(ready[0], &is_locked, 1) == 1);
+  CHECK(is_locked == 'y');
+  const auto refused = detail::open_tty(line.pty.path(), {});
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::busy);
+  CHECK(has(refused.error().why, "(process " + std::to_string(other) + ") uses it"));
+  ::kill(other, SIGKILL);
+  ::waitpid(other, nullptr, 0);
+  ::close(ready[0]);
+  ::close(ready[1]);
+}
+
+TEST_CASE("US-13 US-42 no answer, half an answer and one without an end are errors that say so, after their time") {
+  Line line;
+  SerialPort port(line.config());
+  SerialDevice device = port.device();
+  std::array<std::uint8_t, 4> four{};
+  CHECK(device.read(four, 1ms).error().code == Errc::timed_out);
+  line.pty.send("ab");
+  const Error half = device.read(four, 20ms).error();
+  CHECK(half.code == Errc::timed_out);
+  CHECK(has(half.text(), "2 of 4 bytes came in 20 ms"));
+  device.drop_input().or_throw();
+  line.pty.send(std::string(100, 'a'));
+  CHECK(device.read_until('\n', 1s, 50).error().code == Errc::does_not_fit);
+  CHECK(device.read_until('\n', 1ms).error().code == Errc::timed_out);
+  device.abandon();
+  CHECK(device.write("x").error().code == Errc::closed);
+  CHECK(device.read(four, 1ms).error().code == Errc::closed);
+}
+
+TEST_CASE("US-13 US-42 an adapter that is unplugged is told, and comes back by its path") {
+  Line line;
+  SerialPort port(line.config());
+  SerialDevice device = port.device();
+  device.write("a").or_throw();
+  line.pty.unplug();
+  const Error lost = device.read_byte().error();
+  CHECK(lost.code == Errc::disconnected);
+  CHECK(device.write("a").error().code == Errc::not_found);
+  line.pty.plug_in();
+  device.write("b").or_throw();
+  CHECK(read_all(line.pty.master(), 1) == "b");
+}
+
+TEST_CASE("US-13 US-42 a request drops what came too late for the one before it") {
+  Line line;
+  SerialPort port(line.config());
+  SerialDevice device = port.device();
+  device.look_at().or_throw();
+  line.pty.send("late answer\n");
+  // A peer needs a thread: both sides of a request block.
+  std::thread peer([&] {
+    std::string request;
+    while (request != "ask\n") request += read_all(line.pty.master(), 1);
+    line.pty.send("right\n");
+  });
+  CHECK(device.transact("ask\n", '\n').or_throw() == "right");
+  peer.join();
+}
+
+TEST_CASE("US-13 NFR-1 a silent device on a real port holds its lane alone; an unplugged one comes back") {
+  Line line;
+  Loop loop;
+  be_quiet(loop);
+  loop.on_error([](const ErrorReport&) {});
+  SerialPortConfig config = line.config();
+  config.answer_timeout = 5ms;
+  SerialPort port("meter", config);
+  DriverSensor<Query> meter(loop, {.name = "meter", .rate = 200_Hz, .retry_first = 2ms, .retry_longest = 4ms}, port, {},
+                            {.request = "V?\n", .fields = {{.name = "v"}}});
+  int values = 0;
+  const auto heard = loop.subscribe("meter", [&](const EventView&) { ++values; });
+  bool is_silent = true;
+  const auto until = [&](const std::function<bool()>& is_so) {
+    bool done = false;
+    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Ticker look(loop, 1ms, [&](const Tick&) {
+      char bytes[64];
+      while (line.pty.master() >= 0 && ::read(line.pty.master(), bytes, sizeof bytes) > 0) {
+        if (!is_silent) line.pty.send("2.5\r\n");
+      }
+      done = is_so();
+      if (done) loop.stop();
+    });
+    loop.run();
+    CHECK(done);
+  };
+  until([&] { return meter.counts().failed > 3; });
+  CHECK(values == 0);
+  is_silent = false;
+  until([&] { return values > 3; });
+  line.pty.unplug();
+  until([&] { return meter.health() == Health::faulted; });
+  line.pty.plug_in();
+  const int before = values;
+  until([&] { return values > before + 3 && meter.health() == Health::ok; });
+  meter.stop();
+  CHECK(meter.counts().balances());
+}
+
+TEST_SUITE_END();
+
+namespace {
+
+struct Bench {
+  std::shared_ptr<FakeSerial> wires = std::make_shared<FakeSerial>();
+  SerialPort port{"meter", wires, {.answer_timeout = 50ms, .timeout = 1s}};
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> errors;
+  std::vector<std::string> values;
+  Subscription heard;
+  Bench() {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    heard = loop.subscribe("#", [this](const EventView& event) {
+      if (event.topic().starts_with("$")) return;
+      std::string text;
+      for (const Leaf& leaf : event.description().leaves())
+        text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+      values.push_back(text);
+    });
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-42 a query sends its request each tick and takes the answer's columns") {
+    Bench bench;
+    bench.wires->on_write(
+        [](std::string_view request) { return request == "READ?\r\n" ? "+1.25E+00,V,7\r\n" : std::string(); });
+    DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 10_Hz}, bench.port, {},
+                              {.request = "READ?\r\n",
+                               .at_open = {"*RST\n", "CONF:VOLT\n"},
+                               .fields = {{.name = "voltage", .unit = "V"}, {}, {.name = "range", .type = Kind::u8}}});
+    bench.loop.advance(450ms);
+    CHECK(bench.values == std::vector<std::string>(5, "1.25 7"));
+    CHECK(bench.wires->written()[0] == "*RST\n");
+    CHECK(bench.wires->written()[1] == "CONF:VOLT\n");
+    CHECK(bench.wires->written()[2] == "READ?\r\n");
+    CHECK(bench.wires->written().size() == 7);
+    CHECK(meter.counts().balances());
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-42 a query: hexadecimal requests, echoes, other ends, JSON") {
+    Bench bench;
+    bench.wires->on_write([](std::string_view request) {
+      if (request == std::string_view("\x02M\r", 3)) return "echo\r" + std::string("12 g\r");
+      return std::string("{\"air\":{\"t\":21.5}}\n");
+    });
+    DriverSensor<Query> scale(bench.loop, {.name = "scale", .rate = 10_Hz}, bench.port, {},
+                              {.request_hex = "02 4d0D",
+                               .answer_end = '\r',
+                               .skip_lines = 1,
+                               .fields = {{.name = "mass", .type = Kind::i32, .unit = "g"}, {}},
+                               .separator = ' '});
+    bench.loop.advance(50ms);
+    CHECK(bench.values == std::vector<std::string>{"12"});
+    DriverSensor<Query> air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.port, {},
+                            {.request = "?", .format = LineFormat::json, .fields = {{.name = "t", .key = "air.t"}}});
+    bench.loop.advance(1ms);
+    CHECK(bench.values.back() == "21.5");
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-42 a query that is answered too late, wrongly or not at all fails, and takes no answer for another's") {
+    Bench bench;
+    int asked = 0;
+    bench.wires->on_write([&](std::string_view) { return std::to_string(++asked) + "\n"; });
+    DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 10_Hz, .faulted_after = 100}, bench.port, {},
+                              {.request = "?", .fields = {{.name = "n", .type = Kind::i32}}});
+    bench.loop.advance(50ms);
+    CHECK(bench.values == std::vector<std::string>{"1"});
+    bench.wires->set_delay(70ms);  // longer than it waits: 50 ms
+    bench.loop.advance(300ms);
+    CHECK(bench.values.size() == 1);
+    CHECK(meter.counts().failed == 3);
+    REQUIRE_FALSE(bench.errors.empty());
+    CHECK(has(bench.errors[0], "bus meter: nothing came in 50 ms"));
+    bench.wires->set_delay(0ms);
+    bench.loop.advance(100ms);
+    CHECK(bench.values == std::vector<std::string>{"1", "5"});  // the late answers 2, 3 and 4 were dropped
+    bench.wires->on_write([](std::string_view) { return "ERROR\n"; });
+    bench.loop.advance(100ms);
+    CHECK(meter.counts().unreadable == 1);
+    CHECK_MESSAGE(has(bench.errors.back(), "field n: \"ERROR\" is no int32"), bench.errors.back());
+    bench.wires->unplug();
+    bench.loop.advance(200ms);
+    CHECK(has(bench.errors.back(), "the device has gone away"));
+    bench.wires->plug_in();
+    bench.wires->on_write([](std::string_view) { return "9\n"; });
+    bench.loop.advance(200ms);
+    CHECK(bench.values.back() == "9");
+    CHECK(meter.health() == Health::ok);
+    CHECK(meter.counts().balances());
+  }
+
+  TEST_CASE("US-42 MH-Z19: the manual's example, checksums, and what it does not measure") {
+    const std::array<std::uint8_t, 9> request{0xff, 0x01, 0x86, 0, 0, 0, 0, 0, 0x79};
+    CHECK(MhZ19::checksum(request) == 0x79);
+    const auto answer = [](unsigned ppm) {
+      std::array<std::uint8_t, 9> bytes{
+          0xff, 0x86, static_cast<std::uint8_t>(ppm >> 8), static_cast<std::uint8_t>(ppm & 0xff), 0x47, 0, 0, 0, 0};
+      bytes[8] = MhZ19::checksum(bytes);
+      return bytes;
+    };
+    CHECK(MhZ19::decode(answer(608)).or_throw().co2 == 608);  // 0x02, 0x60
+    CHECK(MhZ19::decode(answer(10000)).or_throw().co2 == 10000);
+    CHECK(MhZ19::decode(answer(10001)).error().code == Errc::bad_data);
+    for (std::size_t byte = 0; byte < 9; ++byte) {
+      for (int bit = 0; bit < 8; ++bit) {
+        auto wrong = answer(608);
+        wrong[byte] = static_cast<std::uint8_t>(wrong[byte] ^ 1 << bit);
+        CHECK(MhZ19::decode(wrong).error().code == Errc::bad_data);
+      }
+    }
+    Bench bench;
+    const auto good = answer(415);
+    std::string text(reinterpret_cast<const char*>(good.data()), good.size());
+    bench.wires->on_write(
+        [&](std::string_view asked) { return asked.size() == 9 && asked[2] == '\x86' ? text : std::string(); });
+    DriverSensor<MhZ19> air(bench.loop, {.name = "air", .rate = 1_Hz}, bench.port);
+    bench.loop.advance(500ms);
+    CHECK(bench.values == std::vector<std::string>{"415"});
+    text.pop_back();  // one byte is lost on the way
+    bench.loop.advance(1s);
+    CHECK(air.counts().failed == 1);
+    text += "x";
+    bench.loop.advance(1s);
+    CHECK(air.counts().unreadable == 1);
+    text = std::string(reinterpret_cast<const char*>(good.data()), good.size());
+    bench.loop.advance(1s);
+    CHECK(bench.values.size() == 2);
+    CHECK(air.counts().balances());
+  }
+
+  TEST_CASE("US-42 US-17 check refuses what a serial port or a query cannot be, and a device that two have") {
+    const auto report = [](const std::string& buses, const std::string& sensors) {
+      const SystemPlan plan = plan_system(standard_registry(),
+                                          parse_config(R"({"buses": {)" + buses + R"(}, "sensors": [)" + sensors +
+                                                           R"(], "sinks": [{"type": "console"}]})",
+                                                       "f.json"));
+      return plan.report();
+    };
+    const std::string bus = R"("m": {"type": "serial", "device": "/dev/ttyUSB0"})";
+    const auto query = [](const std::string& more) {
+      return R"({"name": "q", "type": "query", "rate": "1 Hz", "bus": "m", "fields": [{"name": "x"}])" + more + "}";
+    };
+    CHECK(report(bus, query(R"(, "request": "?\n")")).empty());
+    // Two sensors may ask one device for different things.
+    CHECK(
+        report(
+            bus,
+            query(R"(, "request": "A\n")") +
+                R"(, {"name": "p", "type": "query", "rate": "1 Hz", "bus": "m", "fields": [{"name": "x"}], "request": "B\n"})")
+            .empty());
+    CHECK(has(report(bus, query("")), "there is no request"));
+    CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is a `request` too"));
+    CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are no bytes"));
+    CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are no bytes"));
+    CHECK(has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers hold it"));
+    CHECK(has(
+        report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
+        "make `timeout` longer"));
+    const std::string line = R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
+    CHECK(has(report(bus, line), "bus m, at f.json:1:"));
+    CHECK(has(report(bus, line), "has this device already; a device is one sensor's or one bus's alone"));
+    CHECK(has(
+        report("", line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})"),
+        "sensor l, at f.json:1:"));
+    CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));
+    CHECK(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "format": "nmea"})").empty());
+  }
+}
