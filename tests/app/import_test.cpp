@@ -37,8 +37,9 @@ TEST_SUITE("app") {
                  "12.5,,x,-3,,2\r\n"
                  "\r\n"
                  "20,nan,,0,,1e300\r\n");
-    Process import(folder, program, {"import", "bench.csv", "--time", "t", "--scale", "1ms", "--start", "2026-03-01T12:00:00Z",
-                                     "--topic", "bench/imu", "--origin", "imu"});
+    Process import(folder, program,
+                   {"import", "bench.csv", "--time", "t", "--scale", "1ms", "--start", "2026-03-01T12:00:00Z",
+                    "--topic", "bench/imu", "--origin", "imu"});
     CHECK(import.end() == 0);
     CHECK(has(import.out, "bench.db: 3 rows of bench.csv on topic bench/imu, from 2026-03-01T12:00:00.01Z on"));
     CHECK(has(import.out, "  t: the time"));
@@ -58,7 +59,9 @@ TEST_SUITE("app") {
 
   TEST_CASE("FW-5 import: rows that do not follow in time are moved, which is said; absolute times; a second table") {
     const Folder folder;
-    folder.write("a.csv", "when,v\n2026-03-01T12:00:00Z,1\n2026-03-01T11:00:00Z,2\n2026-03-01T12:00:00Z,3\n2026-03-02T12:00:00Z,4\n");
+    folder.write(
+        "a.csv",
+        "when,v\n2026-03-01T12:00:00Z,1\n2026-03-01T11:00:00Z,2\n2026-03-01T12:00:00Z,3\n2026-03-02T12:00:00Z,4\n");
     Process import(folder, program, {"import", "a.csv", "--time", "when", "--into", "all.db"});
     CHECK(import.end() == 0);
     CHECK(has(import.err, "2 rows were not later than the row before"));
@@ -106,7 +109,8 @@ TEST_SUITE("app") {
     refuses({"garbage.csv", "--time", "t"}, "longer than 1 MiB");
     refuses({"absent.csv", "--time", "t"}, "absent.csv");
     refuses({".", "--time", "t"}, "");
-    for (const auto& entry : std::filesystem::directory_iterator(folder.path())) CHECK(entry.path().extension() == ".csv");
+    for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+      CHECK(entry.path().extension() == ".csv");
   }
 
   TEST_CASE("FW-5 import: a real flight, every row of each of its tables") {
@@ -126,7 +130,8 @@ TEST_SUITE("app") {
       const std::string path = flight + "/tars_" + name + ".csv";
       std::ifstream file(path);
       const auto lines = static_cast<std::size_t>(std::count(std::istreambuf_iterator<char>(file), {}, '\n'));
-      Process import(folder, program, {"import", path, "--time", time, "--scale", "10us", "--topic", name, "--into", "flight.db"});
+      Process import(folder, program,
+                     {"import", path, "--time", time, "--scale", "10us", "--topic", name, "--into", "flight.db"});
       CHECK_MESSAGE(import.end() == 0, import.err);
       CHECK_MESSAGE(has(import.out, "flight.db: " + std::to_string(lines - 1) + " rows of "), import.out);
     }

@@ -82,7 +82,9 @@ class FakeDevice {
 
  private:
   std::string folder() const { return root_ + "/sys/bus/iio/devices/iio:device0"; }
-  void write(const std::string& file, const std::string& text) const { std::ofstream(folder() + "/" + file) << text << "\n"; }
+  void write(const std::string& file, const std::string& text) const {
+    std::ofstream(folder() + "/" + file) << text << "\n";
+  }
   void channel(const std::string& name, std::size_t index, const std::string& type) const {
     write("scan_elements/in_" + name + "_en", "0");
     write("scan_elements/in_" + name + "_index", std::to_string(index));

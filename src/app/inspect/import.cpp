@@ -48,7 +48,8 @@ class Table {
       row += line;
       row += '\n';
       if (line_ == 1 && row.starts_with(detail::byte_order_mark)) row.erase(0, detail::byte_order_mark.size());
-      if (row.size() > longest_row) return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
+      if (row.size() > longest_row)
+        return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
       if (detail::csv_row_size(row) == 0) continue;  // within quotes
       if (row == "\n" || row == "\r\n") {
         row.clear();
@@ -56,7 +57,8 @@ class Table {
         continue;
       }
       auto split = detail::split_csv(row);
-      if (!split) return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
+      if (!split)
+        return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
       cells = *std::move(split);
       return true;
     }
@@ -92,7 +94,10 @@ struct Column {
   std::string type() const {
     const std::string absent = has_empty ? ", may be absent" : "";
     if (!has_any) return "no values: left out";
-    return (can_be_integer ? "integer" : can_be_number ? "number" : "text of up to " + std::to_string(longest) + " bytes") + absent;
+    return (can_be_integer  ? "integer"
+            : can_be_number ? "number"
+                            : "text of up to " + std::to_string(longest) + " bytes") +
+           absent;
   }
 };
 
@@ -168,7 +173,8 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
   for (const Column& column : found.columns) headings.push_back(column.heading);
   const auto at = std::find(headings.begin(), headings.end(), options.time_column);
   if (at == headings.end())
-    return refused(options.file, "it has no column " + options.time_column, detail::suggestion(options.time_column, headings));
+    return refused(options.file, "it has no column " + options.time_column,
+                   detail::suggestion(options.time_column, headings));
   found.time_column = static_cast<std::size_t>(at - headings.begin());
   name_columns(found.columns);
   for (;;) {
@@ -176,13 +182,15 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
     if (!row) return row.error();
     if (!*row) break;
     if (cells.size() != found.columns.size())
-      return Error{Errc::bad_data, "cannot import", table.where(),
-                   std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()), ""};
+      return Error{
+          Errc::bad_data, "cannot import", table.where(),
+          std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()), ""};
     const auto time = time_of(cells[found.time_column].text, scale, start);
     if (!time)
-      return Error{Errc::bad_data, "cannot import", table.where(),
-                   "\"" + cells[found.time_column].text.substr(0, 64) + "\" in column " + options.time_column + " is no time",
-                   "a number, or a time as 2026-03-01T12:00:00Z"};
+      return Error{
+          Errc::bad_data, "cannot import", table.where(),
+          "\"" + cells[found.time_column].text.substr(0, 64) + "\" in column " + options.time_column + " is no time",
+          "a number, or a time as 2026-03-01T12:00:00Z"};
     if (found.rows++ == 0) found.first = *time;
     found.first = std::min(found.first, *time);
     for (std::size_t i = 0; i < cells.size(); ++i) found.columns[i].look_at(cells[i]);
@@ -199,7 +207,8 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
     } else if (column.longest <= longest_text) {
       builder.text(column.name, column.longest, presence);
     } else {
-      return refused(options.file, "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
+      return refused(options.file,
+                     "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
                      "1024 at most");
     }
   }
@@ -278,15 +287,16 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
     std::uint64_t moved = 0;
     const auto rows = record(named, *found, *scale, start, moved);
     if (!rows) return fail(rows.error());
-    out << named.database << ": " << *rows << (*rows == 1 ? " row" : " rows") << " of " << named.file << " on topic " << named.topic
-        << ", from " << to_iso8601(found->first) << " on\n";
+    out << named.database << ": " << *rows << (*rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
+        << named.topic << ", from " << to_iso8601(found->first) << " on\n";
     for (std::size_t i = 0; i < found->columns.size(); ++i) {
       const Column& column = found->columns[i];
       out << "  " << column.heading << ": "
           << (i == found->time_column ? "the time" : column.name + ", " + column.type()) << "\n";
     }
     if (moved > 0)
-      err << "rtdata: warning: " << moved << " rows were not later than the row before; each got a time 1 ns after it\n";
+      err << "rtdata: warning: " << moved
+          << " rows were not later than the row before; each got a time 1 ns after it\n";
     return 0;
   } catch (const SetupError& error) {
     return fail(error.error());
