@@ -41,6 +41,15 @@ if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
   add_dependencies(rtdata_kernel_tests rtdata_main)
 endif()
 
+# A program of their own, small enough to be built on another system with another libgpiod (tests/debian13/run.sh).
+if(TARGET rtdata_gpio)
+  rtdata_sources(RTDATA_KERNEL_GPIO_TEST_SOURCES tests/kernel/kernel_gpio_tests.sources)
+  add_executable(rtdata_kernel_gpio_tests ${RTDATA_KERNEL_GPIO_TEST_SOURCES})
+  target_link_libraries(rtdata_kernel_gpio_tests PRIVATE rtdata_options rtdata_test_options rtdata::gpio doctest::doctest)
+  target_include_directories(rtdata_kernel_gpio_tests PRIVATE tests src)
+  target_compile_definitions(rtdata_kernel_gpio_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+endif()
+
 # Replaces operator new and delete, so it is a program of its own; the sanitizers replace them too.
 if(NOT RTDATA_SANITIZE)
   add_executable(rtdata_allocation_tests tests/loop/allocation_test.cpp)

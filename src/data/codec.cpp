@@ -18,6 +18,8 @@ CodecRegistry CodecRegistry::standard() {
   registry.add("json", [] { return make_json_codec(); }).or_throw();
   registry.add("raw", [] { return make_raw_codec(); }).or_throw();
   registry.add("csv", [] { return make_csv_codec(); }).or_throw();
+  registry.add("cbor", [] { return make_cbor_codec(); }).or_throw();
+  registry.add("influx", [] { return make_influx_codec(); }).or_throw();
   return registry;
 }
 

@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "data/character.hpp"
+#include "data/csv_row.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
@@ -58,49 +59,10 @@ bool to_number(std::string_view text, T& number) {
   return detail::read_number(text, number) == std::errc{};
 }
 
-struct Cell {
-  std::string text;
-  bool quoted = false;
-};
+using Cell = detail::CsvCell;
 
 Error bad(std::string where, std::string why) {
   return {Errc::bad_data, "the text is no row of CSV", std::move(where), std::move(why), ""};
-}
-
-/// One row, with or without its line end; nothing may follow it.
-Result<std::vector<Cell>> split(std::string_view row) {
-  std::vector<Cell> cells(1);
-  std::size_t i = 0;
-  const auto where = [&] { return "column " + std::to_string(cells.size()); };
-  while (i < row.size()) {
-    Cell& cell = cells.back();
-    const char c = row[i];
-    if (c == '"') {
-      if (cell.quoted || !cell.text.empty()) return bad(where(), "a quote within a cell");
-      cell.quoted = true;
-      for (++i;; ++i) {
-        if (i >= row.size()) return bad(where(), "a quoted cell does not end");
-        if (row[i] == '"') {
-          if (i + 1 >= row.size() || row[i + 1] != '"') break;
-          ++i;
-        }
-        cell.text += row[i];
-      }
-      ++i;
-    } else if (c == ',') {
-      cells.emplace_back();
-      ++i;
-    } else if (c == '\n' || c == '\r') {
-      const std::size_t end = i + (c == '\r' && i + 1 < row.size() && row[i + 1] == '\n' ? 2 : 1);
-      if (end != row.size() || (c == '\r' && end == i + 1)) return bad(where(), "something follows the end of the row");
-      i = end;
-    } else {
-      if (cell.quoted) return bad(where(), "something follows a quoted cell");
-      cell.text += c;
-      ++i;
-    }
-  }
-  return cells;
 }
 
 /// The value a cell means for this leaf.
@@ -188,7 +150,7 @@ class CsvCodec final : public Codec {
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
     std::string_view row{reinterpret_cast<const char*>(bytes.data()), bytes.size()};
     if (row.starts_with(detail::byte_order_mark)) row.remove_prefix(detail::byte_order_mark.size());
-    auto cells = split(row);
+    auto cells = detail::split_csv(row);
     if (!cells) return std::move(cells).error();
     const auto& leaves = description.leaves();
     if (cells->size() != 3 + leaves.size()) {
@@ -221,12 +183,7 @@ class CsvCodec final : public Codec {
   std::string header(const Description& description) const override { return csv_header(description); }
 
   std::size_t first_event(std::span<const std::byte> stream) const noexcept override {
-    bool quoted = false;
-    for (std::size_t i = 0; i < stream.size(); ++i) {
-      if (stream[i] == std::byte{'"'}) quoted = !quoted;
-      if (stream[i] == std::byte{'\n'} && !quoted) return i + 1;
-    }
-    return 0;
+    return detail::csv_row_size({reinterpret_cast<const char*>(stream.data()), stream.size()});
   }
 
  private:

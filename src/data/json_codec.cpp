@@ -4,6 +4,7 @@
 #include "data/character.hpp"
 #include "data/copy.hpp"
 #include "data/json_decode.hpp"
+#include "data/load.hpp"
 #include "data/number_text.hpp"
 #include "data/per_description.hpp"
 #include "data/utf8.hpp"
@@ -13,6 +14,8 @@
 namespace rtdata {
 namespace {
 
+using detail::load;
+using detail::load_integer;
 using detail::put_number;
 
 char* put(char* to, std::string_view text) { return detail::copy_short(to, text.data(), text.size()); }
@@ -69,13 +72,6 @@ char* put_string(char* to, std::string_view text) {
 }
 
 template <class T>
-T load(const std::byte* from) {
-  T value;
-  std::memcpy(&value, from, sizeof value);
-  return value;
-}
-
-template <class T>
 char* put_floating(char* to, T number) {
   if (!std::isfinite(number)) {
     return put(to, std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"");
@@ -83,25 +79,6 @@ char* put_floating(char* to, T number) {
   // As an integer, -0 would lose its sign.
   if (number == 0) return put(to, std::signbit(number) ? "-0.0" : "0");
   return put_number(to, number);
-}
-
-std::int64_t load_integer(Kind kind, const std::byte* from) {
-  switch (kind) {
-    case Kind::i8:
-      return load<std::int8_t>(from);
-    case Kind::i16:
-      return load<std::int16_t>(from);
-    case Kind::i32:
-      return load<std::int32_t>(from);
-    case Kind::u8:
-      return load<std::uint8_t>(from);
-    case Kind::u16:
-      return load<std::uint16_t>(from);
-    case Kind::u32:
-      return load<std::uint32_t>(from);
-    default:
-      return load<std::int64_t>(from);
-  }
 }
 
 /// What to write for the payloads of one description: before each leaf a text that never changes, and one at the end.

@@ -15,14 +15,24 @@ namespace {
 
 using Node = detail::JsonNode;
 
-Error bad(std::string where, std::string why, std::string advice = {}) {
-  return {Errc::bad_data, "the text is no event in JSON", std::move(where), std::move(why), std::move(advice)};
-}
+/// What the tree was made of.
+enum class Source {
+  json,
+  cbor,  ///< texts are what they are, without escapes
+};
 
+/// Of one event.
 class Reader {
  public:
-  Reader(const Description& description, std::byte* payload) : leaves_(description.leaves()), payload_(payload) {}
+  explicit Reader(Source source) : source_(source) {}
+  Result<DecodedEvent> event(const Node& root, const Description& description);
 
+  Error bad(std::string where, std::string why, std::string advice = {}) const {
+    return {Errc::bad_data, source_ == Source::json ? "the text is no event in JSON" : "the bytes are no event in CBOR",
+            std::move(where), std::move(why), std::move(advice)};
+  }
+
+ private:
   Result<void> record(const std::vector<Field>& fields, const Node& node, const std::string& path) {
     std::vector<std::string_view> names;
     names.reserve(fields.size());
@@ -37,8 +47,8 @@ class Reader {
 
   /// The children with these names, in this order; those from `needed` on may be missing (null). Errors: not an object,
   /// an unknown key, one twice, one missing.
-  static Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
-                                               std::size_t needed, const std::string& path) {
+  Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
+                                        std::size_t needed, const std::string& path) const {
     const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
     if (node.type != Node::Type::object) return bad(where, "it is no object");
     std::vector<const Node*> found(names.size(), nullptr);
@@ -60,7 +70,6 @@ class Reader {
     return found;
   }
 
- private:
   Result<void> field(const Field& field, const Node& node, const std::string& path) {
     if (!field.is_array) return element(field, node, path);
     if (node.type != Node::Type::array || node.children.size() != field.count) {
@@ -75,7 +84,7 @@ class Reader {
   Result<void> element(const Field& field, const Node& node, const std::string& path) {
     if (field.kind == Kind::record) return record(field.fields, node, path + ".");
     // The leaves come in the order of the fields.
-    const Leaf& leaf = leaves_[next_leaf_++];
+    const Leaf& leaf = (*leaves_)[next_leaf_++];
     if (node.type == Node::Type::object || node.type == Node::Type::array) {
       return bad("field " + path, "a list or an object is not what a " + std::string(name_of(leaf.kind)) + " takes");
     }
@@ -83,7 +92,7 @@ class Reader {
   }
 
   /// What to write there; of a node that is no list and no object.
-  static Value value(const Leaf& leaf, const Node& node) {
+  Value value(const Leaf& leaf, const Node& node) const {
     const bool floating = leaf.kind == Kind::f32 || leaf.kind == Kind::f64;
     switch (node.type) {
       case Node::Type::boolean:
@@ -113,9 +122,9 @@ class Reader {
           if (node.text == "-Infinity") return -infinity;
         }
         if (leaf.kind == Kind::character) {
-          if (const auto c = detail::character_of(detail::unescaped(node.text))) return *c;
+          if (const auto c = detail::character_of(text_of(node))) return *c;
         }
-        return detail::unescaped(node.text);
+        return text_of(node);
       default:
         return std::monostate{};
     }
@@ -127,18 +136,18 @@ class Reader {
     return kind == Kind::f32 ? static_cast<double>(static_cast<float>(number)) : static_cast<double>(number);
   }
 
-  const std::vector<Leaf>& leaves_;
-  std::byte* payload_;
+  std::string text_of(const Node& node) const {
+    return source_ == Source::json ? detail::unescaped(node.text) : node.text;
+  }
+
+  const Source source_;
+  const std::vector<Leaf>* leaves_ = nullptr;
+  std::byte* payload_ = nullptr;
   std::size_t next_leaf_ = 0;
 };
 
-}  // namespace
-
-Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const Description& description) {
-  Node root;
-  if (auto mistake = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, root); !mistake.empty())
-    return bad("", std::move(mistake));
-  auto found = Reader::find(root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
+Result<DecodedEvent> Reader::event(const Node& root, const Description& description) {
+  auto found = find(root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
   if (!found) return std::move(found).error();
   const auto& [topic, time, origin, data, sequence] = std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3],
                                                                  (*found)[4]};
@@ -146,7 +155,7 @@ Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const
   if (topic->type != Node::Type::string) return bad("topic", "it is no string");
   if (origin->type != Node::Type::string) return bad("origin", "it is no string");
   event.topic = topic->text;
-  event.origin = unescaped(origin->text);
+  event.origin = text_of(*origin);
   if (time->type == Node::Type::integer) {
     event.time = from_nanoseconds(time->integer);
   } else if (time->type == Node::Type::natural &&
@@ -160,9 +169,27 @@ Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const
     event.sequence = sequence->natural;
   }
   event.payload.resize(description.size());
-  Reader reader(description, event.payload.data());
-  if (auto done = reader.record(description.fields(), *data, ""); !done) return std::move(done).error();
+  leaves_ = &description.leaves();
+  payload_ = event.payload.data();
+  if (auto done = record(description.fields(), *data, ""); !done) return std::move(done).error();
   return event;
+}
+
+}  // namespace
+
+Result<DecodedEvent> detail::decode_json(std::span<const std::byte> bytes, const Description& description) {
+  Node root;
+  Reader reader(Source::json);
+  if (auto mistake = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, root); !mistake.empty())
+    return reader.bad("", std::move(mistake));
+  return reader.event(root, description);
+}
+
+Result<DecodedEvent> detail::decode_cbor(std::span<const std::byte> bytes, const Description& description) {
+  Node root;
+  Reader reader(Source::cbor);
+  if (auto mistake = parse_cbor(bytes, root); !mistake.empty()) return reader.bad("", std::move(mistake));
+  return reader.event(root, description);
 }
 
 }  // namespace rtdata

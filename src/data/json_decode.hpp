@@ -1,4 +1,4 @@
-// Reading of what the JSON codec writes.
+// Reading of what the JSON and CBOR codecs write.
 #pragma once
 
 #include <cstddef>
@@ -9,5 +9,6 @@
 namespace rtdata::detail {
 
 Result<DecodedEvent> decode_json(std::span<const std::byte> bytes, const Description& description);
+Result<DecodedEvent> decode_cbor(std::span<const std::byte> bytes, const Description& description);
 
 }  // namespace rtdata::detail

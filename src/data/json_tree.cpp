@@ -38,7 +38,10 @@ class Builder {
     add(JsonNode::Type::string)->text = std::move(text);
     return true;
   }
-  bool binary(nlohmann::json::binary_t&) { return false; }
+  bool binary(nlohmann::json::binary_t& bytes) {  // JSON has none
+    add(JsonNode::Type::string)->text.assign(bytes.begin(), bytes.end());
+    return true;
+  }
   bool start_object(std::size_t) { return open(JsonNode::Type::object); }
   bool start_array(std::size_t) { return open(JsonNode::Type::array); }
   bool key(std::string& key) {
@@ -96,6 +99,13 @@ std::string parse_json(std::string_view text, JsonNode& root) {
   Builder builder(root);
   if (nlohmann::json::sax_parse(text.begin(), text.end(), &builder)) return {};
   return builder.error.empty() ? "it is no JSON" : builder.error;
+}
+
+std::string parse_cbor(std::span<const std::byte> bytes, JsonNode& root) {
+  Builder builder(root);
+  const auto* begin = reinterpret_cast<const char*>(bytes.data());
+  if (nlohmann::json::sax_parse(begin, begin + bytes.size(), &builder, nlohmann::json::input_format_t::cbor)) return {};
+  return builder.error.empty() ? "it is no CBOR" : builder.error;
 }
 
 void append_json(std::string& out, std::string_view text) {

@@ -1,9 +1,10 @@
-// JSON as a tree. Unlike nlohmann's it is destroyed without asking for memory: where there is none, its destructor
-// would end the program. For what is read or written while a program records.
+// JSON, and what is alike in CBOR, as a tree. Unlike nlohmann's it is destroyed without asking for memory: where there
+// is none, its destructor would end the program. For what is read or written while a program records.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -28,6 +29,8 @@ struct JsonNode {
 
 /// What is wrong with it; empty: nothing, and `root` is what it says. Nested 48 deep at most.
 std::string parse_json(std::string_view text, JsonNode& root);
+/// The same of CBOR; strings of bytes are texts, tags are mistakes.
+std::string parse_cbor(std::span<const std::byte> bytes, JsonNode& root);
 
 /// Appends `text` as JSON writes it, with its quotes; a byte that is no UTF-8 as U+FFFD.
 void append_json(std::string& out, std::string_view text);

@@ -15,7 +15,7 @@ class PerDescription {
   /// Valid until the next call.
   const Plan& of(const Description& description) {
     if (last_serial_ == description.serial()) return *last_;
-    if (plans_.size() >= 256) plans_.clear();  // somebody makes descriptions as they go
+    if (plans_.size() >= 256) plans_.clear();  // a program makes new descriptions all the time
     last_ = &plans_.try_emplace(description.serial(), description).first->second;
     last_serial_ = description.serial();
     return *last_;

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <charconv>
-#include <mutex>
 
 #include "rtdata/loop/lane.hpp"
 
@@ -54,8 +53,6 @@ struct I2cDevice::Core {
   const std::string bus;
   const std::shared_ptr<I2cTransport> transport;
   const I2cConfig config;
-  mutable std::mutex mutex;  // of the counts
-  std::array<TransferCounts, 128> counts{};
 };
 
 Error I2cDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -89,7 +86,9 @@ Error I2cDevice::failure(int errno_value) const {
 }
 
 Result<void> I2cDevice::look_at() {
+  const MonotonicTime began = detail::lane_now();
   const int status = core_->transport->look_at(address_.number);
+  if (status != 0) count(detail::lane_now() - began, false);
   return status == 0 ? Result<void>() : Result<void>(failure(status));
 }
 
@@ -101,11 +100,7 @@ Result<void> I2cDevice::write_read(std::span<const std::uint8_t> write, std::spa
     if (is_abandoned()) return error(Errc::closed, "cannot talk to the chip", "this reading was given up before");
     status = core_->transport->transfer(address_.number, write, read);
   } while (status != 0 && tries++ < core_->config.retries);
-  const Duration took = detail::lane_now() - began;
-  {
-    const std::lock_guard lock(core_->mutex);
-    core_->counts[address_.number].add(took, status == 0, status != 0 ? core_->config.retries : tries);
-  }
+  count(detail::lane_now() - began, status == 0, status != 0 ? core_->config.retries : tries);
   return status == 0 ? Result<void>() : Result<void>(failure(status));
 }
 
@@ -144,12 +139,7 @@ I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cCon
 I2cDevice I2cBus::device(const I2cDevice::Place& place) const {
   if (std::string mistake = mistake_in(place.address); !mistake.empty())
     throw SetupError({Errc::bad_argument, "cannot use this address", "bus " + name(), std::move(mistake), ""});
-  return {core_, place.address};
-}
-
-TransferCounts I2cBus::counts(I2cAddress address) const {
-  const std::lock_guard lock(core_->mutex);
-  return address.number < core_->counts.size() ? core_->counts[address.number] : TransferCounts{};
+  return {core_, place.address, account_of(text_of(place))};
 }
 
 }  // namespace rtdata

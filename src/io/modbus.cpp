@@ -13,7 +13,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <cerrno>
 #include <mutex>
@@ -172,9 +171,8 @@ struct ModbusDevice::Core {
   const std::string bus;
   const ModbusConfig config;
   const Duration silence;
-  mutable std::mutex mutex;  // of what follows; not while it connects or asks
+  std::mutex mutex;  // of what follows; not while it connects or asks
   Use connection;
-  std::array<TransferCounts, last_unit + 1> counts{};
 };
 
 Error ModbusDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -261,10 +259,7 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
     core_->release(*use,
                    number == 0 || is_exception || (connection.is_tty && (number == ETIMEDOUT || number >= EMBBADCRC)));
   }
-  {
-    const std::lock_guard lock(core_->mutex);
-    core_->counts[unit_].add(detail::lane_now() - began, use && number == 0);
-  }
+  count(detail::lane_now() - began, use && number == 0);
   if (!use) return use.error();
   return number == 0 ? Result<void>() : Result<void>(failure(number, ::modbus_strerror(number)));
 }
@@ -331,12 +326,7 @@ ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
   if (place.unit < 1 || place.unit > last_unit)
     throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
                       "units have the numbers 1 to 247, not " + std::to_string(place.unit), ""});
-  return {core_, place.unit};
-}
-
-TransferCounts ModbusBus::counts(unsigned unit) const {
-  const std::lock_guard lock(core_->mutex);
-  return unit < core_->counts.size() ? core_->counts[unit] : TransferCounts{};
+  return {core_, place.unit, account_of("unit " + std::to_string(place.unit))};
 }
 
 }  // namespace rtdata

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <mutex>
 
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -33,16 +32,9 @@ void check_config(const SerialPortConfig& config, const ConfigItem& item, Proble
 struct SerialDevice::Core {
   Core(std::string bus_, std::shared_ptr<SerialTransport> transport_, SerialPortConfig config_)
       : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
-  void count(MonotonicTime began, bool is_good) {
-    const Duration took = detail::lane_now() - began;
-    const std::lock_guard lock(mutex);
-    counts.add(took, is_good);
-  }
   const std::string bus;
   const std::shared_ptr<SerialTransport> transport;
   const SerialPortConfig config;
-  mutable std::mutex mutex;  // of the counts
-  TransferCounts counts;
 };
 
 Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -71,7 +63,7 @@ Result<void> SerialDevice::write(std::span<const std::uint8_t> bytes) {
   if (auto wanted = check_wanted(); !wanted) return wanted;
   const MonotonicTime began = detail::lane_now();
   Result<void> done = core_->transport->write(bytes, core_->config.answer_timeout);
-  core_->count(began, static_cast<bool>(done));
+  count(detail::lane_now() - began, static_cast<bool>(done));
   return done;
 }
 
@@ -82,7 +74,7 @@ Result<bool> SerialDevice::receive(MonotonicTime until) {
   std::array<std::uint8_t, 512> bytes{};
   const MonotonicTime began = detail::lane_now();
   const Result<std::size_t> got = core_->transport->read(bytes, std::max(until - began, Duration{0}));
-  core_->count(began, got && *got > 0);
+  count(detail::lane_now() - began, got && *got > 0);
   if (!got) return got.error();
   pending_.append(reinterpret_cast<const char*>(bytes.data()), *got);
   return *got > 0;
@@ -178,11 +170,6 @@ SerialPort::SerialPort(std::string name, std::shared_ptr<SerialTransport> transp
   if (const auto flags = detail::control_flags(core_->config.serial); !flags) throw SetupError(flags.error());
 }
 
-SerialDevice SerialPort::device(const SerialDevice::Place&) const { return SerialDevice(core_); }
-
-TransferCounts SerialPort::counts() const {
-  const std::lock_guard lock(core_->mutex);
-  return core_->counts;
-}
+SerialDevice SerialPort::device(const SerialDevice::Place&) const { return {core_, account_of(all)}; }
 
 }  // namespace rtdata

@@ -2,8 +2,6 @@
 
 #include <array>
 #include <cerrno>
-#include <map>
-#include <mutex>
 
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -27,8 +25,6 @@ struct SpiDevice::Core {
   const std::string bus;
   const std::shared_ptr<SpiTransport> transport;
   const SpiConfig config;
-  mutable std::mutex mutex;  // of the counts
-  std::map<unsigned, TransferCounts> counts;
 };
 
 Error SpiDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -55,11 +51,7 @@ Result<void> SpiDevice::transfer(std::span<const SpiSegment> segments) {
                  "4096 bytes and 64 pieces at most");
   const MonotonicTime began = detail::lane_now();
   const int status = core_->transport->transfer(place_, segments);
-  const Duration took = detail::lane_now() - began;
-  {
-    const std::lock_guard lock(core_->mutex);
-    core_->counts.find(place_.chip_select)->second.add(took, status == 0);
-  }
+  count(detail::lane_now() - began, status == 0);
   if (status == 0) return {};
   if (status == EINVAL || status == EMSGSIZE)
     return error(Errc::bad_argument, what,
@@ -98,15 +90,9 @@ SpiDevice SpiBus::device(const SpiPlace& place) const {
   if (!is_good)
     throw SetupError({Errc::bad_argument, "cannot use this chip", "bus " + name() + ", " + text_of(place),
                       "there are modes 0 to 3, words of 4 to 32 bits, and clocks above 0", ""});
-  const std::lock_guard lock(core_->mutex);
-  core_->counts.try_emplace(place.chip_select);
-  return {core_, place};
+  return {core_, place, account_of(text_of(place))};
 }
 
-TransferCounts SpiBus::counts(unsigned chip_select) const {
-  const std::lock_guard lock(core_->mutex);
-  const auto found = core_->counts.find(chip_select);
-  return found != core_->counts.end() ? found->second : TransferCounts{};
-}
+bool SpiBus::reads_on_loop() const noexcept { return core_->config.reads_on_loop; }
 
 }  // namespace rtdata

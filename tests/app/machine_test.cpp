@@ -69,6 +69,14 @@ TEST_SUITE("app") {
     board.file("/sys/bus/iio/devices/iio:device0/name", "mcp3208\n");
     for (const char* channel : {"in_voltage0_raw", "in_voltage1_raw", "in_voltage10_raw", "in_temp_raw"})
       board.file("/sys/bus/iio/devices/iio:device0/" + std::string(channel), "1\n");
+    const std::string imu_folder = "/sys/bus/iio/devices/iio:device1/";
+    board.file(imu_folder + "name", "mpu6050\n");
+    board.file(imu_folder + "buffer/enable", "0\n");
+    board.file(imu_folder + "scan_elements/in_accel_x_type", "be:s16/16>>0\n");
+    board.file(imu_folder + "scan_elements/in_timestamp_type", "le:s64/64>>0\n");
+    board.file("/sys/bus/iio/devices/trigger0/name", "mpu6050-dev1\n");
+    board.file("/sys/class/pps/pps0/assert", "1700000000.000000001#1\n");
+    board.file("/dev/pps0");
     board.file("/sys/class/hwmon/hwmon0/name", "cpu_thermal\n");
     board.file("/sys/class/hwmon/hwmon0/temp1_input", "42000\n");
     board.file("/sys/bus/w1/devices/28-0000075565ad/temperature", "21500\n");
@@ -98,8 +106,17 @@ TEST_SUITE("app") {
     const FoundDevice* adc = find(scan, "/sys/bus/iio/devices/iio:device0");
     REQUIRE(adc != nullptr);
     CHECK(adc->what == "mcp3208, 4 channels");
-    REQUIRE(adc->lines.size() == 3);
+    REQUIRE(adc->lines.size() == 4);
     CHECK(adc->lines[2].text.find("in_voltage10_raw") != std::string::npos);  // by number, not by letters
+    CHECK(
+        adc->lines[3].text ==
+        R"({"name": "mcp3208", "type": "iio", "rate": "10 Hz", "device": "mcp3208", "channels": ["temp", "voltage0", "voltage1", "voltage10"]})");
+    const FoundDevice* imu = find(scan, "/sys/bus/iio/devices/iio:device1");
+    REQUIRE(imu != nullptr);
+    REQUIRE(imu->lines.size() == 1);
+    CHECK(imu->lines[0].text ==
+          R"({"name": "mpu6050", "type": "iio_buffer", "device": "mpu6050", "channels": ["accel_x"]})");
+    CHECK(find(scan, "/dev/pps0")->lines.size() == 1);
     CHECK(find(scan, "/sys/class/hwmon/hwmon0", "cpu_thermal")->lines.size() == 1);
     CHECK(find(scan, "/sys/bus/w1/devices/28-0000075565ad", "DS18B20")->lines.size() == 1);
     CHECK(find(scan, "/sys/bus/w1/devices/w1_bus_master1") == nullptr);
@@ -118,7 +135,7 @@ TEST_SUITE("app") {
     const SystemPlan plan = plan_system(registry, parse_config(document.dump()));
     INFO(plan.report());
     CHECK(plan.good());
-    CHECK(document["sensors"].size() == 7);
+    CHECK(document["sensors"].size() == 10);
   }
 
   TEST_CASE("FW-2 scan of a machine that has nothing says what to switch on") {

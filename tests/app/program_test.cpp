@@ -343,7 +343,7 @@ TEST_SUITE("app") {
       return one.out;
     };
     check({"--help"}, 0);
-    for (const char* command : {"init", "run", "top", "bench", "check", "types", "verify", "info", "export"})
+    for (const char* command : {"init", "run", "top", "bench", "check", "types", "verify", "info", "export", "import"})
       check({command, "--help"}, 0);
     check({"rnu"}, 1);
     check({"run", "rig.json", "--fro", "2s"}, 1);
@@ -693,7 +693,7 @@ TEST_SUITE("app") {
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"record", "x"},
          "rtdata: there is no command \"record\"; there are init, run, top, scan, doctor, bench, check, types, verify, "
-         "info, export; "
+         "info, export, import; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
@@ -713,7 +713,8 @@ TEST_SUITE("app") {
       CHECK(wrong.err == told);
     }
     // Each command's help has examples of its own.
-    for (const char* command : {"init", "check", "verify", "info", "export", "run", "top", "bench", "types"}) {
+    for (const char* command :
+         {"init", "check", "verify", "info", "export", "import", "run", "top", "bench", "types"}) {
       Process help(folder, shipped, {command, "--help"});
       CHECK(help.end() == 0);
       CHECK_MESSAGE(has(help.out, std::string("\n  rtdata ") + command), command);

@@ -50,6 +50,23 @@ TEST_SUITE("app") {
     CHECK(has(top.out, "bus idle                       loopback         -"));
   }
 
+  TEST_CASE("NFR-1 top and the log say what each chip has cost its bus, and how often it failed") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("bus.json", R"({"buses": {"i2c9": {"type": "i2c", "device": "/no/such/adapter"}},
+      "sensors": [{"name": "t", "type": "lm75", "bus": "i2c9", "rate": "100 Hz"}], "sinks": [{"type": "discard"}]})");
+    Process run(folder, program, {"run", "bus.json"});
+    REQUIRE(run.wait_for("faulted"));
+    Process top(folder, program, {"top", "--once"});
+    CHECK(top.end() == 0);
+    CHECK(has(top.out, "  - address 0x48: "));
+    CHECK(has(top.out, " failed, 0 retries"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    const std::string log = folder.read("bus.log");
+    CHECK(has(log, "bus i2c9: address 0x48: "));
+  }
+
   TEST_CASE("NFR-5 a run answers on its socket how its sensors and sinks do") {
     const RuntimeFolder runtime;
     const Folder folder;

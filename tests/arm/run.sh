@@ -41,12 +41,12 @@ if [ ! -e "$root/complete" ]; then
             -o Debug::NoLocking=1 "$@"
     }
     if ! { foreign_apt update && foreign_apt install -y --download-only --no-install-recommends \
-        libuv1-dev libsqlite3-dev libxxhash-dev libspdlog-dev libfmt-dev nlohmann-json3-dev libcli11-dev doctest-dev; }; then
+        libuv1-dev libsqlite3-dev libxxhash-dev libgpiod-dev libspdlog-dev libfmt-dev nlohmann-json3-dev libcli11-dev doctest-dev; }; then
         echo "skipped: the packages for $arch are not to be had here"
         exit 77
     fi
     # What they depend on, the C library above all, comes with the compiler.
-    for name in libuv1 libsqlite3 libxxhash libspdlog libfmt nlohmann-json3 libcli11 doctest; do
+    for name in libuv1 libsqlite3 libxxhash libgpiod libspdlog libfmt nlohmann-json3 libcli11 doctest; do
         for package in "$apt"/cache/archives/"$name"*.deb; do dpkg-deb -x "$package" "$root"; done
     done
     rm -rf "$apt"

@@ -195,6 +195,7 @@ int run(int count, char** arguments) {
   Report report(std::move(options));
   bench_publish(report);
   bench_encoding(report);
+  bench_iio(report);
   bench_loop(report);
   bench_sinks(report);
   bench_disk(report);

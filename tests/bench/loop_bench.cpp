@@ -1,15 +1,19 @@
-// tick_*, react_p50, sensors_10k, close_10k, sensor_memory: what the loop keeps of the kernel's timing, and what a
-// sensor costs.
+// tick_*, react_p50, edge_p50, sensors_10k, close_10k, sensor_memory: what the loop keeps of the kernel's timing, and
+// what a sensor costs.
 #include <fcntl.h>
 #include <malloc.h>
 #include <sys/epoll.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <cmath>
 #include <deque>
 #include <memory>
+#include <optional>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
@@ -17,6 +21,7 @@
 #include "bare.hpp"
 #include "harness.hpp"
 #include "payloads.hpp"
+#include "rtdata/io/gpio.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
@@ -177,6 +182,90 @@ double epoll_reaction() {
   ::epoll_ctl(epoll, EPOLL_CTL_ADD, outside.fd(), &event);
   while (reactions.size() < messages) {
     if (::epoll_wait(epoll, &event, 1, -1) == 1) outside.take(monotonic_ns(), reactions);
+  }
+  ::close(epoll);
+  return percentile(reactions, 0.5);
+}
+
+// ---- edges of a GPIO line: as many as wait are read at once, as from the kernel, and each is handed to a handler
+
+constexpr std::size_t most_edges = 64;
+
+/// A line whose edges are what is written into the pipe.
+class PipeLine final : public rtdata::GpioRequest {
+ public:
+  explicit PipeLine(int fd) : fd_(fd) {}
+  int value() noexcept override { return 1; }
+  int set(bool) noexcept override { return EPERM; }
+  int descriptor() const noexcept override { return fd_; }
+  int read(std::span<rtdata::GpioRawEdge> edges) noexcept override {
+    std::array<std::int64_t, most_edges> written;
+    const ssize_t got = ::read(fd_, written.data(), sizeof written[0] * std::min(written.size(), edges.size()));
+    if (got <= 0) return errno == EAGAIN ? 0 : -errno;
+    const std::size_t count = static_cast<std::size_t>(got) / sizeof written[0];
+    for (std::size_t i = 0; i < count; ++i) edges[i] = {true, written[i], ++number_};
+    return static_cast<int>(count);
+  }
+  bool is_there() noexcept override { return true; }
+
+ private:
+  const int fd_;
+  std::uint32_t number_ = 0;
+};
+
+class PipeChip final : public rtdata::GpioBackend {
+ public:
+  explicit PipeChip(int fd) : fd_(fd) {}
+  std::size_t kept_edges() const noexcept override { return 0; }
+  bool numbers_edges() const noexcept override { return true; }
+  bool debounces() const noexcept override { return true; }
+  std::vector<rtdata::GpioChipInfo> chips() override { return {{.path = "/dev/gpiochip0", .lines = {{}}}}; }
+  std::unique_ptr<rtdata::GpioRequest> take_input(const std::string&, unsigned, const rtdata::GpioInput&, bool,
+                                                  int&) override {
+    return std::make_unique<PipeLine>(fd_);
+  }
+  std::unique_ptr<rtdata::GpioRequest> take_output(const std::string&, unsigned, const rtdata::GpioOutput&,
+                                                   int& error_number) override {
+    error_number = EPERM;
+    return nullptr;
+  }
+
+ private:
+  const int fd_;
+};
+
+double edge_reaction() {
+  std::vector<double> reactions;
+  reactions.reserve(messages);
+  rtdata::Loop loop;
+  std::optional<rtdata::GpioEdges> edges;
+  std::optional<Outside> outside(std::in_place);
+  edges.emplace(
+      loop, rtdata::GpioInput{.line = 0},
+      [&](const rtdata::GpioEdge& edge) {
+        reactions.push_back(static_cast<double>(monotonic_ns() - edge.time.time_since_epoch().count()) / 1e3);
+        if (reactions.size() == messages) loop.stop();
+      },
+      std::make_shared<PipeChip>(outside->fd()));
+  loop.run();
+  edges.reset();
+  return percentile(reactions, 0.5);
+}
+
+double epoll_edge_reaction() {
+  std::vector<double> reactions;
+  reactions.reserve(messages);
+  const Outside outside;
+  const int epoll = ::epoll_create1(0);
+  epoll_event event{};
+  event.events = EPOLLIN;
+  ::epoll_ctl(epoll, EPOLL_CTL_ADD, outside.fd(), &event);
+  while (reactions.size() < messages) {
+    if (::epoll_wait(epoll, &event, 1, -1) != 1) continue;
+    std::array<std::int64_t, most_edges> written;
+    const ssize_t got = ::read(outside.fd(), written.data(), sizeof written);
+    for (std::size_t i = 0; i < static_cast<std::size_t>(std::max<ssize_t>(got, 0)) / sizeof written[0]; ++i)
+      reactions.push_back(static_cast<double>(monotonic_ns() - written[i]) / 1e3);
   }
   ::close(epoll);
   return percentile(reactions, 0.5);
@@ -343,6 +432,8 @@ void bench_loop(Report& report) {
   }
   if (report.wants("react_p50"))
     report.add(measure_pair({.name = "react_p50", .unit = "us", .reach = 1.1}, watch_reaction, epoll_reaction, 9));
+  if (report.wants("edge_p50"))
+    report.add(measure_pair({.name = "edge_p50", .unit = "us", .reach = 1.15}, edge_reaction, epoll_edge_reaction, 9));
   bench_closing(report);
   bench_lateness(report);
   bench_drift(report);

@@ -16,10 +16,14 @@
 #include <vector>
 
 #include "data/payloads.hpp"
+#include "loop/core/loop_core.hpp"
+#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
@@ -187,6 +191,47 @@ struct OfGpsSensor {
   }
   FakeGpsd gpsd;
 };
+/// A line that is driven each time it is to speak.
+struct OfGpio {
+  OfGpio() { pins->add_chip("gpiochip0", 4); }
+  void drive(Loop& loop) {
+    level = !level;
+    pins->drive("gpiochip0", 2, level, loop.core().now());
+  }
+  std::shared_ptr<FakeGpio> pins = std::make_shared<FakeGpio>();
+  bool level = false;
+};
+struct OfGpioEdges : OfGpio {
+  using Type = GpioEdges;
+  Type make(Loop& loop, Probe& probe) {
+    Type made(
+        loop, {.line = 2}, [f = probe.callback()](const GpioEdge&) mutable { f(); }, pins);
+    drive(loop);
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { drive(loop); }
+};
+struct OfEdgeSensor : OfGpio {
+  using Type = EdgeSensor;  // its callback is the handler of its errors: the chip goes away
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "e"}, {.input = {.line = 2}, .retry_first = 1ms, .retry_longest = 1ms}, pins);
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {
+    pins->unplug("gpiochip0", true);
+    pins->plug_in("gpiochip0");
+  }
+};
+struct OfCounterSensor : OfGpio {
+  using Type = CounterSensor;
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "n", .rate = 1_kHz}, {.input = {.line = 3}}, pins);
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) { pins->unplug("gpiochip0", true); }
+};
 struct OfSink {
   using Type = Sink;
   struct Broken final : Writer {
@@ -204,9 +249,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                           \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed, \
-      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfSink
+#define HANDLES                                                                                                  \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
+      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, \
+      OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>
@@ -248,6 +294,12 @@ void use_verbs(Type& handle) {
   } else if constexpr (std::is_same_v<Type, Sink>) {
     handle.flush();
     CHECK(handle.counts().offered > 0);
+  } else if constexpr (std::is_same_v<Type, GpioEdges>) {
+    handle.take_waiting();
+    handle.on_error([](const ErrorReport&) {});
+    CHECK(handle.read().has_value());
+    CHECK_FALSE(handle.failure());
+    CHECK(handle.counts().edges > 0);
   } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
     handle.stop();
     CHECK_FALSE(handle.is_running());
@@ -421,6 +473,12 @@ TEST_SUITE("contract") {
         closed->flush();
         closed->on_error([](const ErrorReport&) {});
         CHECK(closed->counts().offered == 0);
+      } else if constexpr (std::is_same_v<Type, GpioEdges>) {
+        closed->take_waiting();
+        closed->on_error([](const ErrorReport&) {});
+        CHECK(closed->read().error().code == Errc::closed);
+        CHECK_FALSE(closed->failure());
+        CHECK(closed->counts().edges == 0);
       } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
         closed->start();
         closed->stop();

@@ -48,6 +48,7 @@ std::vector<std::unique_ptr<Codec>> shipped() {
   codecs.push_back(make_raw_codec({.sequence = RawConfig::Sequence::include}));
   codecs.push_back(make_csv_codec());
   codecs.push_back(make_csv_codec({.time = CsvConfig::TimeFormat::iso8601}));
+  codecs.push_back(make_cbor_codec());
   return codecs;
 }
 
@@ -55,6 +56,11 @@ struct Number {
   double d = 0;
   float f = 0;
   RTDATA_FIELDS(Number, (d), (f))
+};
+
+struct Note {
+  text<16> words;
+  RTDATA_FIELDS(Note, (words))
 };
 
 struct Letter {
@@ -557,7 +563,7 @@ TEST_SUITE("data") {
 
   TEST_CASE("US-31 NFR-6 a format from outside is added under its name") {
     CodecRegistry registry = CodecRegistry::standard();
-    CHECK(registry.names() == std::vector<std::string>{"csv", "json", "raw"});
+    CHECK(registry.names() == std::vector<std::string>{"cbor", "csv", "influx", "json", "raw"});
     CHECK(registry.add("key-value", [] { return std::make_unique<KeyValueCodec>(); }));
     const auto twice = registry.add("json", [] { return make_json_codec(); });
     REQUIRE_FALSE(twice);
@@ -582,5 +588,113 @@ TEST_SUITE("data") {
       codec->encode(EventView("t", {}, *d, payload), bytes).or_throw();
       CHECK(as_text(bytes).find("\"" + name + "\":0") != std::string::npos);
     }
+  }
+
+  TEST_CASE("US-31 CBOR is what RFC 8949 says, and what others write of it is read") {
+    const auto codec = make_cbor_codec();
+    const Event<Small> event{{from_nanoseconds(1), 300, "o"}, {-500, std::nullopt, 'x', text<4>("ab"), true, {1, 255}}};
+    Bytes bytes;
+    encode(*codec, "t", event, bytes).or_throw();
+    const auto tree = nlohmann::json::from_cbor(std::vector<std::uint8_t>(
+        reinterpret_cast<std::uint8_t*>(bytes.data()), reinterpret_cast<std::uint8_t*>(bytes.data()) + bytes.size()));
+    CHECK(tree == nlohmann::json::parse(R"({"topic":"t","time":1,"origin":"o","sequence":300,
+        "data":{"i":-500,"d":null,"c":"x","t":"ab","b":true,"a":[1,255]}})"));
+    // The head of the map, then "topic".
+    CHECK(std::vector<int>{static_cast<int>(bytes[0]), static_cast<int>(bytes[1]), static_cast<int>(bytes[2])} ==
+          std::vector<int>{0xa5, 0x65, 't'});
+
+    const auto read = [&](const nlohmann::json& data) {
+      const auto other = nlohmann::json::to_cbor(
+          nlohmann::json{{"topic", "t"}, {"time", 1}, {"origin", "o"}, {"sequence", 2}, {"data", data}});
+      return decode<Small>(*codec, std::as_bytes(std::span(other)));
+    };
+    const nlohmann::json good{{"i", 7}, {"d", 2.5}, {"c", "x"}, {"t", "abcd"}, {"b", false}, {"a", {1, 2}}};
+    CHECK(read(good).or_throw().data == Small{7, 2.5, 'x', text<4>("abcd"), false, {1, 2}});
+    const auto with = [&](const char* key, const nlohmann::json& value) {
+      auto changed = good;
+      changed[key] = value;
+      return read(changed);
+    };
+    CHECK(with("d", 1e300));
+    CHECK(with("d", nullptr));
+    CHECK(with("d", 3));
+    CHECK_FALSE(with("i", 1.5));
+    CHECK_FALSE(with("i", 5'000'000'000));
+    CHECK_FALSE(with("i", nullptr));
+    CHECK_FALSE(with("t", "abcde"));
+    CHECK_FALSE(with("a", nlohmann::json::array({1})));
+    CHECK_FALSE(with("a", nlohmann::json::array({1, 256})));
+    CHECK_FALSE(with("z", 1));
+    // -2^64, of which nlohmann's parser makes 0.
+    auto below = as_bytes(std::string_view("\xa5\x65topic\x61t\x64time\x3b\xff\xff\xff\xff\xff\xff\xff\xff", 23));
+    CHECK(codec->decode(below, *description_of<Small>()).error().code == Errc::out_of_range);
+  }
+
+  TEST_CASE("US-31 CBOR of a stream: where each event ends, however it is cut, and never beyond what came") {
+    const auto codec = make_cbor_codec();
+    Bytes bytes;
+    encode(*codec, "a/topic", full_event(), bytes).or_throw();
+    const std::size_t one = bytes.size();
+    encode(*codec, "a/topic", full_event(), bytes).or_throw();
+    for (std::size_t size = 0; size <= bytes.size(); ++size)
+      CHECK(codec->first_event(std::span(bytes).first(size)) == (size < one ? 0 : one));
+    std::mt19937_64 random(1);
+    for (int i = 0; i < 20'000; ++i) {
+      Bytes garbage(random() % 40);
+      for (auto& byte : garbage) byte = static_cast<std::byte>(random());
+      REQUIRE(codec->first_event(garbage) <= garbage.size());
+      if (const auto event = codec->decode(garbage, *description_of<Small>()); !event)
+        REQUIRE(!event.error().text().empty());
+    }
+  }
+
+  TEST_CASE("US-31 lines of InfluxDB: what can be said comes back, what cannot is left out, a line is a line") {
+    const auto codec = make_influx_codec();
+    Bytes bytes;
+    const Event<Climate> climate{{from_nanoseconds(1'772'366'400'000'000'001), 7, "cham ber,1=\"x\""}, {21.5, 1e17}};
+    encode(*codec, "room/climate", climate, bytes).or_throw();
+    CHECK(as_text(bytes) ==
+          "room/climate,origin=cham\\ ber\\,1\\=\"x\" temperature=21.5,humidity=1e+17,sequence=7i "
+          "1772366400000000001\n");
+    CHECK(codec->first_event(bytes) == bytes.size());
+    const auto back = decode<Climate>(*codec, bytes).or_throw();
+    CHECK(back.data == climate.data);
+    CHECK(back.origin == climate.origin);
+    CHECK(back.topic == "room/climate");
+    CHECK(back.sequence == 7);
+
+    const Event<Small> small{{from_nanoseconds(-5), 1, ""}, {-1, std::nullopt, '"', text<4>("\\\n\" "), true, {1, 2}}};
+    bytes.clear();
+    encode(*codec, "t", small, bytes).or_throw();
+    CHECK(codec->first_event(bytes) == bytes.size());
+    CHECK(decode<Small>(*codec, bytes).or_throw().data == small.data);
+
+    for (const char* text : {"\\x0a", "\n", "\\\n", "\\x5c", "\n\\x", "\xff\n", "a\\"}) {
+      Event<Note> note{{from_nanoseconds(5), 1, "o"}, {rtdata::text<16>(text)}};
+      bytes.clear();
+      encode(*codec, "t", note, bytes).or_throw();
+      CHECK(std::count(bytes.begin(), bytes.end(), std::byte{'\n'}) == 1);
+      CHECK(decode<Note>(*codec, bytes).or_throw().data.words == note.data.words);
+    }
+
+    const double infinity = std::numeric_limits<double>::infinity();
+    bytes.clear();
+    encode(*codec, "t", Event<Climate>{{from_nanoseconds(5), 1, "o"}, {std::nan(""), infinity}}, bytes).or_throw();
+    CHECK(as_text(bytes) == "t,origin=o sequence=1i 5\n");
+    CHECK(std::isnan(decode<Climate>(*codec, bytes).or_throw().data.humidity));
+
+    for (const char* origin : {"a\nb", "a\\", "a\\,b", "a\\\\b"}) {
+      const std::size_t before = bytes.size();
+      CHECK(encode(*codec, "t", Event<Climate>{{from_nanoseconds(5), 1, origin}, {1, 2}}, bytes).error().code ==
+            Errc::does_not_fit);
+      CHECK(bytes.size() == before);
+    }
+    for (const char* line :
+         {"", "t", "t ", "t x=1 5", "t temperature=1,humidity=2 ", "t temperature=1,humidity=2 x",
+          "t temperature=1,temperature=2 5", "t temperature=1i,humidity=1,z=3 5", "t temperature=nan 5",
+          "t temperature= 5", "t temperature=\"x 5", "t,origin temperature=1 5", "t temperature=1 5 6"})
+      CHECK_FALSE(decode<Climate>(*codec, as_bytes(line)));
+    CHECK(decode<Climate>(*codec, as_bytes("t,host=a,origin=b temperature=1i,humidity=2 5")).or_throw().data ==
+          Climate{1, 2});
   }
 }

@@ -100,3 +100,17 @@ inside sh -euxc '. build/readme.sh'
 echo "== the tests, which users do not build"
 inside sh -euxc 'cmake -S . -B build/release -DRTDATA_TESTS=ON >/dev/null && cmake --build build/release --parallel'
 inside sh -euc 'cd build/release && exec ../../tests/build/ctest.sh --timeout 600 -LE slow'
+
+# Its libgpiod is another one than this machine's: with a kernel that has GPIO lines, the program runs in the bench by chroot.
+bench=tests/kernel/kernel-bench
+status=0
+$bench --setup || status=$?
+if [ $status -eq 77 ]; then
+    echo "skipped: GPIO with libgpiod 2"
+    exit 0
+fi
+[ $status -eq 0 ]
+echo "== GPIO with libgpiod 2, in the kernel bench"
+# shellcheck disable=SC2016 # of the shell in there
+$bench -t 300 -- sh -euc 'for one in dev proc sys; do mount --rbind /$one "$0/$one"; done
+    exec chroot "$0" env RTDATA_TEST_LIBGPIOD=2 /rt-data/build/release/rtdata_kernel_gpio_tests --no-skipped-summary' "$root"

@@ -1,4 +1,4 @@
-/// Fuzzes the decoders: arbitrary bytes as JSON, raw bytes, CSV and as a description.
+/// Fuzzes the decoders: arbitrary bytes in each format and as a description.
 ///
 /// What decodes must encode again and decode to the same values; nothing may crash. The first byte chooses what is
 /// tried.
@@ -49,7 +49,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   static const auto raw_numbered = make_raw_codec({.sequence = RawConfig::Sequence::include});
   static const auto registry = CodecRegistry::standard();
   static const std::unique_ptr<Codec> codecs[] = {registry.make("json").or_throw(), registry.make("raw").or_throw(),
-                                                  registry.make("csv").or_throw()};
+                                                  registry.make("csv").or_throw(), registry.make("cbor").or_throw(),
+                                                  registry.make("influx").or_throw()};
   if (size == 0) return 0;
   const std::uint8_t choice = data[0];
   const auto bytes = std::as_bytes(std::span(data + 1, size - 1));
@@ -61,12 +62,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     case 0:
     case 1:
     case 2:
+    case 3:
+    case 4:
       decode_twice(*codecs[choice % 8], bytes, description);
       break;
-    case 3:
+    case 5:
       decode_twice(*raw_numbered, bytes, description);
       break;
-    case 4: {  // raw bytes whose total size is right
+    case 6: {  // raw bytes whose total size is right
       std::vector<std::byte> sized(4);
       for (std::size_t i = 0; i < 4; ++i) sized[i] = static_cast<std::byte>(bytes.size() >> (8 * i));
       sized.insert(sized.end(), bytes.begin(), bytes.end());

@@ -20,9 +20,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     ++published;
     if (time < last) std::abort();
     last = time;
-    const auto is_within = [](const std::optional<double>& value, double most) { return std::abs(value.value_or(0)) <= most; };
+    const auto is_within = [](const std::optional<double>& value, double most) {
+      return std::abs(value.value_or(0)) <= most;
+    };
     if (!is_within(fix.lat, 90) || !is_within(fix.lon, 180)) std::abort();
-    for (const auto& value : {fix.lat, fix.lon, fix.alt_msl, fix.alt_hae, fix.speed, fix.track, fix.mag_var, fix.geoid_sep})
+    for (const auto& value :
+         {fix.lat, fix.lon, fix.alt_msl, fix.alt_hae, fix.speed, fix.track, fix.mag_var, fix.geoid_sep})
       if (value && !std::isfinite(*value)) std::abort();
     if (fix.mode > 3 || (fix.mode == 1 && (fix.lat || fix.lon || fix.speed || fix.alt_msl))) std::abort();
   };

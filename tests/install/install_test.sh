@@ -23,6 +23,7 @@ fi
 project() {
     cp -r "$source/tests/install/$1" "$work/$1"
     sed 's/run_for(1s)/run_for(200ms)/' "$source/examples/01_record.cpp" >"$work/$1/record.cpp"
+    cp "$source/tests/install/lines.cpp" "$work/$1"
     cd "$work/$1"
 }
 # Runs the program $1 and looks whether its rows are there.
@@ -88,6 +89,10 @@ cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
 cmake --build out -j "$(nproc)" >>cmake.log || { cat cmake.log >&2; exit 1; }
 check out/record
+if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
+    out/lines
+    echo "GPIO, CMake: good"
+fi
 # The program with types of its own, made in the way $1: it knows them, and records with them.
 check_own_types() {
     "$2" check "$source/examples/06_own_types.json"
@@ -107,6 +112,11 @@ cp "$source/examples/10_own_driver.cpp" own_driver.cpp
 PKG_CONFIG_PATH="$pkgconfig" sh build.sh own_driver rtdata
 LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./own_driver
 echo "own driver: good"
+if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
+    PKG_CONFIG_PATH="$pkgconfig" sh build.sh lines rtdata-gpio
+    LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./lines
+    echo "GPIO, pkg-config: good"
+fi
 if [ -x "$work/prefix/bin/rtdata" ]; then
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh own_types rtdata-program
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check_own_types pkg-config ./own_types

@@ -136,6 +136,11 @@ TEST_SUITE("drivers") {
     CHECK(has(device("I2C"), "address 0x68: mpu6050, known to the kernel"));
     CHECK(has(device("SPIDEV"), "chip select"));
     CHECK(has(device("GPIOCHIP"), ""));
+    if (standard_registry().sensors().find("edge")) {  // there is libgpiod
+      CHECK(has(device("GPIOCHIP"), "rtdata-bench, 16 lines; free: sim0 sim1"));
+      CHECK(line(R"("type": "edge", "line": "sim0")"));
+      CHECK(line(R"("type": "counter", "rate": "1 Hz", "line": "sim0")"));
+    }
     CHECK(has(device("PPS"), ""));
     CHECK(line(R"("type": "bmp280")"));
     CHECK(line(R"({"type": "i2c", "device": ")" + device("I2C")));

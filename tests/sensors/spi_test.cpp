@@ -108,6 +108,40 @@ TEST_SUITE("sensors") {
     CHECK(bench.loop.runtime().balances());
   }
 
+  TEST_CASE(
+      "US-11 inline: short transfers run on the sensor's loop, which waits for them; faults are told as on a lane") {
+    SpiBench bench;
+    SpiBus bus("spi0", bench.wires, {.reads_on_loop = true});
+    bench.wires->on_transfer(0, chip_of(AdcModel::mcp3208, {7}));
+    bench.wires->set_duration(0, 300us);
+    std::vector<AdcReading> read;
+    std::vector<MonotonicTime> ticks;
+    const auto heard = bench.loop.subscribe<AdcReading>("a", [&](const Event<AdcReading>& e) { read.push_back(*e); });
+    Adc adc(bench.loop, {.name = "a", .rate = 1_kHz, .retry_first = 10ms, .retry_longest = 10ms}, bus);
+    const Ticker beside(bench.loop, 1ms, [&](const Tick& tick) { ticks.push_back(tick.now); });
+    bench.loop.advance(1s);
+    CHECK(adc.counts().missed + adc.counts().failed == 0);
+    CHECK(adc.counts().taken == read.size());
+    CHECK(read.size() >= 999);
+    CHECK(ticks.size() >= 999);
+    for (const MonotonicTime tick : ticks) REQUIRE(tick.time_since_epoch() % 1ms >= 300us);  // the loop was held before
+    bench.wires->fail(0, 4, EIO);
+    bench.loop.advance(100ms);
+    CHECK(bus.counts(0).failed == 4);
+    CHECK(adc.counts().failed >= 4);
+    CHECK(adc.health() == Health::ok);
+    CHECK_FALSE(bench.errors.empty());
+    adc.stop();
+    const auto at_stop = bench.wires->transfers(0);
+    bench.loop.advance(100ms);
+    CHECK(bench.wires->transfers(0) == at_stop);
+    adc.start();
+    bench.loop.advance(10ms);
+    CHECK(bench.wires->transfers(0) > at_stop);
+    adc.close();
+    CHECK(bench.loop.runtime().balances());
+  }
+
   TEST_CASE("US-11 US-27 no chip, a failing controller, one that hangs: told at the sensor, and over when it is") {
     SpiBench bench;
     bench.wires->on_transfer(1, chip_of(AdcModel::mcp3208, {}));

@@ -114,6 +114,7 @@ struct PartPlan {
     std::string bus = {};   ///< empty: it is on none
     std::string text = {};  ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
   } place = {};
+  std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 
@@ -142,6 +143,12 @@ class Parts {
   T& get(std::string_view kind, std::string_view name) const {
     if (T* object = part_named(kind, name).object.as<T>()) return *object;
     refuse_type(kind, name);
+  }
+  /// Null: there is none of that name, or it is no T.
+  template <class T>
+  T* find(std::string_view kind, std::string_view name) const {
+    const auto found = by_name_.find({std::string(kind), std::string(name)});
+    return found == by_name_.end() ? nullptr : found->second->object.as<T>();
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;

@@ -8,9 +8,9 @@
 ///     for (const ParameterInfo& p : parameters_of<UartConfig>()) ...
 ///     std::cout << schema_of<UartConfig>("uart", "a serial line");
 ///
-/// Told are: unknown keys (with the nearest known one), required keys that are missing, values of the wrong type, out
-/// of range, of the wrong length or not among the choices. What one parameter cannot say by itself (a minimum below a
-/// maximum) goes into a function beside the Config, which is called when everything else is right:
+/// Reported are: unknown keys (with the nearest known one), required keys that are missing, values of the wrong type,
+/// out of range, of the wrong length or not among the choices. What one parameter cannot say by itself (a minimum below
+/// a maximum) goes into a function beside the Config, which is called when everything else is right:
 ///
 ///     void check_config(const UartConfig& config, const ConfigItem& item, Problems& problems);
 ///
@@ -42,7 +42,7 @@ struct KnownKey {
   std::string_view doc;
   bool required;
 };
-/// Tells unknown keys and missing ones.
+/// Reports unknown and missing keys.
 bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, UnknownKeys unknown, Problems& problems);
 
 template <class E, std::size_t N>
@@ -240,7 +240,7 @@ ParameterType type_of(const ParameterRules& rules, const Choices& choices) {
     if constexpr (is_duration<T>) type.kind = Kind::duration;
     if constexpr (Integer<T>) {
       type.kind = Kind::integer;
-      if constexpr (sizeof(T) <= 4) {  // the limits of larger ones help nobody
+      if constexpr (sizeof(T) <= 4) {  // the limits of larger ones are of no use in a message
         type.least = static_cast<double>(std::numeric_limits<T>::min());
         type.most = static_cast<double>(std::numeric_limits<T>::max());
       } else if constexpr (std::is_unsigned_v<T>) {
@@ -285,7 +285,7 @@ std::vector<ParameterInfo> list_parameters() {
 
 /// Reads an item into a Config. True when there was no mistake; else all of them are added to `problems`, and the
 /// members they are about are unspecified. Members whose keys are not there stay as they are. `others`: keys that are
-/// known though no parameter of T, because somebody else reads them.
+/// known though no parameter of T, because other code reads them.
 template <Configurable T>
 bool read_config(const ConfigItem& item, T& out, Problems& problems, UnknownKeys unknown = UnknownKeys::report,
                  const std::vector<std::string>& others = {}) {

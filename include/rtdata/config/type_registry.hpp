@@ -50,7 +50,7 @@ class TypeRegistryBase {
   TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
 
   using Parameters = std::vector<ParameterInfo> (*)();
-  /// `parameters` is called when somebody asks for them: making things needs none.
+  /// `parameters` is called when they are asked for: making a part needs none.
   void add_type(std::string type, std::string doc, Parameters parameters);
   /// Which type the item names; `none`, with a problem, when it names none of these.
   std::size_t type_of(const ConfigItem& item, Problems& problems) const;

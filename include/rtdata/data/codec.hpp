@@ -1,6 +1,7 @@
 /// Codec: events to bytes and back, in any format.
 ///
-/// Shipped: "json" (one object a line), "raw" (the compact wire format), "csv" (a row an event). A format of your own
+/// Shipped: "json" (one object a line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row an
+/// event), "influx" (a line of InfluxDB's protocol). A format of your own
 /// is a class that derives from `Codec`, added to a `CodecRegistry` under its name; whatever takes formats by name
 /// (files, network sinks, exports) then takes it too.
 ///
@@ -73,6 +74,23 @@ class Codec {
 /// come back equal. Decoding wants every key once and no other, in any order; "sequence" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
+/// CBOR (RFC 8949), a map an event with the keys of JSON, one after the other without anything between (RFC 8742).
+/// Numbers and NaN are those of CBOR, in as few bytes as the integer needs and in four or eight as the float has; a
+/// text is a string of text, or of bytes when it is no UTF-8: no escapes. Else as JSON. Decoding takes any such map,
+/// integers and floats of any size that CBOR has for the value, lists and maps of unknown length too; tags are errors.
+std::unique_ptr<Codec> make_cbor_codec();
+
+/// InfluxDB's line protocol, also of VictoriaMetrics, QuestDB and Telegraf:
+///
+///     climate,origin=chamber temperature=21.5,position.x=1,state="idle",sequence=7i 1772366400000000000
+///
+/// The measurement is the topic, the origin a tag (left out when empty), the time ns, a field each leaf by its path:
+/// integers with an i, those above int64 with a u, texts, chars and names of enumerations in quotes, with escapes as in
+/// CSV. The protocol has no NaN, no infinity and no null: these fields are left out, and read back as NaN or absent, so
+/// that infinities do not come back equal. Errors: does-not-fit (an origin or topic with a line break or a trailing
+/// backslash, which it has no way to write).
+std::unique_ptr<Codec> make_influx_codec();
+
 struct RawConfig {
   enum class Sequence { omit, include };
   /// Whether the sequence number is sent, as a u64 after the origin. Both sides must agree.
@@ -110,7 +128,7 @@ class CodecRegistry {
  public:
   using Factory = std::function<std::unique_ptr<Codec>()>;
 
-  /// "json", "raw" and "csv", each with the default settings.
+  /// The shipped ones, each with the default settings.
   static CodecRegistry standard();
 
   /// Errors: bad_name, when the name is taken or empty, or when there is no factory.

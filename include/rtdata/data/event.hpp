@@ -20,7 +20,8 @@
 
 namespace rtdata {
 
-/// What every event has. `origin` is the name of who made it; `sequence` counts the events of one origin from 1 on.
+/// What every event has. `origin` is the name of the sensor or feed that made it; `sequence` counts the events of one
+/// origin from 1 on.
 struct EventHeader {
   Time time{};  ///< when it was sampled
   std::uint64_t sequence = 0;

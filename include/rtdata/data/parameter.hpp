@@ -16,7 +16,7 @@
 ///       }
 ///     };
 ///
-/// From it follow reading with every mistake told (`read_config`), the list for people (`parameters_of`), the JSON
+/// From it follow reading that reports every mistake (`read_config`), the list for people (`parameters_of`), the JSON
 /// Schema
 /// (`schema_of`) and writing (`write_config`), all in read.hpp.
 ///
@@ -48,8 +48,8 @@
 namespace rtdata {
 
 /// What a text stands for, which says more about it than its type does. An option of `parameter`: a mistake in such a
-/// text is told when it is read, and the schema has a pattern for it. An empty text stands for none, where it need not
-/// be there.
+/// text is reported when it is read, and the schema has a pattern for it. An empty text stands for none, where it need
+/// not be there.
 enum class TextIs : std::uint8_t {
   anything,
   recorded,       ///< written into recordings, such as notes

@@ -3,7 +3,7 @@
 /// Payloads travel by memcpy, so they cannot hold a std::string. `text<N>` is built from a
 /// std::string_view, a std::string or a literal and converts to a std::string_view; a longer text is an error, never a
 /// cut. The content is any bytes; where text has to be UTF-8 (JSON, CSV, recordings), those that are none are escaped,
-/// and the sink counts and tells it (docs/formats.md).
+/// and the sink counts and reports it (docs/formats.md).
 ///
 /// Layout, on which code that knows only a description relies: alignment 1, size N + 2; two bytes with the length, the
 /// low one first, then N bytes, zero after the length. So the capacity of a text of `size` bytes is `size - 2`.

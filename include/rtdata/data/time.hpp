@@ -39,7 +39,7 @@ std::string to_iso8601(Time time);
 Result<Time> parse_iso8601(std::string_view text);
 
 /// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate, which is false, and which
-/// whoever needs one refuses.
+/// code that needs one refuses it.
 class Rate {
  public:
   constexpr Rate() = default;

@@ -11,7 +11,7 @@
 ///      public:
 ///       using Bus = Wire;
 ///       struct Place { unsigned number = 1; parameters(...) };    // where on the bus; beside `bus` in configurations
-///       rtdata::Result<double> ask();                                // blocks; on the lane
+///       rtdata::Result<double> ask();                                // blocks; on the lane; `count`s itself
 ///     };
 ///     class Wire : public rtdata::Bus {
 ///      public:
@@ -32,6 +32,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/data/time.hpp"
@@ -49,14 +50,23 @@ struct TransferCounts {
   std::uint64_t retried = 0;
   Duration busy{0};  ///< the bus was held
   Duration longest{0};
+};
 
-  void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept {
-    ++transfers;
-    if (!is_good) ++failed;
-    retried += retries;
-    busy += took;
-    if (took > longest) longest = took;
-  }
+/// The counts of one place: its devices add to them, `Bus::accounts` reads them. Any thread; without a lock.
+class TransferAccount {
+ public:
+  void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept;
+  TransferCounts counts() const noexcept;
+
+ private:
+  std::atomic<std::uint64_t> transfers_{0}, failed_{0}, retried_{0};
+  std::atomic<std::int64_t> busy_{0}, longest_{0};  // ns
+};
+
+/// "address 0x76", and what it has cost.
+struct PlaceAccount {
+  std::string place;
+  TransferCounts counts;
 };
 
 class Bus {
@@ -68,33 +78,48 @@ class Bus {
   /// Of each job of a sensor on it.
   Duration give_up_after() const noexcept { return give_up_after_; }
 
-  /// Of a place on the bus; free again when the last copy goes. An empty one is nobody's. SetupError (busy): somebody
-  /// has it.
+  /// Of a place on the bus; free again when the last copy goes. An empty one is nobody's. SetupError (busy): it is
+  /// taken.
   std::shared_ptr<void> claim(const std::string& place);
+  /// What each place has cost, by name: of all that devices were asked for. Any thread.
+  std::vector<PlaceAccount> accounts() const;
+  /// Zeros where there was no device. Any thread.
+  TransferCounts counts_of(const std::string& place) const;
   const std::shared_ptr<detail::LaneThread>& lane_thread() const noexcept { return lane_thread_; }
 
  protected:
   Bus(std::string name, Duration give_up_after);
   ~Bus();
+  /// Of this place, one for all devices there: for the device, which may outlive the bus.
+  std::shared_ptr<TransferAccount> account_of(const std::string& place) const;
 
  private:
-  struct Claims;
+  struct Places;
   std::string name_;
   Duration give_up_after_;
   std::shared_ptr<detail::LaneThread> lane_thread_;
-  std::shared_ptr<Claims> claims_;
+  std::shared_ptr<Places> places_;
 };
 
 /// What all devices on buses have.
 class BusDevice {
  public:
-  /// Nobody waits for it any more: a job that hung and comes back must leave the bus alone. Any thread.
+  /// `account`: of its place, from `Bus::account_of`; null: nothing is counted.
+  explicit BusDevice(std::shared_ptr<TransferAccount> account = nullptr) : account_(std::move(account)) {}
+  /// Its result is not wanted any more: a job that hung and comes back must leave the bus alone. Any thread.
   void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
   /// Blocks for so long, as chips need after a reset. On a manual loop, virtual time passes.
   void wait(Duration duration) const noexcept;
 
+ protected:
+  /// A transfer has ended.
+  void count(Duration took, bool is_good, std::uint64_t retries = 0) const noexcept {
+    if (account_ != nullptr) account_->add(took, is_good, retries);
+  }
+
  private:
+  std::shared_ptr<TransferAccount> account_;
   std::shared_ptr<std::atomic<bool>> is_abandoned_ = std::make_shared<std::atomic<bool>>(false);
 };
 

@@ -6,8 +6,8 @@
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x48});
 ///
 /// A chip has 256 registers and a pointer that goes on by itself, as most have; registers that do more get functions.
-/// An address without a chip does not acknowledge. On a manual loop a transfer takes as much virtual time as it is told
-/// to, and one that takes longer than the bus's timeout hangs.
+/// An address without a chip does not acknowledge. On a manual loop a transfer takes as much virtual time as is
+/// set, and one that takes longer than the bus's timeout hangs.
 ///
 /// Thread: any; a lock holds transfers and the test apart. The functions are called under it, and must not call the
 /// fake.

@@ -5,7 +5,7 @@
 ///     rtdata::SpiBus bus("spi0", wires);
 ///
 /// A chip select without a function has no chip: it reads as ones. The function is called for each piece of a
-/// transfer; either span may be empty. On a manual loop a transfer takes as much virtual time as it is told to, and one
+/// transfer; either span may be empty. On a manual loop a transfer takes as much virtual time as is set, and one
 /// that takes longer than the bus's timeout hangs.
 ///
 /// Thread: any; a lock holds transfers and the test apart. The functions are called under it, and must not call the

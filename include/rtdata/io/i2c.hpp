@@ -61,7 +61,7 @@ class I2cTransport {
   /// Writes, then reads; either may be empty. 0, or the errno of what went wrong: ENXIO when nothing acknowledges.
   virtual int transfer(unsigned address, std::span<const std::uint8_t> write,
                        std::span<std::uint8_t> read) noexcept = 0;
-  /// Before the first transfer of a sensor with this chip. 0, or an errno: EBUSY when somebody else has it.
+  /// Before the first transfer of a sensor with this chip. 0, or an errno: EBUSY when another driver has it.
   virtual int look_at(unsigned) noexcept { return 0; }
 };
 
@@ -116,7 +116,8 @@ class I2cDevice : public BusDevice {
  private:
   friend class I2cBus;
   struct Core;
-  I2cDevice(std::shared_ptr<Core> core, I2cAddress address) : core_(std::move(core)), address_(address) {}
+  I2cDevice(std::shared_ptr<Core> core, I2cAddress address, std::shared_ptr<TransferAccount> account)
+      : BusDevice(std::move(account)), core_(std::move(core)), address_(address) {}
   Error failure(int errno_value) const;
   std::shared_ptr<Core> core_;
   I2cAddress address_;
@@ -135,7 +136,7 @@ class I2cBus : public Bus {
   I2cDevice device(const I2cDevice::Place& place) const;
   static std::string text_of(const I2cDevice::Place& place) { return "address " + to_string(place.address); }
   /// Any thread.
-  TransferCounts counts(I2cAddress address) const;
+  TransferCounts counts(I2cAddress address) const { return counts_of(text_of({address})); }
 
  private:
   std::shared_ptr<I2cDevice::Core> core_;

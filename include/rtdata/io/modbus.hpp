@@ -99,7 +99,8 @@ class ModbusDevice : public BusDevice {
  private:
   friend class ModbusBus;
   struct Core;
-  ModbusDevice(std::shared_ptr<Core> core, unsigned unit) : core_(std::move(core)), unit_(unit) {}
+  ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferAccount> account)
+      : BusDevice(std::move(account)), core_(std::move(core)), unit_(unit) {}
   template <class Ask>
   Result<void> ask(Ask&& ask);
   Error failure(int number, const char* libmodbus_text) const;
@@ -120,7 +121,7 @@ class ModbusBus : public Bus {
   /// None: several sensors may read one device.
   static std::string text_of(const ModbusDevice::Place&) { return {}; }
   /// What the unit has cost the bus. Any thread.
-  TransferCounts counts(unsigned unit) const;
+  TransferCounts counts(unsigned unit) const { return counts_of("unit " + std::to_string(unit)); }
 
  private:
   std::shared_ptr<ModbusDevice::Core> core_;

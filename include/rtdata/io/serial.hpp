@@ -110,7 +110,8 @@ class SerialDevice : public BusDevice {
  private:
   friend class SerialPort;
   struct Core;
-  explicit SerialDevice(std::shared_ptr<Core> core) : core_(std::move(core)) {}
+  SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferAccount> account)
+      : BusDevice(std::move(account)), core_(std::move(core)) {}
   Result<void> check_wanted() const;
   /// Adds what has come to `pending_`; false: nothing came by then.
   Result<bool> receive(MonotonicTime until);
@@ -130,9 +131,10 @@ class SerialPort : public Bus {
   SerialDevice device(const SerialDevice::Place& place = {}) const;
   static std::string text_of(const SerialDevice::Place&) { return {}; }
   /// Of writes and reads. Any thread.
-  TransferCounts counts() const;
+  TransferCounts counts() const { return counts_of(all); }
 
  private:
+  static constexpr const char* all = "all devices";
   std::shared_ptr<SerialDevice::Core> core_;
 };
 

@@ -54,7 +54,8 @@ struct SpiSegment {
 };
 
 /// What carries the transfers: the kernel's controller, the fake of tests (fake_spi.hpp), or one of your own.
-/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
+/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call; of a
+/// bus that `reads_on_loop`, those of all its sensors' loops at once.
 class SpiTransport {
  public:
   virtual ~SpiTransport() = default;
@@ -65,6 +66,9 @@ class SpiTransport {
 struct SpiConfig {
   std::string device = {};                     ///< of the controller, without the chip select: "/dev/spidev0"
   Duration timeout = std::chrono::seconds{1};  ///< what a sensor does on the bus at a time; longer, it is given up
+  /// Sensors read on their own loop, which waits for the transfer: for short ones, where handing them to the lane and
+  /// back would take longer. A controller that hangs holds the loop then, whatever `timeout` says.
+  bool reads_on_loop = false;
 
   friend constexpr auto parameters(type_tag<SpiConfig>) {
     using namespace std::chrono_literals;
@@ -72,7 +76,9 @@ struct SpiConfig {
         parameter("device", &SpiConfig::device, "the controller without a chip select, such as /dev/spidev0", required,
                   TextIs::device),
         parameter("timeout", &SpiConfig::timeout, "a reading that takes the bus for longer is given up",
-                  range(Duration{1ms}, Duration{1h})));
+                  range(Duration{1ms}, Duration{1h})),
+        parameter("inline", &SpiConfig::reads_on_loop,
+                  "read on the sensors' own loops, which wait for each transfer: for short ones"));
   }
   friend void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems);
 };
@@ -103,7 +109,8 @@ class SpiDevice : public BusDevice {
  private:
   friend class SpiBus;
   struct Core;
-  SpiDevice(std::shared_ptr<Core> core, SpiPlace place) : core_(std::move(core)), place_(place) {}
+  SpiDevice(std::shared_ptr<Core> core, SpiPlace place, std::shared_ptr<TransferAccount> account)
+      : BusDevice(std::move(account)), core_(std::move(core)), place_(place) {}
   std::shared_ptr<Core> core_;
   SpiPlace place_;
 };
@@ -121,7 +128,9 @@ class SpiBus : public Bus {
   SpiDevice device(const SpiPlace& place) const;
   static std::string text_of(const SpiPlace& place) { return "chip select " + std::to_string(place.chip_select); }
   /// What the chip has cost the bus. Any thread.
-  TransferCounts counts(unsigned chip_select) const;
+  TransferCounts counts(unsigned chip_select) const { return counts_of(text_of({.chip_select = chip_select})); }
+  /// Sensors read on their loop, not on the bus's lane.
+  bool reads_on_loop() const noexcept;
 
  private:
   std::shared_ptr<SpiDevice::Core> core_;

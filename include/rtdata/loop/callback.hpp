@@ -7,7 +7,7 @@
 ///     rtdata::Callback<int(int)> twice = [](int number) { return 2 * number; };
 ///     twice(21);   // 42
 ///
-/// Owner: whoever holds it. Thread: that of the holder.
+/// Owner: the holder. Thread: the holder's.
 #pragma once
 
 #include <cstddef>

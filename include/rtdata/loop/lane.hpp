@@ -6,7 +6,7 @@
 /// run transactions, drivers and storage, never a user's callbacks.
 ///
 /// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the
-/// order in which they were submitted, and each is told of on the loop that it came from.
+/// order in which they were submitted, and `done` of each is called on the loop that it came from.
 ///
 /// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
 /// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds;
@@ -86,7 +86,7 @@ class Lane {
   bool lacks_thread() const noexcept;
   /// Whether this is the thread that it uses.
   bool uses(const LaneThread& thread) const noexcept { return thread_.get() == &thread; }
-  /// Nobody else has its thread, and it has nothing to do.
+  /// It shares its thread with no other lane, and it has nothing to do.
   bool is_deserted() const noexcept { return thread_.use_count() == 1 && outstanding_.empty(); }
   /// Gives up the first job that has not finished, however long it has run.
   void give_up();

@@ -109,7 +109,8 @@ struct Gap {
 std::string_view name_of(Gap::Kind kind) noexcept;
 
 /// The outages of an origin without a schedule: stretches in which nothing could come, or nothing came for longer than
-/// it may. Each is a gap. What they cost is a time and no count, since nobody knows how many events would have come.
+/// it may. Each is a gap. What they cost is a time and no count, since the number of events that would have come is not
+/// known.
 struct Outages {
   std::uint64_t number = 0;
   Duration time{0};         ///< of all together

@@ -14,7 +14,7 @@
 /// hold ticks.
 ///
 /// While the loop does not run, what is made on it waits for its opening (of a device on a lane, of a recording), and
-/// tells what failed. While it runs nothing waits: the opening goes on on a lane, what comes meanwhile is queued, and
+/// reports what failed. While it runs nothing waits: the opening goes on on a lane, what comes meanwhile is queued, and
 /// an error is reported. A loop of its own runs within `run`, `run_for`, `poll` and `advance`, and not between two
 /// calls of these: a program that polls should make things in `post`, where nothing waits. An attached loop runs from
 /// the end of its first turn, in which the host's `uv_run` has called it back, to its end: what is made before waits,
@@ -24,8 +24,8 @@
 /// end, which never comes, so that Duration::max() means never, or without limit.
 ///
 /// Owner: the user; it must outlive nothing: handles that outlive it become closed. Not movable. Destroying it in one
-/// of its own callbacks, before its tiers, or while another thread runs it ends the program (std::abort), having said
-/// so. While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
+/// of its own callbacks, before its tiers, or while another thread runs it ends the program (std::abort) with a message
+/// on stderr. While it is destroyed, nothing can be made on it, and no handler set (SetupError, busy).
 /// Thread: the one that runs it. From other threads, and from a sink's Writer: `post` and `stop` only.
 #pragma once
 

@@ -86,8 +86,8 @@ class Tier {
   /// one of its own callbacks, or in a call of a sink's Writer: asks for it, and returns.
   void stop() noexcept;
   /// The same, but waits no longer than this for the callback. False: it hangs there, see `doing`, and the tier ends
-  /// when it returns. Whoever must end all the same leaves by std::_Exit, since destroying anything on the tier waits
-  /// for it.
+  /// when it returns. A program that must end all the same calls std::_Exit, since destroying anything on the tier
+  /// waits for it.
   bool stop_within(Duration at_most) noexcept;
   /// The callback that it began last, "sensor chamber" or "handler of room/#"; empty: none, or one that has no name or
   /// is gone. Any thread.

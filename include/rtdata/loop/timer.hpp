@@ -38,7 +38,7 @@ class Timer : public Handle {
   bool is_running() const noexcept;
 };
 
-/// What a periodic callback is told.
+/// The argument of a periodic callback.
 struct Tick {
   MonotonicTime due{};       ///< when this tick was to begin
   MonotonicTime now{};       ///< when it began

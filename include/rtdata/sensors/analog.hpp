@@ -4,7 +4,10 @@
 ///                                  {.file = "/sys/bus/iio/devices/iio:device0/in_voltage0_raw",
 ///                                   .scale = 100, .quantization_bits = 12, .unit = "bar"});
 ///
-/// The file holds one whole number, the converter's code; each tick reads it and converts it to the user's unit:
+/// The file holds one whole number, the converter's code; each tick reads it and converts it to the user's unit. It may
+/// be named as `device` and `channel` instead: the device is then found by its name whatever number it has, each time
+/// that it is opened.
+///
 ///
 ///     zero  = 2^bits * (zero_value_voltage - zero_voltage) / span_voltage
 ///     span  = 2^bits * span_value_voltage / span_voltage
@@ -48,6 +51,8 @@ constexpr auto describe(type_tag<AnalogConversion>) {
 
 struct AnalogConfig {
   std::string file = {};                          ///< the kernel's file, as it is (relative: to the working directory)
+  std::string device = {};                        ///< instead: an IIO device's name, label, number or path (iio.hpp)
+  std::string channel = {};                       ///< of that device: "voltage0"
   double zero_value_voltage = 0;                  ///< V at which the value is 0
   std::optional<double> span_value_voltage = {};  ///< V of the full value, see above; unset: span_voltage
   double scale = 1;                               ///< the full value, in `unit`
@@ -62,7 +67,11 @@ struct AnalogConfig {
   friend constexpr auto parameters(type_tag<AnalogConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", required, TextIs::device),
+        parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", TextIs::device),
+        parameter("device", &AnalogConfig::device,
+                  "instead of a file: the IIO device of the converter, its name, label, number or path",
+                  TextIs::device),
+        parameter("channel", &AnalogConfig::channel, "of that device, such as voltage0", TextIs::recorded),
         parameter("zero_value_voltage", &AnalogConfig::zero_value_voltage, "voltage at which the value is 0",
                   rtdata::unit("V")),
         parameter("span_value_voltage", &AnalogConfig::span_value_voltage,
@@ -82,7 +91,7 @@ struct AnalogConfig {
   }
 };
 
-/// What no parameter says by itself: that the sensor's range has a width.
+/// What no parameter says by itself: that the sensor's range has a width, and that there is a file or a channel.
 void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& problems);
 
 /// The payload of an analog sensor's events.
@@ -105,7 +114,8 @@ std::optional<AnalogReading> analog_reading(const EventView& event) noexcept;
 class AnalogSensor : public AnySensor {
  public:
   AnalogSensor() noexcept = default;
-  /// SetupError: as `Sensor`; and bad-argument for a configuration that cannot convert (no file, a span of 0 V).
+  /// SetupError: as `Sensor`; and bad-argument for a configuration that cannot convert (no file or channel, a span of 0
+  /// V).
   AnalogSensor(Loop& loop, SensorConfig sensor, AnalogConfig config);
 
  private:

@@ -6,7 +6,7 @@
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
 /// both 76 ms); the bus is free for others meanwhile, and the event has the time of the start. Addresses: 0x76 and
 /// 0x77. A chip of another identity is refused. One that has lost its settings (it was without power), or that gives
-/// the value of a measurement that was skipped, is told as unreadable.
+/// the value of a measurement that was skipped, is counted as unreadable.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once

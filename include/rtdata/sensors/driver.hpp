@@ -157,7 +157,7 @@ class DriverDevice final : public detail::LaneDevice {
       if constexpr (requires { driver.close(device); }) {
         try {
           driver.close(device);
-        } catch (...) {  // there is nobody to tell
+        } catch (...) {  // there is no way left to report it
         }
       }
     }
@@ -246,7 +246,7 @@ class DriverDevice final : public detail::LaneDevice {
  public:
   DriverDevice(BusOf& bus, typename Device::Place place, typename D::Config config)
       : bus_(bus), place_(std::move(place)), config_(std::move(config)), claim_(bus.claim(BusOf::text_of(place_))) {
-    (void)make_session();  // what is wrong with place and Config is told at once
+    (void)make_session();  // throws for a wrong place or Config
   }
 
   std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Opening>(make_session()); }
@@ -279,6 +279,13 @@ class DriverDevice final : public detail::LaneDevice {
   std::string lane_key() const override { return "bus " + bus_.name(); }
   std::shared_ptr<detail::LaneThread> lane_thread() const override { return bus_.lane_thread(); }
   Duration give_up_after() const override { return bus_.give_up_after(); }
+  bool reads_on_loop() const override {
+    if constexpr (requires { bus_.reads_on_loop(); }) {
+      return bus_.reads_on_loop();
+    } else {
+      return false;
+    }
+  }
   Error given_up_error() const override {
     const std::string place = BusOf::text_of(place_);
     return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + (place.empty() ? "" : ", " + place),

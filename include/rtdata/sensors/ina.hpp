@@ -6,7 +6,7 @@
 /// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, both inputs); a tick reads
 /// the last of each. Current is the voltage at the shunt over `shunt_resistance`; one beyond the chip's range
 /// (INA219 0.32 V, INA226 0.08 V) is unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is
-/// checked; a chip that has lost its settings is told as unreadable and set up again.
+/// checked; a chip that has lost its settings is counted as unreadable and set up again.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once

@@ -5,7 +5,7 @@
 ///
 /// Each tick reads all eight channels against ground, one after the other in one message: at a clock of 1 MHz in
 /// 0.2 ms, 0.025 ms apart; the event has the time of the first. A chip that is not there, or whose data line hangs,
-/// reads as ones, which its null bit shows: unreadable. One that is held at 0 cannot be told from 0 V.
+/// reads as ones, which its null bit shows: unreadable. One that is held at 0 looks like 0 V.
 ///
 /// Clocks: to 1 MHz at 2.7 V, 2 MHz (MCP3008: 3.6 MHz) at 5 V. Modes 0 and 3.
 ///

@@ -115,12 +115,12 @@ class SamplePort {
   void publish(void* payload, Time time);
   /// With the instant at which the device took it.
   void publish_at(void* payload, MonotonicTime time);
-  /// The device has dropped so many samples, which it tells.
+  /// The device reports that it has dropped so many samples.
   void lost(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
   /// What a read that failed returns. When something usable was handed over before, the read is taken all the same; the
-  /// error is told.
+  /// error is reported.
   Sampled fail(Error error) {
     error_ = std::move(error);
     return Sampled::failed;

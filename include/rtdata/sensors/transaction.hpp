@@ -70,6 +70,8 @@ class LaneDevice {
   virtual std::string lane_key() const = 0;
   /// The thread of that lane when it is a bus's, which sensors of several loops may be on. Null: one of its own.
   virtual std::shared_ptr<LaneThread> lane_thread() const { return nullptr; }
+  /// Its reads are so short that they are run on the loop, which waits for them; opening and closing is on the lane.
+  virtual bool reads_on_loop() const { return false; }
   /// A transaction that takes longer is given up: each time that it is run.
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
   /// Of one reading; may be asked for before it is opened.

@@ -4,10 +4,10 @@
 ///
 ///     12:00:00.123 room/climate room #12 temperature=21.5 Cel humidity=40 %RH
 ///
-/// Time of day (UTC unless told otherwise), topic, origin, sequence, then the fields with their units. Control
+/// Time of day (UTC unless set otherwise), topic, origin, sequence, then the fields with their units. Control
 /// characters within texts are written as `\x1b`.
 ///
-/// The lines are written on the sink's lane: a terminal that stands still or a pipe that nobody reads delays nothing
+/// The lines are written on the sink's lane: a terminal that stands still or a pipe without a reader delays nothing
 /// else; the queue fills, then events are dropped and counted. A pipe whose reader has gone ends the sink: it is
 /// faulted, reported, and what comes is refused; no SIGPIPE reaches the program.
 ///

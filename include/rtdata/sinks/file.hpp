@@ -15,7 +15,7 @@
 /// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
 /// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
-/// reported. A file that somebody deletes or moves is made anew, and that is reported, at the next batch.
+/// reported. A file that is deleted or moved is made anew, and that is reported, at the next batch.
 ///
 /// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which
 /// sorts before "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole.
@@ -73,7 +73,7 @@ struct FileRotation {
 
 struct FileConfig {
   std::string path;              ///< may hold {topic} in its last part
-  std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "raw", or a name of the registry
+  std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "cbor", "influx", "raw", or a name of the registry
   FileSync sync = FileSync::at_close;
   FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
   std::uint64_t keep = 0;    ///< so many of those before; the oldest are removed; 0: all
@@ -85,7 +85,7 @@ struct FileConfig {
         parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
                   TextIs::output_file, placeholders("topic")),
         parameter("format", &FileConfig::format,
-                  "jsonl (a JSON object a line), csv, raw, or a format added by the program"),
+                  "jsonl (a JSON object a line), csv, cbor, influx, raw, or a format added by the program"),
         parameter("sync", &FileConfig::sync,
                   "when the data is forced onto the disk: never, after each batch, at close"),
         parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),

@@ -95,7 +95,8 @@ struct RecordedClock {
   std::string occasion = {};
 };
 
-/// The UTC of the monotonic line of one boot, bound late: by all that recordings of it were told of the time of day.
+/// The UTC of the monotonic line of one boot, bound late: by all pairs of monotonic time and time of day in the
+/// recordings of that boot.
 ///
 /// A pair says the time of day at its instant to within its accuracy, and less well away from it: worse by 1 us for
 /// each second (1 ppm). A pair counts if none vouches better for its instant. From one that counts to the next the line

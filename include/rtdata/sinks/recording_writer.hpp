@@ -120,7 +120,7 @@ class RecordingWriter : public Writer {
   /// at set-up, not before it is open: then once for each slot that there is, in order.
   virtual LiveCounts* live_counts(std::uint32_t slot);
   /// Until the last account is handed over: an origin's account as it stands, when something has happened that an event
-  /// does not tell: a tick without one, a change of its schedule. A writer may keep it where it survives a kill.
+  /// does not show: a tick without one, a change of its schedule. A writer may keep it where it survives a kill.
   /// `closed`: the gaps that have closed and may be in no account that is stored, as one; null: none.
   virtual void keep(const OriginAccount& now, const Gap* closed);
   /// Of a writer that is opened at set-up: what was counted before it was open is where `live_counts` and `keep` have

@@ -12,7 +12,7 @@
 /// the queue. A run that ended without closing is sealed by the next start: what it lost is written down. While
 /// running, a failed commit is kept and tried again.
 ///
-/// A recording that somebody deletes or moves while it is written ends: that is reported at the next commit, the sink
+/// A recording whose file is deleted or moved while it is written ends: that is reported at the next commit, the sink
 /// is faulted, and what comes is refused and counted. What was committed is in the file, wherever it is, if it is
 /// anywhere.
 ///

@@ -7,7 +7,7 @@
 ///
 /// Everything is computed again from the rows, the schedule and the gaps, and compared with the account that was
 /// written with the data, and with its checksums. It shows accidental loss and damage: a row, a value, a gap or an
-/// account that was deleted, added or changed. It does not prove that nobody forged the recording: whoever changes all
+/// account that was deleted, added or changed. It is no proof against forgery: a program that changes all
 /// of it alike is not noticed.
 ///
 /// What is compared, per run and (topic, origin):
@@ -41,7 +41,7 @@ enum class Verdict {
 };
 std::string_view name_of(Verdict verdict) noexcept;
 
-/// Of an origin without a schedule, as its gaps tell.
+/// Of an origin without a schedule, from its gaps.
 struct OriginOutages {
   std::string topic, origin;
   Outages outages;

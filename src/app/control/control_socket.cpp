@@ -20,7 +20,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration pause = std::chrono::milliseconds{20};
-constexpr int most_after_end = 8;  // lines of who has ended its side: there is no pause between them
+constexpr int most_after_end = 8;  // lines of a client that has ended its side: there is no pause between them
 constexpr Duration patience = std::chrono::seconds{5};
 
 /// Set to an absolute path; of several, parted by ':', the first. Else empty.
@@ -33,7 +33,7 @@ std::string folder_in(const char* variable) {
 std::vector<std::string> folders() {
   std::vector<std::string> all;
   if (std::string only = folder_in("RTDATA_RUNTIME_DIR"); !only.empty()) return {std::move(only)};
-  // Of a service, made by systemd below /run; it may have a /tmp that nobody else sees.
+  // Of a service, made by systemd below /run; its /tmp may be private.
   if (std::string service = folder_in("RUNTIME_DIRECTORY"); !service.empty()) all.push_back(std::move(service));
   if (const std::string user = folder_in("XDG_RUNTIME_DIR"); !user.empty()) all.push_back(user + "/rtdata");
   all.push_back("/run/rtdata");
@@ -56,7 +56,7 @@ std::vector<std::string> folders_to_search() {
   return all;
 }
 
-/// Ours, and nobody else can put anything into it.
+/// Owned by this user, and writable by no other.
 bool is_private(const std::string& folder) {
   struct stat found {};
   return ::lstat(folder.c_str(), &found) == 0 && S_ISDIR(found.st_mode) && found.st_uid == ::geteuid() &&
@@ -219,7 +219,7 @@ void ControlSocket::accept() {
   clients_.push_back(std::move(client));
 }
 
-/// Whoever has asked nothing for the longest gives way.
+/// Disconnects the client that has been silent for the longest time.
 void ControlSocket::make_room() {
   const auto quietest = std::min_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
     return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;

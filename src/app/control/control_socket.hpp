@@ -1,4 +1,4 @@
-// The local socket of a running instance: one line of JSON in, one line of JSON out. Who may connect is who may enter
+// The local socket of a running instance: one line of JSON in, one line of JSON out. A user may connect who may enter
 // its folder: the user that runs the instance, and root.
 //
 // The socket is PID.sock in the first of these folders that can be used, made with mode 0700 and owned by the user:
@@ -23,9 +23,9 @@
 namespace rtdata::app {
 
 /// Takes connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8 clients,
-/// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; who does not read an answer
-/// for 5 s or sends a longer line is disconnected; when there is one too many, so is whoever has asked nothing for the
-/// longest: those that are connected and say nothing keep nobody out.
+/// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; a client that does not read an
+/// answer for 5 s or sends a longer line is disconnected; when there is one too many, so is the one that has been
+/// silent for the longest time: idle connections keep no client out.
 ///
 /// Thread: the loop's, for everything.
 class ControlSocket {

@@ -161,6 +161,8 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   auto shot = std::make_shared<Snapshot>();
   const Runtime& runtime = loop_.runtime();
   shot->info = info_;
+  for (const Info::Part& part : info_->parts)
+    shot->places.push_back(part.bus != nullptr ? part.bus->accounts() : std::vector<PlaceAccount>{});
   shot->started = started_;
   shot->at = loop_.now();
   shot->running_for = shot->at - started_at_;
@@ -294,8 +296,19 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
   }
 
   Json& parts = json["parts"] = Json::array();
-  for (const Info::Part& part : now.info->parts)
-    parts.push_back({{"kind", part.kind}, {"name", part.name}, {"type", part.type}, {"users", part.users}});
+  for (std::size_t i = 0; i < now.info->parts.size(); ++i) {
+    const Info::Part& part = now.info->parts[i];
+    Json one{{"kind", part.kind}, {"name", part.name}, {"type", part.type}, {"users", part.users}};
+    for (const auto& [place, counts] : now.places[i]) {
+      one["places"].push_back({{"place", place},
+                               {"transfers", counts.transfers},
+                               {"failed", counts.failed},
+                               {"retried", counts.retried},
+                               {"busy_ns", counts.busy.count()},
+                               {"longest_ns", counts.longest.count()}});
+    }
+    parts.push_back(std::move(one));
+  }
 
   Json& topics = json["topics"] = Json::array();
   for (const TopicStatus& topic : now.topics) {

@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/io/bus.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -35,7 +36,7 @@ class TimeCounts {
 };
 
 /// Answers the requests of the control socket. What it must see of events for that (last values, lateness) it looks at
-/// only while somebody asks: an instance that nobody watches pays nothing. On the loop it copies how things stand; the
+/// only while a client asks: an instance without clients pays nothing. On the loop it copies how things stand; the
 /// text is made of that elsewhere. Thread: the loop's.
 class StatusSource {
  public:
@@ -47,6 +48,7 @@ class StatusSource {
     struct Part {
       std::string kind, name, type;
       std::vector<std::string> users;  ///< "sensor chamber"
+      const Bus* bus = nullptr;        ///< if it is one; lives until the next `set`
     };
     std::vector<Part> parts = {};
   };
@@ -61,7 +63,7 @@ class StatusSource {
   void forget(std::uint64_t client);
 
  private:
-  /// What was seen of a sensor's events while somebody watches.
+  /// The last events of a sensor, while there are clients.
   struct Seen {
     std::vector<std::byte> payload;
     Time first_due{};
@@ -83,6 +85,7 @@ class StatusSource {
   /// How things stood when a client asked.
   struct Snapshot {
     std::shared_ptr<const Info> info;
+    std::vector<std::vector<PlaceAccount>> places;  // beside the parts of `info`
     Time started{};
     Duration running_for{0};
     MonotonicTime at{};

@@ -116,6 +116,14 @@ std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::
       for (const Json& user : part.at("users")) users += (users.empty() ? "" : ", ") + text_or_dash(user);
       tail.push_back(left(text_or_dash(part.at("kind")) + " " + text_or_dash(part.at("name")), 30) + " " +
                      left(text_or_dash(part.at("type")), 16) + " " + (users.empty() ? "-" : users));
+      if (!part.contains("places")) continue;
+      for (const Json& place : part["places"]) {
+        const auto count = [&](const char* key) { return place.value(key, std::uint64_t{0}); };
+        if (count("transfers") == 0) continue;
+        tail.push_back("  - " + text_or_dash(place.at("place")) + ": " + std::to_string(count("transfers")) +
+                       " transfers, " + std::to_string(count("failed")) + " failed, " +
+                       std::to_string(count("retried")) + " retries, held it for " + time_text(place.at("busy_ns")));
+      }
     }
   }
   if (!status.at("callbacks").empty()) {

@@ -274,7 +274,7 @@ Action prepare_export(CLI::App& command) {
   const auto options = std::make_shared<Export>();
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
-  command.add_option("--format", options->format, "csv, json, jsonl or raw")->capture_default_str();
+  command.add_option("--format", options->format, "csv, jsonl, cbor, influx or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
   command.add_flag_callback(
       "--overwrite", [options] { options->existing = Export::Existing::replace; }, "Replace files in the folder");
@@ -292,6 +292,27 @@ Action prepare_export(CLI::App& command) {
   return [options](const Registry&) {
     const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
     return app::export_recording(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_import(CLI::App& command) {
+  const auto options = std::make_shared<app::ImportOptions>();
+  command.add_option("FILE", options->file, "CSV; its first row names the columns, units as in: speed [m/s]")
+      ->required();
+  command.add_option("--time", options->time_column, "Heading of the column of time")->type_name("COLUMN")->required();
+  command.add_option("--scale", options->scale, "What 1 in that column is")
+      ->capture_default_str()
+      ->type_name("DURATION");
+  command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
+      ->type_name("TIME");
+  command.add_option("--topic", options->topic, "Topic; default: the file's name");
+  command.add_option("--origin", options->origin, "Who made it; default: the file's name")->type_name("NAME");
+  command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");
+  command.footer("example:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db");
+  return [options](const Registry&) {
+    std::optional<ForPeople> wrapped;
+    wrapped.emplace();
+    return app::import_table(*options, std::cout, std::cerr);
   };
 }
 #endif
@@ -315,6 +336,7 @@ constexpr Command commands[] = {
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", prepare_verify},
     {"info", "Sum up a recording", prepare_info},
     {"export", "Write out what was recorded", prepare_export},
+    {"import", "Make a recording of a table in CSV", prepare_import},
 #endif
 };
 

@@ -31,7 +31,7 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err);
 struct ExportOptions {
   std::string database;
   std::string topic = "#";
-  std::string format = "csv";  // csv, json or jsonl, raw
+  std::string format = "csv";  // a name of CodecRegistry::standard(), or jsonl
   std::string folder = {};     // a file a topic in it; empty: everything to `out`
   enum class Existing { refuse, replace };
   Existing existing = Existing::refuse;  // replace: --overwrite
@@ -48,5 +48,17 @@ struct ExportOptions {
 };
 /// 0; 1 when it cannot be exported so, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
+
+struct ImportOptions {
+  std::string file;           // CSV whose first row names the columns, with units as "speed [m/s]"
+  std::string time_column;    // its heading
+  std::string scale = "1 s";  // what 1 in that column is; times in ISO 8601 need none
+  std::string start = {};     // ISO 8601: what 0 there is; empty: 1970
+  std::string topic = {};     // empty: the file's name
+  std::string origin = {};    // empty: the file's name
+  std::string database = {};  // empty: FILE.db; one that exists is added to
+};
+/// 0; 1 when nothing, or not all, was imported: the error says which row.
+int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
 
 }  // namespace rtdata::app

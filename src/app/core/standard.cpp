@@ -7,16 +7,22 @@
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
+#include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/mcp3x08.hpp"
 #include "rtdata/sensors/mhz19.hpp"
+#include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/query.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/sht.hpp"
+#include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
 #ifdef RTDATA_WITH_MODBUS
@@ -86,6 +92,15 @@ struct ShippedFileConfig : FileConfig {
 
 }  // namespace
 
+#ifdef RTDATA_WITH_GPIO
+/// The line as it is written, which no two sensors of a configuration may have.
+static PartPlan::Place place_of(std::string line, const std::string& chip) {
+  if (!chip.empty()) line.insert(0, chip + ":");
+  if (line.starts_with("/dev/")) line.erase(0, 5);
+  return {"GPIO", "line " + line};
+}
+#endif
+
 Registry standard_registry() {
   Registry registry;
   registry.add_bus<I2cConfig>(
@@ -117,6 +132,33 @@ Registry standard_registry() {
       [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
         return AnalogSensor(loop, common, config);
       });
+#ifdef RTDATA_WITH_GPIO
+  registry.add_sensor<CounterConfig>(
+      "counter", "pulses on a GPIO line: their number, frequency, and what they stand for",
+      [](const CounterConfig& config) { return counter_description(config); },
+      [](Loop& loop, const SensorConfig& common, const CounterConfig& config) {
+        return CounterSensor(loop, common, config);
+      },
+      [](PartPlan& plan, const CounterConfig& config) {
+        plan.place = place_of(config.input.line.text, config.input.chip);
+      });
+  registry.add_sensor<EdgeConfig>(
+      "edge", "the edges of a GPIO line, such as a button or a limit switch",
+      [](const EdgeConfig&) { return Result(description_of<EdgeReading>()); },
+      [](Loop& loop, const FeedConfig& common, const EdgeConfig& config) { return EdgeSensor(loop, common, config); },
+      [](PartPlan& plan, const EdgeConfig& config) {
+        plan.place = place_of(config.input.line.text, config.input.chip);
+      });
+  registry.add_sensor<LevelsConfig>(
+      "gpio", "the levels of GPIO lines, sampled",
+      [](const LevelsConfig& config) { return levels_description(config); },
+      [](Loop& loop, const SensorConfig& common, const LevelsConfig& config) {
+        return LevelsSensor(loop, common, config);
+      },
+      [](PartPlan& plan, const LevelsConfig& config) {
+        for (const GpioLevel& level : config.lines) plan.more_places.push_back(place_of(level.line.text, level.chip));
+      });
+#endif
   registry.add_sensor<GpsConfig>(
       "gps", "a GPS receiver behind gpsd", [](const GpsConfig&) { return Result(description_of<GpsFix>()); },
       [](Loop& loop, const FeedConfig& common, const GpsConfig& config) { return GpsSensor(loop, common, config); });
@@ -126,6 +168,24 @@ Registry standard_registry() {
       [](Loop& loop, const SensorConfig& common, const HostConfig& config) {
         return HostSensor(loop, common, config);
       });
+  registry.add_sensor<IioConfig>(
+      "iio", "any IIO device of the kernel, asked channel by channel",
+      [](const IioConfig& config) { return iio_description(config.channels); },
+      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); });
+  registry.add_sensor<IioBufferConfig>(
+      "iio_buffer", "any IIO device of the kernel, at the rate of its trigger, from its buffer",
+      [](const IioBufferConfig& config) { return iio_description(config.channels); },
+      [](Loop& loop, const FeedConfig& common, const IioBufferConfig& config) {
+        return IioBufferSensor(loop, common, config);
+      });
+  registry.add_sensor<PpsConfig>(
+      "pps", "pulses per second, as the kernel times them; a source of the time of day",
+      [](const PpsConfig&) { return Result(description_of<PpsPulse>()); },
+      [](Loop& loop, const FeedConfig& common, const PpsConfig& config) { return PpsSensor(loop, common, config); });
+  registry.add_sensor<W1Config>(
+      "w1", "temperature of a DS18B20 or the like on 1-Wire",
+      [](const W1Config&) { return Result(description_of<W1Temperature>()); },
+      [](Loop& loop, const SensorConfig& common, const W1Config& config) { return W1Sensor(loop, common, config); });
   registry.add_sensor<SerialConfig>(
       "serial", "a device that sends lines of CSV, JSON or NMEA over a serial line",
       [](const SerialConfig& config) { return serial_description(config); },

@@ -88,7 +88,7 @@ Result<void> find(const Recording& recording, const RowFilter& filter) {
                  list_of(origins));
 }
 
-/// Rows that are left out are told, and are an error.
+/// Reports rows that are left out, which is an error.
 int tell_refused(std::ostream& err, const ExportCount& count) {
   if (count.refused == 0) return 0;
   err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")

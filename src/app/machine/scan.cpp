@@ -9,11 +9,14 @@
 
 #include <cerrno>
 #include <cstring>
+#include <optional>
 #include <string_view>
 #include <utility>
 
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/io/gpio.hpp"
+#include "rtdata/io/iio.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -184,18 +187,66 @@ class Scanner {
   void gpio_chips() {
     for (const std::string& chip : files_.names("/sys/bus/gpio/devices", "gpiochip")) {
       const std::string of = "/sys/bus/gpio/devices/" + chip + "/of_node/name";
-      const std::string device = files_.link_name("/sys/bus/gpio/devices/" + chip + "/device");
-      std::string label, lines;
+      std::string label, count;
       // The classes of the old interface know label and size; they are read, never written.
       for (const std::string& old : files_.names("/sys/bus/gpio/devices/" + chip + "/gpio", "gpiochip")) {
         const std::string folder = "/sys/bus/gpio/devices/" + chip + "/gpio/" + old;
         label = text(folder + "/label");
-        lines = text(folder + "/ngpio");
+        count = text(folder + "/ngpio");
+      }
+      const std::optional<GpioChipInfo> info = gpio_chip("/dev/" + chip);
+      if (info && info->error_number == 0) {
+        label = info->label;
+        count = std::to_string(info->lines.size());
       }
       std::string what = label.empty() ? text(of) : label;
-      if (!lines.empty()) what += (what.empty() ? "" : ", ") + lines + " lines";
-      add("gpio", "/dev/" + chip, what);
+      if (!count.empty()) what += (what.empty() ? "" : ", ") + count + " lines";
+      if (info) what += lines_text(*info);
+      FoundDevice& found = add("gpio", "/dev/" + chip, what);
+      if (info) gpio_lines(found, chip, *info);
     }
+  }
+
+  /// As the kernel tells whoever may open it; none: on another machine, or without libgpiod.
+  std::optional<GpioChipInfo> gpio_chip([[maybe_unused]] const std::string& path) {
+#ifdef RTDATA_WITH_GPIO
+    if (!files_.is_this_machine()) return {};
+    if (gpio_chips_.empty()) gpio_chips_ = make_kernel_gpio()->chips();
+    for (const GpioChipInfo& one : gpio_chips_)
+      if (one.path == path) return one;
+#endif
+    return {};
+  }
+
+  /// "; free: GPIO2 GPIO3 7; used: GPIO4 (led0)"
+  static std::string lines_text(const GpioChipInfo& chip) {
+    std::string free, used;
+    for (std::size_t i = 0; i < chip.lines.size(); ++i) {
+      const GpioLineInfo& one = chip.lines[i];
+      const std::string name = one.name.empty() ? std::to_string(i) : one.name;
+      std::string& list = one.is_used ? used : free;
+      list += " " + name;
+      if (one.is_used && !one.consumer.empty()) list += " (" + one.consumer + ")";
+    }
+    return (free.empty() ? "" : "; free:" + free) + (used.empty() ? "" : "; used:" + used);
+  }
+
+  /// For its first free line: by its name, where no other has that name, or else by its number.
+  void gpio_lines(FoundDevice& found, const std::string& chip, const GpioChipInfo& info) const {
+    for (std::size_t i = 0; i < info.lines.size(); ++i) {
+      if (info.lines[i].is_used) continue;
+      const std::string name = gpio_line_name(info.lines[i].name, chip, i);
+      const std::string common = R"(, "line": )" + json_text(name) + R"(, "bias": "pull-up")";
+      line(found, "sensors", R"({"name": "button", "type": "edge")" + common + R"(, "active_low": true})");
+      line(found, "sensors", R"({"name": "pulses", "type": "counter", "rate": "1 Hz")" + common + "}");
+      return;
+    }
+  }
+  std::string gpio_line_name(const std::string& name, const std::string& chip, std::size_t number) const {
+    std::size_t alike = 0;
+    for (const GpioChipInfo& one : gpio_chips_)
+      for (const GpioLineInfo& other : one.lines) alike += other.name == name ? 1 : 0;
+    return !name.empty() && alike == 1 ? name : chip + ":" + std::to_string(number);
   }
 
   void iio_devices() {
@@ -215,7 +266,44 @@ class Scanner {
                  R"(, "scale": 3.3, "unit": "V"})");
       }
       adc_count_ += count;
+      iio_line(found, device);
     }
+  }
+
+  /// All channels of a device: by its buffer, when it has a trigger of its own, else one by one.
+  void iio_line(FoundDevice& found, const std::string& device) const {
+    const std::string folder = "/sys/bus/iio/devices/" + device;
+    const std::string name = text(folder + "/name");
+    std::size_t alike = 0;
+    bool has_trigger = false;
+    for (const std::string& other : files_.names("/sys/bus/iio/devices")) {
+      const std::string its = text("/sys/bus/iio/devices/" + other + "/name");
+      if (other.starts_with("iio:device") && its == name) ++alike;
+      has_trigger = has_trigger || (other.starts_with("trigger") && its == name + "-dev" + device.substr(10));
+    }
+    const bool is_buffered = has_trigger && files_.exists(folder + "/buffer/enable");
+    std::string channels;
+    const auto add_channel = [&](const std::string& file, std::string_view end) {
+      if (!file.ends_with(end) || file.size() <= 3 + end.size()) return;
+      const std::string channel = file.substr(3, file.size() - 3 - end.size());
+      const std::string quoted = json_text(channel);
+      if (iio_quantity(channel) != nullptr && channels.find(quoted) == std::string::npos)
+        channels += (channels.empty() ? "" : ", ") + quoted;
+    };
+    for (const std::string& file : files_.names(is_buffered ? folder + "/scan_elements" : folder, "in_")) {
+      if (is_buffered) {
+        add_channel(file, "_type");
+      } else {
+        add_channel(file, "_raw");
+        add_channel(file, "_input");
+      }
+    }
+    if (channels.empty()) return;
+    const std::string which = name.empty() || alike != 1 ? device : name;
+    line(found, "sensors",
+         R"({"name": )" + json_text(which) + R"(, "type": ")" +
+             (is_buffered ? R"(iio_buffer")" : R"(iio", "rate": "10 Hz")") + R"(, "device": )" + json_text(which) +
+             R"(, "channels": [)" + channels + "]}");
   }
 
   void hwmon_chips() {
@@ -249,11 +337,9 @@ class Scanner {
                                                            : "family " + device.substr(0, 2),
                                R_OK);
       if (is_thermometer)
-        line(
-            found, "sensors",
-            R"({"name": )" + json_text(device) + R"(, "type": "analog", "rate": "0.5 Hz", "file": )" +
-                json_text(folder + "/temperature") +  // in thousandths of a degree
-                R"(, "signed_adc": true, "quantization_bits": 20, "scale": 1048.576, "unit": "Cel", "timeout": "2 s"})");
+        line(found, "sensors",
+             R"({"name": )" + json_text(device) + R"(, "type": "w1", "rate": "0.5 Hz", "device": )" +
+                 json_text(device) + "}");
     }
   }
 
@@ -261,7 +347,12 @@ class Scanner {
     for (const std::string& name : files_.names(folder)) {
       const std::string known = text(folder + "/" + name + "/name");
       const std::string device = "/dev/" + name;
-      add(kind, files_.exists(device) ? device : folder + "/" + name, known.empty() ? what : known, R_OK);
+      FoundDevice& found = add(kind, files_.exists(device) ? device : folder + "/" + name, known.empty() ? what : known,
+                               R_OK);
+      if (std::string_view(kind) != "pps") continue;
+      found.obstacle = found.advice = "";  // what is read is in /sys, for everybody
+      line(found, "sensors",
+           R"({"name": )" + json_text(name) + R"(, "type": "pps", "device": )" + json_text(name) + "}");
     }
   }
 
@@ -290,6 +381,7 @@ class Scanner {
   const Probing probing_;
   Scan scan_;
   std::size_t adc_count_ = 0;
+  std::vector<GpioChipInfo> gpio_chips_;  // of this machine
 };
 
 }  // namespace

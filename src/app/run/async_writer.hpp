@@ -19,7 +19,7 @@ class thread_pool;
 
 namespace rtdata::app {
 
-/// Counts for who must not lock: a signal handler.
+/// Counts for code that must not lock: a signal handler.
 struct WriterCounts {
   std::atomic<std::uint64_t> taken{0};
   std::atomic<std::uint64_t> written{0};

@@ -11,7 +11,7 @@
 
 namespace rtdata::app {
 
-/// What the sensors with a rate make of the file of one sink. Those without one are not in it: nobody knows theirs.
+/// What the sensors with a rate make of the file of one sink. Those without a rate are left out: theirs is not known.
 struct Growth {
   const PartPlan* sink = nullptr;  ///< valid as long as the plan
   double bytes_per_day = 0;

@@ -88,7 +88,7 @@ class Run {
 
   int run(const SystemPlan& plan) {
     for (const Problem& warning : plan.warnings) {
-      if (warning.id == "cannot-write") continue;  // of the log: told when it was opened
+      if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
       say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
     Runtime runtime(plan.runtime_config());
@@ -96,7 +96,7 @@ class Run {
     Loop loop(runtime, plan.loop_config());
     note_sinks(plan);
     System system(loop, registry_, plan);
-    StatusSource status(loop, status_info(plan));
+    StatusSource status(loop, status_info(plan, system));
     signals_.attach(
         loop, {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
                [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); },
@@ -128,6 +128,7 @@ class Run {
     }
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
+    tell_buses(system);
     close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end);
     if (!hanging.empty()) {
@@ -137,7 +138,7 @@ class Run {
     return exit_status;
   }
 
-  /// What is told of sinks, and how long they may take in the end.
+  /// Paths of the sinks for the summary, and how long closing them may take.
   void note_sinks(const SystemPlan& plan) {
     close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
     for (const PartPlan& part : plan.parts) {
@@ -148,14 +149,15 @@ class Run {
     }
   }
 
-  StatusSource::Info status_info(const SystemPlan& plan) const {
+  StatusSource::Info status_info(const SystemPlan& plan, const System& system) const {
     StatusSource::Info info{plan.settings.name, options_.file, paths_};
     std::map<std::pair<std::string_view, std::string_view>, std::vector<std::string>> users;
     for (const PartPlan& part : plan.parts)
       for (const PartUse& use : part.uses) users[{use.kind, use.name}].push_back(part.object());
     for (const PartPlan& part : plan.parts) {
       if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
-      info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}]});
+      info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}],
+                            system.parts().find<Bus>(part.kind, part.name)});
     }
     return info;
   }
@@ -219,7 +221,7 @@ class Run {
       if (part.fate != Fate::unchanged) say(LogLevel::info, "configuration", part.text());
     note_sinks(next);
     if (uses_stdout_) close_view();
-    status.set(status_info(next));
+    status.set(status_info(next, system));
     say(LogLevel::info, "program",
         "SIGHUP: " + options_.file + " is applied" + (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
             counts_text(registry_, next));
@@ -278,7 +280,7 @@ class Run {
     if (!told) say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
-  /// Who held the loop, and how much it took otherwise.
+  /// The callbacks that held the loop, and their times.
   void tell_holds(const std::vector<CallbackStatus>& callbacks) {
     for (const CallbackStatus& callback : callbacks) {
       const CallbackTimes& times = callback.times;
@@ -288,6 +290,21 @@ class Run {
                      " calls of " + to_string(times.total) + " together; 99 of 100 took at most " +
                      to_string(times.p99()) + ", the longest " + to_string(times.max) +
                      (callback.place.empty() ? "" : "; made at " + callback.place));
+    }
+  }
+
+  /// What each place on each bus has cost, and whether transfers failed.
+  void tell_buses(const System& system) {
+    for (const std::string& name : system.parts().names("bus")) {
+      const Bus* bus = system.parts().find<Bus>("bus", name);
+      if (bus == nullptr) continue;
+      for (const auto& [place, counts] : bus->accounts()) {
+        if (counts.transfers == 0) continue;
+        log_.write(counts.failed > 0 ? LogLevel::warning : LogLevel::info, "bus " + name,
+                   place + ": " + std::to_string(counts.transfers) + " transfers, " + std::to_string(counts.failed) +
+                       " failed, " + std::to_string(counts.retried) + " retries; they held it for " +
+                       to_string(counts.busy) + ", the longest for " + to_string(counts.longest));
+      }
     }
   }
 

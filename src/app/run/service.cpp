@@ -83,7 +83,7 @@ Service::Service(Loop& loop) {
 
 void Service::feed() {
   if (all_turn()) {
-    (void)manager_.tell("WATCHDOG=1");  // READY=1 has told of a socket that does not work
+    (void)manager_.tell("WATCHDOG=1");  // a socket that does not work was reported with READY=1
   } else {
     ++withheld_;
   }

@@ -1,4 +1,4 @@
-// What a service manager (systemd) is told of a run: that it is ready, how it does, that it ends, and that all its
+// Notifies a service manager (systemd) of a run: that it is ready, its status, that it ends, and that all its
 // loops turn.
 #pragma once
 

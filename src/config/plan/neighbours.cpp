@@ -52,7 +52,8 @@ Neighbours::Neighbours(const Registry& registry, const std::string& configuratio
 
 void Neighbours::add(const PartPlan& part, Problems& problems) {
   if (part.publishes) check_topic(part, problems);
-  if (!part.place.text.empty()) check_place(part, problems);
+  if (!part.place.text.empty()) check_place(part, part.place, problems);
+  for (const PartPlan::Place& place : part.more_places) check_place(part, place, problems);
   if (part.stores) {
     if (!part.stores->path.empty() && part.stores->path != "-") check_path(part, problems);
     storing_.push_back({&part});
@@ -66,18 +67,17 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   if (is_new) return;
   const PartPlan& first = *known->second;
   const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
-  if (both_by_default && refused_paths_.contains(&part)) return;  // both are called as their path, which was told
+  if (both_by_default && refused_paths_.contains(&part)) return;  // both are named after their path, which was reported
   problems.add(problem_of_name(part, "duplicate-name",
                                "there is a " + part.kind + " \"" + part.name + "\" already, at " +
                                    place_of_name(first) + "; give each a `name` of its own"));
 }
 
-void Neighbours::check_place(const PartPlan& part, Problems& problems) {
-  const bool is_on_bus = !part.place.bus.empty();
+void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken, Problems& problems) {
+  const bool is_on_bus = !taken.bus.empty();
   std::error_code ignored;  // a device that is not there is what its path says
-  const std::string place = is_on_bus ? part.place.text
-                                      : std::filesystem::weakly_canonical(part.place.text, ignored).string();
-  const auto [known, is_new] = places_.try_emplace({part.place.bus, place.empty() ? part.place.text : place}, &part);
+  const std::string place = is_on_bus ? taken.text : std::filesystem::weakly_canonical(taken.text, ignored).string();
+  const auto [known, is_new] = places_.try_emplace({taken.bus, place.empty() ? taken.text : place}, &part);
   if (is_new) return;
   if (!is_on_bus) {
     problems.add(child_or_self(part.item, "device")
@@ -88,12 +88,15 @@ void Neighbours::check_place(const PartPlan& part, Problems& problems) {
                                                           : "a device is one sensor's or one bus's alone")));
     return;
   }
-  const std::string key = part.place.text.substr(0, part.place.text.find(' '));
+  const std::string key = taken.text.substr(0, taken.text.find(' '));
+  const bool is_of_bus = std::any_of(part.uses.begin(), part.uses.end(),
+                                     [&](const PartUse& use) { return use.kind == "bus" && use.name == taken.bus; });
   problems.add(child_or_self(part.item, key)
-                   .problem("duplicate-place", part.kind + " " + known->second->name + ", at " +
-                                                   place_of(known->second->item) + ", has " + part.place.text +
-                                                   " of the bus \"" + part.place.bus +
-                                                   "\" already; give each chip its own"));
+                   .problem("duplicate-place",
+                            part.kind + " " + known->second->name + ", at " + place_of(known->second->item) + ", has " +
+                                (is_of_bus ? taken.text + " of the bus \"" + taken.bus + "\" already; give each chip"
+                                           : "the " + taken.bus + " " + taken.text + " already; give each") +
+                                " its own"));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
@@ -193,7 +196,7 @@ void Neighbours::check_stored_topics(Problems& problems) {
                              !stores
                                   .refused_topics({wanted.begin(), wanted.begin() + static_cast<std::ptrdiff_t>(known)})
                                   .empty();
-    if (was_refused) continue;  // which was told when those were added
+    if (was_refused) continue;  // reported when those were added
     for (const Error& error : stores.refused_topics(wanted))
       problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
   }

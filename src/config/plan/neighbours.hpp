@@ -51,7 +51,7 @@ class Neighbours {
 
  private:
   /// Two sensors on one place of a bus.
-  void check_place(const PartPlan& part, Problems& problems);
+  void check_place(const PartPlan& part, const PartPlan::Place& taken, Problems& problems);
   struct KnownFile {
     WrittenFile file;
     const PartPlan* part;  ///< null: the log

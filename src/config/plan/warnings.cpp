@@ -129,7 +129,7 @@ struct CheckFiles {
     if (leaf == nullptr || parameter.type.text != TextIs::output_file) return;
     const bool is_secret = is_secret_reference(*leaf);
     std::string path;
-    Problems ignored;  // told when it was read
+    Problems ignored;  // reported when it was read
     if (is_secret) {
       if (!resolve_secret(*leaf, path, ignored)) return;
     } else if (const std::string* text = leaf->as_string()) {

@@ -176,7 +176,7 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   std::sort(names.begin(), names.end());
 
   bool good = true;
-  std::vector<std::string> meant;  // absent keys that are there, but misspelt: told once, not as missing too
+  std::vector<std::string> meant;  // absent keys that are there, but misspelt: reported once, not as missing too
   for (const ConfigChild& child : item.children()) {
     if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
     std::string suggestion = nearest_name(child.key, absent);

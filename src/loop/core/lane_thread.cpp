@@ -106,7 +106,7 @@ bool LaneThread::push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener
     state.room.fetch_add(1, std::memory_order_relaxed);
     return false;
   }
-  // There is a free place for each who got here; the order of these two steps hands on who has seen it become free.
+  // There is a free place for each thread that got here; acquire and release of `room` and `head` order its reuse.
   State::Place& place = state.ring[state.head.fetch_add(1, std::memory_order_acq_rel) % state.ring.size()];
   place.job = std::move(job);
   place.listener = std::move(listener);

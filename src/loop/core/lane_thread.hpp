@@ -39,7 +39,7 @@ class LaneThread {
   /// No lane uses it any more: its thread ends.
   ~LaneThread();
 
-  /// Behind all that were pushed before, whichever loop did so. Waits for nobody and allocates nothing. False: there is
+  /// Behind all that were pushed before, whichever loop did so. Never waits, allocates nothing. False: there is
   /// no room now.
   bool push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener> listener) noexcept;
   /// Makes sure that there is a thread. False: too many were left behind, or the system gives none.

@@ -61,7 +61,7 @@ void VirtualThreads::pass_turn_on(Thread* to) noexcept {
   }
   const std::lock_guard lock(mutex_);
   has_turn_ = to;
-  to->turn.notify_one();  // under the lock: who ended may be taken away when the lock is free
+  to->turn.notify_one();  // under the lock: a thread that ended may be destroyed when the lock is free
 }
 
 void VirtualThreads::hand_over(Thread& from) noexcept {

@@ -2,8 +2,8 @@
 // chooses.
 //
 // Each tier keeps a thread of its own, so that it can wait in the middle of a callback; but only the thread that has
-// the turn runs, until it waits. Whoever begins to wait chooses who runs next. Virtual time passes only when all wait:
-// to the earliest instant that one of them waits for.
+// the turn runs, until it waits. A loop that begins to wait chooses the next one to run. Virtual time passes only when
+// all wait: to the earliest instant that one of them waits for.
 //
 // The same seed makes the same choices, since there is nothing else that they depend on. A thread must not wait in any
 // other way for what another one is to do: it would wait for ever, with the turn.
@@ -23,7 +23,7 @@
 
 namespace rtdata::detail {
 
-/// Owner: the main loop's core. Thread: see each function; whoever has the turn may call it.
+/// Owner: the main loop's core. Thread: see each function; the one that has the turn.
 class VirtualThreads {
  public:
   /// One of them. Owned by the tier; it must outlive the thread.
@@ -62,7 +62,7 @@ class VirtualThreads {
 
   // ---- on the thread that has the turn
   /// Waits until this instant, or until `is_ready`. False: neither ever comes, since all others wait for ever as well;
-  /// which is told to the main loop's thread alone.
+  /// on the main loop's thread alone.
   bool wait(MonotonicTime until, const std::function<bool()>& is_ready) noexcept;
   /// The same for a loop with nothing to do: the seed chooses how much later it sees what others have sent.
   bool wait_for_news(MonotonicTime until, const std::function<bool()>& has_news) noexcept;

@@ -157,7 +157,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
     throw SetupError({Errc::bad_name, "cannot subscribe", "\"" + node.pattern() + "\"", "not a topic or pattern",
                       "levels are joined by /, + stands for one level, # at the end for all below"});
   }
-  std::vector<Error> refused;  // told of at the end, since a report may run user code
+  std::vector<Error> refused;  // reported at the end, since a report may run user code
   for (const auto& topic : runtime.topics()) {
     if (!topic_matches(node.pattern(), topic->name)) continue;
     if (auto linked = topic->link(node); !linked) {

@@ -86,7 +86,7 @@ class TopicCore final : public DeliveryQueue {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
-  /// To be called when who takes its events is, or may be, another. Other loops are told whether anybody here wants
+  /// To be called when its subscribers or sinks may have changed. Announces to other loops whether this one wants
   /// theirs.
   void followers_changed() noexcept;
   /// To be called when the origin's passage over a channel is made.
@@ -105,7 +105,7 @@ class TopicCore final : public DeliveryQueue {
   std::vector<OriginCore*>& origins() noexcept { return origins_; }
   const std::vector<OriginCore*>& origins() const noexcept { return origins_; }
 
-  std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once that was told
+  std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once reported
   OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
 
  private:

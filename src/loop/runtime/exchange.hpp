@@ -45,7 +45,7 @@ class Exchange {
   void forget(const Bridge& of);
 
   void take_announcements();
-  /// If the topic is cut off from another loop, and somebody subscribes to it here, keeps a report of it.
+  /// If the topic is cut off from another loop, and there is a subscriber here, keeps a report of it.
   void report_cut_off(TopicCore& topic);
 
   /// The main loop's: takes all that each tier has done up to one instant, and nothing after it. Returns what it cannot

@@ -1,4 +1,4 @@
-// The end of the program, for mistakes that nobody can be told of by an exception.
+// The end of the program, for mistakes that no exception can report.
 #pragma once
 
 #include <cstdio>

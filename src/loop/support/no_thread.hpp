@@ -1,4 +1,4 @@
-// The error that is told wherever the system gives no thread.
+// The error of every place where the system gives no thread.
 #pragma once
 
 #include <string>

@@ -23,7 +23,7 @@ class PlacedList {
     entries_[place] = nullptr;
     ++holes_;
   }
-  /// Closes the holes, when they are many. Not while somebody goes through the list by places.
+  /// Closes the holes, when they are many. Not during an iteration by places.
   void tidy() noexcept {
     if (2 * holes_ > entries_.size()) close_holes();
   }

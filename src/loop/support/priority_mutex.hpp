@@ -1,4 +1,4 @@
-// PriorityMutex: a mutex between threads of different priority. Whoever holds it runs with the priority of the highest
+// PriorityMutex: a mutex between threads of different priority. Its holder runs with the priority of the highest
 // that waits for it, so that a real-time tier never waits for a third thread (pthread_mutexattr_setprotocol(3)).
 #pragma once
 

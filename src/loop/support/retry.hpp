@@ -15,8 +15,8 @@ inline Duration doubled(Duration delay, Duration longest) noexcept {
   return now > longest / 2 ? longest : 2 * now;
 }
 
-/// The delay less up to a quarter of it, which depends on who waits and how often that failed: many that fail together
-/// do not come back in step.
+/// The delay less up to a quarter of it, which depends on the name of the waiting object and the number of failures:
+/// many that fail together do not come back in step.
 inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t failures) noexcept {
   if (delay.count() <= 0) return Duration{0};
   const std::uint64_t hash = std::hash<std::string_view>{}(who) + failures * 2654435761u;

@@ -9,7 +9,7 @@
 //      drops the event and counts it with its sensor; before the sensor's next event, or with its next account, goes
 //      how many there were.
 //   4. A loop that gives up a name announces that, with the last account of it and what found no room, before the name
-//      is free. Who hears it takes what the ring had of the origin by then, then the last account. Announcements are
+//      is free. The receiving side takes the rest of that origin's ring, then the last account. Announcements are
 //      heard in the order in which they were made, from all loops: that another loop has the name comes after it.
 //   5. After the sending loop's callbacks, or earlier when much waits, all that waits can be seen by the receiving
 //      loop, which is woken once for it: through the kernel only when it sleeps (wake.hpp).

@@ -131,7 +131,7 @@ void BridgeReceiver::take_entry(const std::variant<Gap, Segment>& entry, OriginC
     for (Listener* listener : recorders) listener->on_gap(mirror, *gap);
   } else {
     for (Listener* listener : recorders) listener->on_segment(mirror, std::get<Segment>(entry));
-    mirror.forget_segment();  // its account, told later, knows no more of it than this
+    mirror.forget_segment();  // its account, which comes later, knows no more of it than this
   }
 }
 

@@ -50,7 +50,7 @@ class BridgeSender final : public Listener {
   };
   /// All there is to say of the sensors up to now, gaps under way too.
   AccountsSent send_all_accounts();
-  /// False: the drops that were not told of find no room.
+  /// False: there is no room for the count of drops.
   bool send_drops(Passage& passage, ByteRing::Room room) noexcept;
   /// The other side is woken before the end of the turn when much waits: both work at the same time then.
   void make_known(std::size_t before) noexcept {

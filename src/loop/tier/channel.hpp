@@ -44,7 +44,7 @@ struct Passage {
   struct Sending {
     OriginCore* source;
     Drops drops{};                       // for want of room in the ring
-    std::uint64_t reported_dropped = 0;  // of these, those that the other side was told of
+    std::uint64_t reported_dropped = 0;  // of these, those reported to the other side
     AccountSummary last_account = {};
     bool is_open = false;
   } sending;

@@ -25,7 +25,7 @@ class TierCore {
   TierCore& operator=(const TierCore&) = delete;
 
   void start();
-  /// The main loop turns: starts it, unless somebody did before.
+  /// The main loop turns: starts it, unless it runs.
   void start_first() {
     if (!was_started_) start();
   }
@@ -38,7 +38,7 @@ class TierCore {
   bool is_running() noexcept;
   /// It runs, and this is its thread.
   bool is_on_its_thread() noexcept { return loop.core().is_bound_to_this_thread(); }
-  /// It is stopped where nobody may wait for it: on its thread, or in a call of a sink's Writer.
+  /// It is stopped where waiting is not possible: on its thread, or in a call of a sink's Writer.
   bool may_only_ask() noexcept;
   /// Ends the program, having said why, when the tier may not be destroyed now.
   void check_may_end() noexcept;
@@ -54,7 +54,7 @@ class TierCore {
   // On the main loop, one after the other
   /// Asks the tier to tell how all its sensors do.
   void ask_account();
-  /// Waits for the answer, and takes what the tier has sent up to the instant of which it told then. Asks it again when
+  /// Waits for the answer, and takes what the tier has sent up to the instant of that answer. Asks it again when
   /// there was no room for all it had to tell, or when more was taken already.
   void hear_out(Duration at_most);
   /// All that it has sent up to the instant of its answer was taken, and nothing after it.
@@ -121,7 +121,7 @@ class TierCore {
   const std::shared_ptr<Unknown> unknown_ = std::make_shared<Unknown>();
   std::atomic<bool> quit_{false};
   Latch ended_;                    // its thread is about to end
-  std::vector<std::string> told_;  // warnings; not told of again by the next start
+  std::vector<std::string> told_;  // warnings that the next start does not repeat
   std::atomic<bool> was_balanced_{true};
   std::atomic<bool> had_loss_{false};
   std::uint64_t asked_ = 0;  // questions whether it turns

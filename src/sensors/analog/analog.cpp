@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "rtdata/io/iio.hpp"
 #include "sensors/core/source_node.hpp"
 #include "sensors/core/sysfs_file.hpp"
 
@@ -27,26 +28,50 @@ std::string shown(std::string_view text) {
   return shown + (text.size() > 40 ? "...\"" : "\"");
 }
 
+/// What is wrong with how the converter is named; empty: nothing.
+std::string_view mistake_in_place(const AnalogConfig& config) {
+  if (config.file.empty() && config.device.empty()) return "it has neither `file` nor `device`";
+  if (!config.file.empty() && !config.device.empty()) return "it has both `file` and `device`";
+  if (config.device.empty() != config.channel.empty()) return "`device` and `channel` go together";
+  if (!config.channel.empty() && iio_quantity(config.channel) == nullptr) return "`channel` is none; such as voltage0";
+  return {};
+}
+
+Result<std::string> file_of(const AnalogConfig& config) {
+  if (config.device.empty()) return config.file;
+  const auto device = IioDevice::find(config.device);
+  if (!device) return device.error();
+  const auto channel = device->channel_or_error(config.channel);
+  if (!channel) return channel.error();
+  return device->folder() + "/in_" + channel->name + "_raw";
+}
+
+std::string lane_of(const AnalogConfig& config) {
+  return config.device.empty() ? detail::physical_device_of(config.file) : "iio " + config.device;
+}
+
 class AnalogDevice final : public detail::LaneDevice {
  public:
   explicit AnalogDevice(AnalogConfig config) : config_(std::move(config)) {}
 
   std::shared_ptr<detail::Transaction> make_opening() override {
-    return std::make_shared<detail::FindFile>([file = config_.file] { return Result<std::string>(file); }, cannot_read,
-                                              find_advice);
+    return std::make_shared<detail::FindFile>([config = config_] { return file_of(config); }, cannot_read, find_advice);
   }
   Result<void> take_opening(detail::Transaction& opening) override {
     const auto& path = static_cast<detail::FindFile&>(opening).path();
-    return path ? Result<void>() : Result<void>(path.error());
+    if (!path) return path.error();
+    config_.file = *path;
+    return {};
   }
   std::shared_ptr<detail::Transaction> make_transaction() override {
     return std::make_shared<detail::ReadFile>(config_.file);
   }
-  std::string lane_key() const override { return detail::physical_device_of(config_.file); }
+  std::string lane_key() const override { return lane_of(config_); }
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, config_.file, "no answer within " + to_string(config_.timeout),
+    return {Errc::timed_out, cannot_read, config_.file.empty() ? config_.device : config_.file,
+            "no answer within " + to_string(config_.timeout),
             "look at the converter and its bus; `timeout` sets how long to wait"};
   }
 
@@ -84,7 +109,7 @@ void check(const AnalogConfig& config, const std::string& name) {
     throw SetupError({Errc::bad_argument, "cannot use this analog sensor", "sensor " + name, why, advice});
   };
   const double span = span_voltage_of_value(config);
-  if (config.file.empty()) refuse("it has no file", find_advice);
+  if (const std::string_view mistake = mistake_in_place(config); !mistake.empty()) refuse(mistake.data(), find_advice);
   if (config.quantization_bits < 1 || config.quantization_bits > 62)
     refuse("quantization_bits is not 1 to 62", "such as 12");
   if (config.timeout <= Duration{0}) refuse("its timeout is not positive", "such as 1 s");
@@ -99,6 +124,13 @@ void check(const AnalogConfig& config, const std::string& name) {
 }  // namespace
 
 void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const std::string_view place = mistake_in_place(config); !place.empty()) {
+    const ConfigItem* file = item.find("file");
+    const ConfigItem* named = file != nullptr ? file : item.find("channel");
+    problems.add(
+        (named != nullptr ? *named : item)
+            .problem("bad-value", file != nullptr && config.file.empty() ? "it is empty" : std::string(place)));
+  }
   const std::string mistake = mistake_in_range(config);
   if (mistake.empty()) return;
   const ConfigItem* span = item.find("span_value_voltage");
@@ -106,7 +138,7 @@ void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& 
 }
 
 ReadTime read_time(const AnalogConfig& config) {
-  return {.on_loop = detail::lane_read_on_loop, .on_lane = {}, .lane = detail::physical_device_of(config.file)};
+  return {.on_loop = detail::lane_read_on_loop, .on_lane = {}, .lane = lane_of(config)};
 }
 
 double convert(const AnalogConfig& config, std::int64_t adc) noexcept {

@@ -1,7 +1,8 @@
 // The side of a sensor whose device may block: it is opened, read and closed on its lane.
+#include <algorithm>
 #include <utility>
 
-#include <algorithm>
+#include "loop/core/lane_thread.hpp"
 #include "loop/support/no_thread.hpp"
 #include "sensors/core/sensor_node.hpp"
 
@@ -189,6 +190,7 @@ void SensorNode::submit_read() {
     }
     side.transaction->owner_ = this;
   }
+  if (side.device->reads_on_loop()) return read_on_loop();
   try {
     if (side.lane == nullptr) find_lane();
     if (side.lane->submit(side.transaction, side.device->give_up_after())) return;
@@ -196,6 +198,18 @@ void SensorNode::submit_read() {
     return fail_in_flight(thrown("handing its read to a lane threw"));
   }
   fail_in_flight(told([this] { return cannot_submit(); }));
+}
+
+void SensorNode::read_on_loop() {
+  const std::shared_ptr<Transaction> transaction = lane_side()->transaction;
+  if (loop()->is_manual()) {
+    const LaneClock clock(loop()->now());
+    transaction->run();
+    loop()->manual_clock()->pass(clock.spent());
+  } else {
+    transaction->run();
+  }
+  transaction_done(*transaction, LaneJob::Outcome::finished);
 }
 
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {

@@ -99,6 +99,8 @@ class SensorNode final : public SourceNode, public RateMember {
   void resume_after(Transaction& transaction, Duration pause) noexcept;
   /// Reads for the tick that is in flight.
   void submit_read();
+  /// Of a device whose reads are too short for a lane: runs the transaction here.
+  void read_on_loop();
   Error cannot_submit() const;
   /// The read, or the opening, that the lane was given for a tick has failed.
   void fail_in_flight(const Error& error);

@@ -76,11 +76,4 @@ std::string physical_device_of(const std::string& path) {
   return resolved.substr(0, resolved.rfind('/'));
 }
 
-std::string_view trimmed(std::string_view text) noexcept {
-  constexpr std::string_view blanks = " \t\r\n";
-  const auto first = text.find_first_not_of(blanks);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(blanks) - first + 1);
-}
-
 }  // namespace rtdata::detail

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <utility>
 
+#include "io/kernel_file.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/sensors/transaction.hpp"
 
@@ -76,7 +77,5 @@ class FindFile final : public Transaction {
 Result<void> check_readable(const std::string& path, const char* what, const std::string& advice);
 /// One lane per physical device: its directory for a file below /sys, else the file itself.
 std::string physical_device_of(const std::string& path);
-/// Without the newline and blanks around it.
-std::string_view trimmed(std::string_view text) noexcept;
 
 }  // namespace rtdata::detail

@@ -1,4 +1,4 @@
-// Who has locked a file.
+// The process that has locked a file.
 #pragma once
 
 #include <sys/stat.h>

@@ -82,7 +82,7 @@ SinkAccount::Enqueued SinkAccount::enqueue(Part part, Time at, MonotonicTime unt
   Account& account = queue_->next_account();
   account.at = at;
   account.is_last = is_last;
-  // All that asks for memory comes first: when there is none, nothing is told, and nothing is forgotten.
+  // All that asks for memory comes first: when there is none, the account stays as it was.
   account.unknown = unknown;
   account.origins.clear();
   std::size_t all = 0;

@@ -1,4 +1,4 @@
-// What a sink records of the runtime: the events of its topics, and the account of who published them. Loop's thread.
+// What a sink records of the runtime: the events of its topics, and the accounts of their origins. Loop's thread.
 #pragma once
 
 #include <cstddef>

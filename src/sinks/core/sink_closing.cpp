@@ -96,7 +96,7 @@ std::uint64_t SinkNode::leave() noexcept {
                       "the next start seals the recording"});
     }
   });
-  runtime.reports.flush(Reports::Repeated::all);  // of closing; nobody may come later to tell of them
+  runtime.reports.flush(Reports::Repeated::all);  // of closing; there may be no later turn to report them
   return lost;
 }
 

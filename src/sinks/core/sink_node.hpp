@@ -1,4 +1,4 @@
-// What lies behind a Sink: takes events and the account of who published them on the loop, and has a lane store them.
+// The implementation of Sink: takes events and the accounts of their origins on the loop; its lane stores them.
 // Loop's thread, but for the job's `run`.
 #pragma once
 
@@ -47,14 +47,14 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::string blame_name() const override { return object_name(); }
   bool report_times(CallbackStatus& status) const override;
 
-  // ---- what the taps tell
+  // ---- called by the taps
   enum class Hand { rows, rows_and_account };
   /// Hands over to the lane what is queued, now or as soon as it is free.
   void hand_over(Hand what);
   /// Puts the lane to work, unless it is or waits for a retry.
   void start_work();
-  /// An origin that no account knows yet: it is told soon, as schedules that change are, so that a kill in the first
-  /// second leaves them too.
+  /// An origin that no account has yet: the next account comes soon, as after a changed schedule, so that a kill in the
+  /// first second leaves them too.
   void account_is_due();
 
   Handler<ErrorReport> on_error_;
@@ -107,7 +107,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::string object_name() const { return "sink " + config_.name; }
   Result<void> take_topic(TopicCore& topic);
 
-  /// What is to be told needs memory: when there is none, the account says that it does not know.
+  /// Calls a function that needs memory for a report: when there is none, the account says that it does not know.
   template <class Function>
   void note(Function&& function) noexcept {
     try {
@@ -131,7 +131,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
   /// was handed over.
   bool begin_account();
-  /// Hands over a part of the account, or all. False: there is nothing to be told; or no memory, then it is due again.
+  /// Hands over a part of the account, or all. False: there is nothing to report; or no memory, then it is due again.
   bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
   /// Starts it for what is next, if anything.
@@ -180,11 +180,11 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::optional<Error> set_up_error_;            // it throws this
   Backoff backoff_;                              // of retries
   bool is_due_ = false;                          // rows are to be handed over as soon as the lane is free
-  std::optional<MonotonicTime> unsynced_since_;  // the first storing since the writer was told to sync
+  std::optional<MonotonicTime> unsynced_since_;  // the first storing since the last sync
 
   // account
   bool is_between_parts_ = false;          // of an account
-  std::optional<MonotonicTime> early_at_;  // when the account of what is new is to be told
+  std::optional<MonotonicTime> early_at_;  // when the account of new origins is due
   bool is_account_due_ = false;
   bool is_last_told_ = false;     // the last account
   MonotonicTime account_at_{};    // when the last one was begun

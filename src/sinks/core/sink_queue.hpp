@@ -164,7 +164,7 @@ class SinkQueue {
   /// All that was counted before is there.
   void begin_counting() noexcept;
   void keep(const OriginAccount& now, const Gap* closed) noexcept;
-  /// What went wrong in one of these and was not told yet.
+  /// The error of one of these calls that was not reported yet.
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
   /// From here on the counts of the loop lie here, not with the writer, which may be closed.
   void keep_own_counts() noexcept;
@@ -198,7 +198,7 @@ class SinkQueue {
     std::atomic<std::uint64_t> after_ticket{0};  // 0: free; else 1 + the last ticket before it
   };
   LiveCounts* live_counts_of(std::uint32_t index) noexcept;
-  /// A call of the writer's on the loop: what it throws is told later.
+  /// A call of the writer's on the loop: its exception is reported later.
   template <class Call>
   void call_on_loop(const char* name, Call&& call) noexcept;
   /// In the handler of an exception from a call on the loop.

@@ -56,7 +56,7 @@ void SinkNode::start_work() {
       if (work_ == Work::opening) work_timer_.start(long_opening);
       return;
     }
-    why = Work::waiting_for_thread;  // told by the timer, since this may be within a publish
+    why = Work::waiting_for_thread;  // the timer reports it, since this may be within a publish
     health_ = Health::faulted;
     set_reason(no_thread());
   } catch (...) {  // no memory for the lane: as after an error
@@ -185,7 +185,8 @@ void SinkNode::tell_of(const SinkTurnResult& turn, Health before) {
     });
   }
   if (is_open() && turn.warning) report(*turn.warning, 1);
-  // While it closes, it is tried often: what fails as before is told with what could not be stored, at the end.
+  // While it closes, it is tried often: an error like the last one is reported at the end, with the number of lost
+  // events.
   if (is_open() && !turn.result && !is_told_) report(turn.result.error(), 1);
   if (is_open() && turn.result && before != Health::ok && health_ == Health::ok) log(LogLevel::info, "ok again");
 }

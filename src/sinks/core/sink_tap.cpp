@@ -117,7 +117,7 @@ void SinkTap::move_counts() noexcept {
 void SinkTap::keep(const OriginCore& origin, Now when) noexcept {
   if (is_ended_) return;
   OriginAccount now = account_of(origin, MonotonicTime::min());
-  if (when == Now::at_an_event) {  // which is counted already by who publishes, and not yet offered
+  if (when == Now::at_an_event) {  // which its origin has counted, and which is not offered yet
     --now.sensor.received;
     --now.sensor.published;
   }
@@ -135,7 +135,7 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
     if (all.count == 0) all.count = 1;  // without a schedule, how many
     all.count += std::max<std::uint64_t>(gap.count, 1);
     all.kind = Gap::Kind::joined;
-    all.first = std::min(all.first, gap.first);  // one may be told of late
+    all.first = std::min(all.first, gap.first);  // a gap may be reported late
     all.last = std::max(all.last, gap.last);
     if (all.reason != gap.reason) all.reason = "several";
   }

@@ -70,7 +70,7 @@ class FileWriter final : public RecordingWriter {
       : config_(config),
         codec_(std::move(codec)),
         header_codec_(std::move(header_codec)),
-        is_text_(codec_->name() == "json" || codec_->name() == "csv"),
+        is_text_(codec_->name() == "json" || codec_->name() == "csv" || codec_->name() == "influx"),
         permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
         rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
@@ -99,8 +99,8 @@ class FileWriter final : public RecordingWriter {
     return {};
   }
 
-  /// Opens the files of all topics that there are, so that one which cannot be is told at the start. After that, a
-  /// topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
+  /// Opens the files of all topics that there are, so that one which cannot be opened is reported at the start. After
+  /// that, a topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
   Result<void> open() override {
     if (is_opened_) return {};
     if (!is_pattern_) {
@@ -265,7 +265,7 @@ class FileWriter final : public RecordingWriter {
   }
 
   const FileConfig config_;
-  std::unique_ptr<Codec> codec_;         // of whoever the files are
+  std::unique_ptr<Codec> codec_;         // for all files
   std::unique_ptr<Codec> header_codec_;  // loop
   const bool is_text_;                   // a format of ours that escapes what is no UTF-8
   const mode_t permissions_;

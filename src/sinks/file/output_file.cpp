@@ -98,7 +98,7 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
   path_ = path;
   permissions_ = permissions;
-  if (is_unmounted()) {  // a new file would be on another disk, where nobody looks for it
+  if (is_unmounted()) {  // a new file would be on another disk
     return Error{Errc::not_found, "cannot open the file", path, "what was mounted at " + mounted_at_ + " is not there",
                  "mount it again: events wait in memory until then"};
   }
@@ -219,7 +219,7 @@ Result<void> OutputFile::begin(const std::string& header) {
 
 Result<void> OutputFile::check_header(const std::string& path, const std::string& header) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
-  if (fd < 0) return {};  // it is not there, or what else is wrong is told elsewhere
+  if (fd < 0) return {};  // opening it reports what is wrong
   struct stat about {};
   const bool has_content = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode) && about.st_size > 0;
   Result<void> same = has_content ? compare_header(fd, path, header) : Result<void>{};

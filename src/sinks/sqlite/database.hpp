@@ -49,7 +49,7 @@ class Statement {
 
 class Database {
  public:
-  /// `read_at_rest`: nobody changes the file, so no lock is needed; for read-only media.
+  /// `read_at_rest`: the file does not change, so no lock is needed; for read-only media.
   enum class Mode { read, read_at_rest, write };
   Database() = default;
   /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.

@@ -1,4 +1,4 @@
-// Where a program keeps small files in memory that survive its kill and that nobody but its user can touch.
+// Where a program keeps small files in memory that survive its kill and that only its user can touch.
 #pragma once
 
 #include <string>

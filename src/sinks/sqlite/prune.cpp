@@ -219,8 +219,7 @@ Result<void> Pruner::shrink(Database& database, const Pages& now) {
   if (!done || too_many <= at_once) return done;
   auto after = pages(database);
   if (!after) return std::move(after).error();
-  has_more_ = has_more_ ||
-              after->all < now.all;  // a file that somebody made without auto_vacuum stays as large as it is
+  has_more_ = has_more_ || after->all < now.all;  // a file made without auto_vacuum stays as large as it is
   return {};
 }
 

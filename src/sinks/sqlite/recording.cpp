@@ -70,7 +70,7 @@ Error no_recording(const std::string& path, std::string why) {
   return {Errc::not_a_recording, doing, path, std::move(why), "name a file that `rtdata run` or a SqliteSink wrote"};
 }
 
-/// SQLite reads a file in WAL mode in a folder that cannot be written only if it is told that nobody changes it.
+/// SQLite reads a file in WAL mode in a folder that cannot be written only when it is opened as immutable.
 bool is_at_rest(const std::string& path) { return ::access((path + "-wal").c_str(), F_OK) != 0; }
 
 Result<Database> open_file(const std::string& path) {

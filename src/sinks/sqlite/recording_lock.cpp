@@ -123,7 +123,7 @@ void RecordingLock::note(std::string_view line) noexcept {
 
 void RecordingLock::remove() noexcept {
   if (fd_ < 0) return;
-  ::unlink(path_.c_str());  // before it is unlocked: who gets the lock of this file then sees that it is gone
+  ::unlink(path_.c_str());  // before it is unlocked: a process that waits for it then sees that the file is gone
   unlock();
 }
 

@@ -1,6 +1,7 @@
-// Who records into a file: one process at a time, whoever its user is. The lock is a file beside the recording,
-// "run.db-lock", which whoever may write the recording may open and nobody else. The kernel drops it with its process;
-// after a clean end the file is gone, after a kill it stays and says where the counts of the run that was killed are.
+// The lock of a recording: one process at a time records into it, whatever its user. The lock is a file beside the
+// recording, "run.db-lock", which only users who may write the recording may open. The kernel drops it with its
+// process; after a clean end the file is gone, after a kill it stays and says where the counts of the run that was
+// killed are.
 #pragma once
 
 #include <string>
@@ -21,10 +22,10 @@ class RecordingLock {
   /// Unlocks. The file stays unless `remove` was called.
   ~RecordingLock();
 
-  /// What `note` wrote last, perhaps in a process that has ended; empty: nothing. Anybody who may write the recording
+  /// What `note` wrote last, perhaps in a process that has ended; empty: nothing. Any user who may write the recording
   /// may have written it: check what it names.
   const std::string& noted() const noexcept { return noted_; }
-  /// Keeps a line for who holds the lock next. Without it, that one looks for itself.
+  /// Leaves a line for the next holder. Without it, that one looks for itself.
   void note(std::string_view line) noexcept;
   /// Unlocks, and the file is gone.
   void remove() noexcept;

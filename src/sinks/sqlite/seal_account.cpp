@@ -210,7 +210,8 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
   if (!account) return std::move(account).error();
   const auto told = [](const SensorCounts& s) { return s.scheduled + s.received; };
   if (told(kept.sensor) >= told(account->counts)) *account = {kept.sensor, kept.segment};
-  // What was offered since it was told: of a sensor on another loop, events come before the account that counts them.
+  // Events offered after the account was made: of a sensor on another loop, events come before the account that counts
+  // them.
   const auto offered = static_cast<std::uint64_t>(killed.offered);
   const std::uint64_t events = offered - std::min(offered, account->counts.published);
   add_events(*account, events);
@@ -240,7 +241,7 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
     if (!whole) return std::move(whole).error();
     const auto by_counts = signed_of(account->counts.missed + account->counts.failed) - others -
                            (open.is_there ? signed_of(open.count) : 0);
-    // The counts of a sensor on another loop are older than its gaps, which are told of at once.
+    // The counts of a sensor on another loop are older than its gaps, which are stored at once.
     const auto lacking = std::max(by_counts, signed_of(kept.closed.count) - (*whole - *closed_there));
     closed.is_there = lacking > 0 && closed.first <= closed.last;
     if (closed.is_there && lacking != signed_of(closed.count)) {

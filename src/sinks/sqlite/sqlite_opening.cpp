@@ -139,7 +139,7 @@ Result<void> SqliteWriter::configure() {
 }
 
 Result<void> SqliteWriter::make_schema() {
-  auto version = format_of(database_, config_.path);  // again, now that nobody else can change it
+  auto version = format_of(database_, config_.path);  // again, now that no other process can change it
   if (!version) return std::move(version).error();
   if (*version == schema_version) return {};
   std::string sql = schema + run_view();

@@ -86,7 +86,7 @@ Result<void> check_recordable(const std::string& path) {
   constexpr std::string_view magic("SQLite format 3\0", 16);
   std::array<unsigned char, 100> head{};
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
-  if (fd < 0) return {};  // it is not there, or what else is wrong is told elsewhere
+  if (fd < 0) return {};  // opening it reports what is wrong
   struct stat about {};
   const bool is_file = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode);
   const ssize_t got = is_file ? ::pread(fd, head.data(), head.size(), 0) : 0;

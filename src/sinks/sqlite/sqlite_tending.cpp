@@ -93,7 +93,7 @@ Result<void> SqliteWriter::sync() {
   return Error{Errc::io_failed, "cannot force the recording's log onto the disk", config_.path + "-wal", "", ""};
 }
 
-/// A limit that does not hold is told, once until it holds again.
+/// Warns once when a limit does not hold, and again only after it has held.
 void SqliteWriter::look_at_size() {
   std::uint64_t total = 0;
   for (const char* part : {"", "-wal", "-shm"}) {

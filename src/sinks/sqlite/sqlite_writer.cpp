@@ -49,7 +49,8 @@ Result<void> SqliteWriter::open() {
       return begun;
     }
   }
-  // The run is in the database whatever becomes of the log. What fails here fails, and is told, when the log is full.
+  // The run is in the database whatever becomes of the log. An error here shows again, and is reported, when the log is
+  // full.
   if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
     if (*statement) continue;

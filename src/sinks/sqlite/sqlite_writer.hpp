@@ -72,7 +72,7 @@ class SqliteWriter final : public RecordingWriter {
   Result<void> store(Batch& batch);
   /// The file is no longer at its path.
   bool has_moved();
-  /// Somebody has cut off the log, of which the file has not everything yet.
+  /// The log was truncated from outside before all of it was in the file.
   bool is_log_cut_off();
   std::int64_t log_size();
   Result<void> write_checksums(const Account* account);
@@ -117,7 +117,7 @@ class SqliteWriter final : public RecordingWriter {
   Time space_looked_at_{};
   bool space_is_short_ = false;
   Pruner pruner_;
-  bool is_too_large_ = false;  // and has been told
+  bool is_too_large_ = false;  // and this was reported
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
   SteadyTime readers_waited_for_at_{};

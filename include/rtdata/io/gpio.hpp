@@ -1,0 +1,256 @@
+/// GpioLine, GpioEdges: lines of the kernel's GPIO chips (/dev/gpiochip0): read, set, and their edges on a loop.
+///
+///     auto led = rtdata::GpioLine::output({.line = "GPIO17", .safe = false});
+///     led.set(true).or_throw();
+///     rtdata::GpioEdges button(loop, {.line = 27, .chip = "gpiochip0", .bias = rtdata::GpioBias::pull_up},
+///                              [](const rtdata::GpioEdge& edge) { ... });
+///
+/// A line is named by its name ("GPIO17", as the board calls it), by its number on the chip (17), or by both
+/// ("gpiochip0:17"). A bare number needs `chip`, or a machine that has a single chip; a name that several chips have
+/// needs `chip` too. The errors list what there is. Chips are named as their file is, or by their label
+/// ("pinctrl-bcm2711").
+///
+/// Levels are logical: 1 is active, which is high unless `active_low`. An edge that rises makes the line active.
+///
+/// - An edge has the kernel's time, taken in its interrupt. One that is not on the monotonic line (kernels before 5.7,
+///   with libgpiod 1) gets the time at which it was read.
+/// - libgpiod 2: the kernel numbers the edges of a line and keeps 1024 that were not read yet; those that it drops, the
+///   oldest, are counted. `debounce` is done by the kernel.
+/// - libgpiod 1: it keeps 16, drops the newest, and tells of neither: `lost_is_known()` is false. A full store is
+///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for so long.
+/// - The calls go to the kernel and return in microseconds, but for a chip behind a slow bus (an expander on I2C),
+///   which is waited for.
+///
+/// A line has one user: it is taken until the object is closed. After that an output is set to `safe`, if there is one,
+/// before it is given back; what the chip does with a line that nobody has is its own affair, mostly nothing.
+///
+/// Errors: not-found (no such chip or line), bad-argument (it is not clear which one; settings that the chip cannot
+/// do), not-permitted (group `gpio`), busy (somebody has the line: the error says who), disconnected (the chip is
+/// gone).
+///
+/// Owner: the holder. Thread: GpioLine: one at a time; GpioEdges: the loop's (rules: handle.hpp).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "rtdata/data/config_value.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/loop/callback.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata {
+
+/// Which line: "GPIO17", 17, "gpiochip0:17". In configurations a text or a number.
+struct GpioLineName {
+  std::string text = {};
+  GpioLineName() = default;
+  GpioLineName(std::string text_) : text(std::move(text_)) {}
+  GpioLineName(const char* text_) : text(text_) {}
+  GpioLineName(int number) : text(std::to_string(number)) {}
+  GpioLineName(unsigned number) : text(std::to_string(number)) {}
+  bool operator==(const GpioLineName&) const = default;
+};
+
+template <>
+struct ConfigValue<GpioLineName> {
+  static bool read(const ConfigItem& item, GpioLineName& out, Problems& problems);
+  static void write(const GpioLineName& value, ConfigItem& item) { item.set(value.text); }
+};
+
+enum class GpioBias : std::uint8_t {
+  as_is,  ///< whatever it is
+  none,
+  pull_up,
+  pull_down
+};
+constexpr auto describe(type_tag<GpioBias>) {
+  return enumeration("bias", value("as is", GpioBias::as_is), value("none", GpioBias::none),
+                     value("pull-up", GpioBias::pull_up), value("pull-down", GpioBias::pull_down));
+}
+enum class GpioEdgeKind : std::uint8_t { rising, falling, both };
+constexpr auto describe(type_tag<GpioEdgeKind>) {
+  return enumeration("edges", value("rising", GpioEdgeKind::rising), value("falling", GpioEdgeKind::falling),
+                     value("both", GpioEdgeKind::both));
+}
+enum class GpioDrive : std::uint8_t { push_pull, open_drain, open_source };
+
+/// A line that is read.
+struct GpioInput {
+  GpioLineName line = {};
+  std::string chip = {};  ///< "gpiochip0", "/dev/gpiochip0" or its label; empty: the one that has the line
+  GpioBias bias = GpioBias::as_is;
+  bool active_low = false;
+  GpioEdgeKind edges = GpioEdgeKind::both;  ///< which of them count; of GpioEdges only, as is `debounce`
+  Duration debounce{0};                     ///< a level that lasts for less is none; 0: every edge counts
+  std::string consumer = "rtdata";          ///< as others see who has the line; the kernel keeps 31 bytes of it
+
+  friend constexpr auto parameters(type_tag<GpioInput>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("line", &GpioInput::line, "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"",
+                  required),
+        parameter("chip", &GpioInput::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
+        parameter("bias", &GpioInput::bias, "the resistor in the chip"),
+        parameter("active_low", &GpioInput::active_low, "the line is active when it is low"),
+        parameter("edges", &GpioInput::edges, "which of them count: a rising one makes the line active"),
+        parameter("debounce", &GpioInput::debounce, "a level that lasts for less is none; 0: every edge counts",
+                  range(Duration{0}, Duration{10s})));
+  }
+};
+
+/// A line that is set.
+struct GpioOutput {
+  GpioLineName line = {};
+  std::string chip = {};
+  GpioDrive drive = GpioDrive::push_pull;
+  bool active_low = false;
+  bool initial = false;           ///< what it is set to when it is taken
+  std::optional<bool> safe = {};  ///< what it is set to at the end; none: it is left as it is
+  std::string consumer = "rtdata";
+};
+
+// What carries the lines: the kernel's chips, the fake of tests (fake_gpio.hpp), or something of your own.
+
+struct GpioLineInfo {
+  std::string name = {};      ///< empty: it has none
+  std::string consumer = {};  ///< who has it, as far as that is said
+  bool is_used = false;
+};
+struct GpioChipInfo {
+  std::string path = {};  ///< "/dev/gpiochip0"
+  std::string label = {};
+  std::vector<GpioLineInfo> lines = {};  ///< by their numbers
+  int error_number = 0;                  ///< it cannot be opened: an errno
+};
+
+/// An edge as the carrier gives it.
+struct GpioRawEdge {
+  bool is_rising = false;    ///< the line became active
+  std::int64_t time = 0;     ///< ns of CLOCK_MONOTONIC
+  std::uint32_t number = 0;  ///< of the line's edges since it was taken, from 1, past the last number from 0 again
+};
+
+/// A line that is taken; given back by the destructor. Thread: one at a time.
+class GpioRequest {
+ public:
+  virtual ~GpioRequest() = default;
+  /// 0, 1, or a negative errno.
+  virtual int value() noexcept = 0;
+  /// 0 or an errno.
+  virtual int set(bool value) noexcept = 0;
+  /// Readable while edges wait; never blocks.
+  virtual int descriptor() const noexcept = 0;
+  /// Those that wait, as many as there is room for. The number of them, or a negative errno.
+  virtual int read(std::span<GpioRawEdge> edges) noexcept = 0;
+  /// Whether its chip is still there, which not every kernel tells who waits for edges. Must not wait.
+  virtual bool is_there() noexcept = 0;
+};
+
+class GpioBackend {
+ public:
+  virtual ~GpioBackend() = default;
+  /// Of the edges it keeps so many that are not read; 0: not known.
+  virtual std::size_t kept_edges() const noexcept = 0;
+  /// Its edges have numbers.
+  virtual bool numbers_edges() const noexcept = 0;
+  /// It does `debounce` itself.
+  virtual bool debounces() const noexcept = 0;
+  virtual std::vector<GpioChipInfo> chips() = 0;
+  /// Null, with an errno: EBUSY when somebody has the line.
+  virtual std::unique_ptr<GpioRequest> take_input(const std::string& path, unsigned number, const GpioInput& settings,
+                                                  bool with_edges, int& error_number) = 0;
+  virtual std::unique_ptr<GpioRequest> take_output(const std::string& path, unsigned number, const GpioOutput& settings,
+                                                   int& error_number) = 0;
+};
+
+/// The kernel's chips, by libgpiod. In the library rtdata_gpio (CMake rtdata::gpio, pkg-config rtdata-gpio), which is
+/// there when libgpiod was found.
+std::shared_ptr<GpioBackend> make_kernel_gpio();
+
+/// A line that is read or set by the caller. Reading and setting go to the kernel, on any thread, one at a time.
+class GpioLine {
+ public:
+  /// SetupError: see above.
+  static GpioLine input(GpioInput settings) { return input(std::move(settings), make_kernel_gpio()); }
+  static GpioLine input(GpioInput settings, const std::shared_ptr<GpioBackend>& backend);
+  static GpioLine output(GpioOutput settings) { return output(std::move(settings), make_kernel_gpio()); }
+  static GpioLine output(GpioOutput settings, const std::shared_ptr<GpioBackend>& backend);
+
+  GpioLine() noexcept = default;
+  GpioLine(GpioLine&& other) noexcept;
+  GpioLine& operator=(GpioLine&& other) noexcept;
+  ~GpioLine() { close(); }
+
+  Result<bool> read() const;
+  /// Error (bad-argument) for an input.
+  Result<void> set(bool value);
+  /// Sets an output to its safe value and gives the line back. Harmless when it is closed.
+  void close() noexcept;
+  bool is_open() const noexcept { return request_ != nullptr; }
+  /// "gpiochip0:17 (GPIO17)"
+  const std::string& place() const noexcept { return place_; }
+
+ private:
+  GpioLine(std::string place, std::unique_ptr<GpioRequest> request, std::optional<bool> safe, bool is_output);
+  std::string place_;
+  std::unique_ptr<GpioRequest> request_;
+  std::optional<bool> safe_;
+  bool is_output_ = false;
+};
+
+struct GpioEdge {
+  bool level = false;        ///< of the line after it
+  MonotonicTime time{};      ///< the kernel's
+  std::uint64_t number = 0;  ///< from 1, since the line was taken; those that are known to be lost have numbers too
+};
+
+struct GpioEdgeCounts {
+  std::uint64_t edges = 0;      ///< that the callback was given
+  std::uint64_t lost = 0;       ///< numbered by the kernel, and dropped before they were read
+  std::uint64_t filtered = 0;   ///< bounces, where `debounce` is done here
+  std::uint64_t overflows = 0;  ///< times that the kernel's store was full: without numbers, edges may have been lost
+};
+
+/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is told, and there are no more;
+/// make another when it is back.
+class GpioEdges : public Handle {
+ public:
+  GpioEdges() noexcept = default;
+  /// SetupError: see above.
+  GpioEdges(Loop& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback)
+      : GpioEdges(loop, std::move(settings), std::move(callback), make_kernel_gpio()) {}
+  GpioEdges(Loop& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback,
+            const std::shared_ptr<GpioBackend>& backend);
+
+  /// Of the line, now.
+  Result<bool> read() const;
+  /// Calls back for what waits now instead of in the next turn.
+  void take_waiting();
+  GpioEdgeCounts counts() const noexcept;
+  /// Whether the edges have numbers: without them `lost` is not known, and 0.
+  bool lost_is_known() const noexcept;
+  /// Why there are no edges any more.
+  std::optional<Error> failure() const;
+  /// Told once, of the end, and of edges that were lost or may be. Without a handler: the loop's.
+  void on_error(Callback<void(const ErrorReport&)> handler);
+};
+
+namespace detail {
+
+/// The same, without an exception. Null, with the error.
+std::unique_ptr<GpioRequest> take_gpio_input(GpioBackend& backend, const GpioInput& settings, bool with_edges,
+                                             std::string& place, Error& error);
+
+}  // namespace detail
+
+}  // namespace rtdata

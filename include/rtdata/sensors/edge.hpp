@@ -1,0 +1,76 @@
+/// EdgeSensor: the edges of a GPIO line (a button, a limit switch, a trigger), each an event.
+///
+///     rtdata::EdgeSensor door(loop, {.name = "door"},
+///                             {.input = {.line = "GPIO17", .bias = rtdata::GpioBias::pull_up}});
+///     auto heard = loop.subscribe<rtdata::EdgeReading>("door", [](const rtdata::Event<rtdata::EdgeReading>& edge) {
+///       std::puts(edge->level ? "active" : "inactive");
+///     });
+///
+/// The event's time is the kernel's, of the edge. `count` goes on over outages; what happened during one is in its gap.
+///
+/// - Edges that the kernel dropped are counted as lost with libgpiod 2, are in `count`, and are told. With libgpiod 1
+///   `lost` is not detectable: that some may be missing is told when the kernel's store was full.
+/// - Bounces that are held back here (`debounce`, with libgpiod 1) are filtered.
+/// - A chip that goes away, or is not there at the start, makes the sensor faulted and is looked for again after
+///   `retry_first`, doubling to `retry_longest`; the time without it is a gap (disconnected). Without its file it is
+///   missed within 1 s, where the kernel does not tell.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <utility>
+
+#include "rtdata/io/gpio.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata {
+
+struct EdgeReading {
+  bool level = false;       ///< after it: a rising edge makes the line active
+  std::uint64_t count = 0;  ///< of the edges so far, this one included
+  friend constexpr auto describe(type_tag<EdgeReading>) {
+    return record("edge", field("level", &EdgeReading::level), field("count", &EdgeReading::count));
+  }
+};
+
+struct EdgeConfig {
+  GpioInput input = {};
+  Duration silence{0};                                    ///< without an edge for longer, it has a gap; 0: it may be
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost chip is looked for again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  bool required = false;                                  ///< a line that cannot be used at the start throws
+  bool start = true;                                      ///< start when made
+
+  friend constexpr auto parameters(type_tag<EdgeConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        include_member(&EdgeConfig::input),
+        parameter("silence", &EdgeConfig::silence, "without an edge for longer, it is degraded and has a gap; 0: never",
+                  range(Duration{0}, Duration{24h})),
+        parameter("retry_first", &EdgeConfig::retry_first, "wait before a lost chip is looked for again",
+                  range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &EdgeConfig::retry_longest, "the wait doubles up to this",
+                  range(Duration{1ms}, Duration{24h})),
+        parameter("required", &EdgeConfig::required, "a line that cannot be used at the start ends the program"),
+        parameter("start", &EdgeConfig::start, "start it with the system"));
+  }
+};
+
+/// Of the most that is read at once.
+ReadTime read_time(const EdgeConfig& config);
+
+class EdgeSensor : public AnySensor {
+ public:
+  EdgeSensor() noexcept = default;
+  /// SetupError: as `Feed`; bad-argument for a configuration that cannot work; the error of a required line.
+  EdgeSensor(Loop& loop, FeedConfig feed, EdgeConfig config)
+      : EdgeSensor(loop, std::move(feed), std::move(config), make_kernel_gpio()) {}
+  EdgeSensor(Loop& loop, FeedConfig feed, EdgeConfig config, std::shared_ptr<GpioBackend> backend);
+
+ private:
+  explicit EdgeSensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

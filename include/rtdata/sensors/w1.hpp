@@ -1,0 +1,71 @@
+/// W1Sensor: a DS18B20 or another thermometer on 1-Wire, through the kernel's driver w1_therm.
+///
+///     rtdata::W1Sensor boiler(loop, {.name = "boiler", .rate = 0.5_Hz}, {.device = "28-000000c0ffee"});
+///     auto s = loop.topic<rtdata::W1Temperature>("boiler").subscribe(loop, [](const auto& e) { use(*e); });
+///
+/// A conversion takes up to 750 ms at 12 bits: each thermometer is read on a lane of its own, so that it holds nobody,
+/// and those with a supply of their own convert at the same time. A rate above 1 Hz misses ticks. On a bus with
+/// parasitic power the kernel lets one convert at a time: `timeout` has to be as long as all of them take.
+///
+/// Not published, but unreadable: a wrong checksum; 85 °C as a thermometer shows it that has lost its supply and has
+/// not measured since (its byte 6 tells that from a measured one: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); all bytes
+/// 0, of a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet, "Operation
+/// - measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the kernel finds
+///   one
+/// that is plugged in within 10 s.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+struct W1Temperature {
+  double temperature = 0;
+  friend constexpr auto describe(type_tag<W1Temperature>) {
+    return record("temperature", field("temperature", &W1Temperature::temperature, "Cel"));
+  }
+};
+
+struct W1Config {
+  std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one that there is
+  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  Duration timeout = std::chrono::seconds{3};  ///< a read that takes longer is given up
+
+  friend constexpr auto parameters(type_tag<W1Config>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("device", &W1Config::device,
+                  "the thermometer, such as 28-000000c0ffee; empty: the only one that there is", TextIs::recorded),
+        parameter("root", &W1Config::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("timeout", &W1Config::timeout, "a read that takes longer is given up",
+                  range(Duration{1ms}, Duration{1h})));
+  }
+};
+
+/// What no parameter says by itself: that the device is a name, not a path.
+void check_config(const W1Config& config, const ConfigItem& item, Problems& problems);
+/// The lane's part is that of a conversion of 12 bits.
+ReadTime read_time(const W1Config& config);
+/// Degrees Celsius in the text of a file w1_slave. Errors: disconnected (no answer), bad-data, out-of-range.
+Result<double> parse_w1(std::string_view text);
+/// The thermometers below `root`, sorted: names of folders. Blocks for as long as listing a directory takes.
+std::vector<std::string> available_w1(const std::string& root = {});
+
+class W1Sensor : public AnySensor {
+ public:
+  W1Sensor() noexcept = default;
+  /// SetupError: as `Sensor`; bad-argument for a device that is a path.
+  W1Sensor(Loop& loop, SensorConfig sensor, W1Config config);
+
+ private:
+  explicit W1Sensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

@@ -1,0 +1,306 @@
+// rtdata import: makes a recording of somebody's table, so that it can be verified, read and exported as any other.
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <istream>
+#include <limits>
+#include <ostream>
+#include <set>
+#include <vector>
+
+#include "app/core/recording_commands.hpp"
+#include "data/csv_row.hpp"
+#include "data/nearest.hpp"
+#include "data/number_text.hpp"
+#include "data/utf8.hpp"
+#include "rtdata/data/value.hpp"
+#include "rtdata/loop/clock.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/sensors/feed.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr std::size_t longest_row = std::size_t{1} << 20;
+constexpr std::size_t longest_text = 1024;
+
+Error refused(std::string where, std::string why, std::string advice) {
+  return {Errc::bad_argument, "cannot import", std::move(where), std::move(why), std::move(advice)};
+}
+
+/// The rows of a file, one after the other.
+class Table {
+ public:
+  explicit Table(std::string path) : path_(std::move(path)), in_(path_, std::ios::binary) {}
+  bool is_open() const { return in_.is_open(); }
+  /// The number of the line on which the last row begins.
+  std::uint64_t line() const noexcept { return line_; }
+  std::string where() const { return path_ + ":" + std::to_string(line_); }
+
+  /// False: there are no more. Errors: bad-data (a quote that does not end, a row of more than 1 MiB).
+  Result<bool> next(std::vector<detail::CsvCell>& cells) {
+    std::string row, line;
+    line_ = next_line_;
+    while (std::getline(in_, line)) {
+      ++next_line_;
+      row += line;
+      row += '\n';
+      if (line_ == 1 && row.starts_with(detail::byte_order_mark)) row.erase(0, detail::byte_order_mark.size());
+      if (row.size() > longest_row)
+        return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
+      if (detail::csv_row_size(row) == 0) continue;  // within quotes
+      if (row == "\n" || row == "\r\n") {
+        row.clear();
+        line_ = next_line_;
+        continue;
+      }
+      auto split = detail::split_csv(row);
+      if (!split)
+        return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
+      cells = *std::move(split);
+      return true;
+    }
+    if (in_.bad()) return Error{Errc::io_failed, "cannot read", path_, "", ""};
+    if (!row.empty()) return Error{Errc::bad_data, "cannot import", where(), "a quoted cell does not end", ""};
+    return false;
+  }
+
+ private:
+  std::string path_;
+  std::ifstream in_;
+  std::uint64_t line_ = 1, next_line_ = 1;
+};
+
+struct Column {
+  std::string heading, name, unit;
+  // What all its cells can be.
+  bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
+  std::size_t longest = 1;
+
+  void look_at(const detail::CsvCell& cell) {
+    if (cell.text.empty() && !cell.quoted) {
+      has_empty = true;
+      return;
+    }
+    has_any = true;
+    longest = std::max(longest, cell.text.size());
+    std::int64_t integer = 0;
+    double number = 0;
+    can_be_integer = can_be_integer && detail::read_number(cell.text, integer) == std::errc{};
+    can_be_number = can_be_number && detail::read_number(cell.text, number) == std::errc{};
+  }
+  std::string type() const {
+    const std::string absent = has_empty ? ", may be absent" : "";
+    if (!has_any) return "no values: left out";
+    return (can_be_integer  ? "integer"
+            : can_be_number ? "number"
+                            : "text of up to " + std::to_string(longest) + " bytes") +
+           absent;
+  }
+};
+
+/// "chamber temperature [Cel]" is the field chamber_temperature in Cel; of "imu.ax", ax where that is unique.
+void name_columns(std::vector<Column>& columns) {
+  std::set<std::string> all, twice;
+  const auto tail = [](const std::string& text) { return text.substr(text.rfind('.') + 1); };
+  for (Column& column : columns) {
+    std::string text = column.heading;
+    if (const std::size_t open = text.rfind('['); open != std::string::npos && text.ends_with(']')) {
+      column.unit = text.substr(open + 1, text.size() - open - 2);
+      text.resize(open);
+    }
+    while (!text.empty() && text.back() == ' ') text.pop_back();
+    column.name = text;
+    if (!all.insert(tail(text)).second) twice.insert(tail(text));
+  }
+  for (Column& column : columns) {
+    if (!twice.contains(tail(column.name))) column.name = tail(column.name);
+    for (char& c : column.name)
+      if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
+    if (column.name.empty() || (column.name[0] >= '0' && column.name[0] <= '9')) column.name.insert(0, "c");
+    if (column.name == "time" || column.name == "origin" || column.name == "sequence" || column.name == "run")
+      column.name += "_";
+  }
+}
+
+/// Of a cell of the column of time. Absolute ones are ISO 8601; numbers count `scale` from `start`.
+Result<Time> time_of(const std::string& text, Duration scale, Time start) {
+  std::int64_t integer = 0;
+  if (detail::read_number(text, integer) == std::errc{}) {
+    const long double ns = static_cast<long double>(integer) * static_cast<long double>(scale.count());
+    if (std::abs(ns) < 9.2e18L) return start + Duration{integer * scale.count()};
+    return refused("", text + " is no time that can be recorded", "look at --scale");
+  }
+  double number = 0;
+  if (detail::read_number(text, number) == std::errc{}) {
+    const double ns = number * static_cast<double>(scale.count());
+    if (std::abs(ns) < 9.2e18) return start + Duration{std::llround(ns)};
+    return refused("", text + " is no time that can be recorded", "look at --scale");
+  }
+  return parse_iso8601(text);
+}
+
+Result<Value> value_of(const Column& column, const detail::CsvCell& cell) {
+  if (cell.text.empty() && !cell.quoted) return Value{};
+  std::int64_t integer = 0;
+  if (column.can_be_integer && detail::read_number(cell.text, integer) == std::errc{}) return Value(integer);
+  double number = 0;
+  if (column.can_be_number && detail::read_number(cell.text, number) == std::errc{}) return Value(number);
+  return Value(cell.text);
+}
+
+/// What the table is, found by reading it once.
+struct Found {
+  std::vector<Column> columns;  // all of the file
+  std::size_t time_column = 0;
+  Time first{};
+  std::uint64_t rows = 0;
+  std::shared_ptr<const Description> description;
+};
+
+Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) {
+  Table table(options.file);
+  if (!table.is_open()) return system_error(errno, "cannot read", options.file, "give the path of a CSV file");
+  std::vector<detail::CsvCell> cells;
+  auto head = table.next(cells);
+  if (!head) return head.error();
+  if (!*head) return refused(options.file, "it is empty", "its first row names the columns");
+  Found found;
+  std::vector<std::string_view> headings;
+  for (const detail::CsvCell& cell : cells) found.columns.push_back({.heading = cell.text, .name = {}, .unit = {}});
+  for (const Column& column : found.columns) headings.push_back(column.heading);
+  const auto at = std::find(headings.begin(), headings.end(), options.time_column);
+  if (at == headings.end())
+    return refused(options.file, "it has no column " + options.time_column,
+                   detail::suggestion(options.time_column, headings));
+  found.time_column = static_cast<std::size_t>(at - headings.begin());
+  name_columns(found.columns);
+  for (;;) {
+    auto row = table.next(cells);
+    if (!row) return row.error();
+    if (!*row) break;
+    if (cells.size() != found.columns.size())
+      return Error{
+          Errc::bad_data, "cannot import", table.where(),
+          std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()), ""};
+    const auto time = time_of(cells[found.time_column].text, scale, start);
+    if (!time)
+      return Error{
+          Errc::bad_data, "cannot import", table.where(),
+          "\"" + cells[found.time_column].text.substr(0, 64) + "\" in column " + options.time_column + " is no time",
+          "a number, or a time as 2026-03-01T12:00:00Z"};
+    if (found.rows++ == 0) found.first = *time;
+    found.first = std::min(found.first, *time);
+    for (std::size_t i = 0; i < cells.size(); ++i) found.columns[i].look_at(cells[i]);
+  }
+  if (found.rows == 0) return refused(options.file, "it has no rows", "");
+  DescriptionBuilder builder("import");
+  for (std::size_t i = 0; i < found.columns.size(); ++i) {
+    const Column& column = found.columns[i];
+    if (i == found.time_column || !column.has_any) continue;
+    using Presence = DescriptionBuilder::Presence;
+    const Presence presence = column.has_empty ? Presence::optional : Presence::always;
+    if (column.can_be_number) {
+      builder.field(column.name, column.can_be_integer ? Kind::i64 : Kind::f64, column.unit, presence);
+    } else if (column.longest <= longest_text) {
+      builder.text(column.name, column.longest, presence);
+    } else {
+      return refused(options.file,
+                     "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
+                     "1024 at most");
+    }
+  }
+  auto built = builder.build();
+  if (!built) return built.error();
+  found.description = *std::move(built);
+  return found;
+}
+
+Result<std::uint64_t> record(const ImportOptions& options, const Found& found, Duration scale, Time start,
+                             std::uint64_t& moved) {
+  Loop loop{Loop::Manual{}, {.name = "import"}};
+  loop.manual_clock().set_realtime(found.first);
+  std::optional<Error> failed;
+  loop.on_error([&](const ErrorReport& report) {
+    if (!failed) failed = report.error;
+  });
+  // Time passes as fast as it goes: what is stored together is a matter of memory, not of time.
+  SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
+  AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
+  Table table(options.file);
+  std::vector<detail::CsvCell> cells;
+  (void)table.next(cells);
+  Time last = found.first - Duration{1};
+  std::vector<std::byte> payload;
+  for (;;) {
+    auto row = table.next(cells);
+    if (!row) return row.error();
+    if (!*row) break;
+    const auto time = time_of(cells[found.time_column].text, scale, start);
+    if (!time || cells.size() != found.columns.size())
+      return refused(table.where(), "the file has changed while it was read", "try again");
+    payload.assign(found.description->size(), std::byte{0});
+    std::size_t leaf = 0;
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+      if (i == found.time_column || !found.columns[i].has_any) continue;
+      const auto value = value_of(found.columns[i], cells[i]);
+      if (auto done = write(found.description->leaves()[leaf++], payload.data(), *value); !done)
+        return refused(table.where(), done.error().text(), "the file has changed while it was read");
+    }
+    if (*time <= last) ++moved;
+    loop.advance(std::max(*time - last, Duration{0}));
+    last = std::max(last, *time);
+    feed.publish_bytes(payload, *time);
+    if (failed) return *failed;
+  }
+  if (const std::uint64_t lost = loop.close(); lost > 0 || failed)
+    return failed ? *failed : refused(options.database, std::to_string(lost) + " rows could not be stored", "");
+  return found.rows;
+}
+
+}  // namespace
+
+int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err) {
+  const auto fail = [&](const Error& error) {
+    err << "rtdata: " << error.text() << "\n";
+    return 1;
+  };
+  try {
+    const auto scale = parse_duration(options.scale);
+    if (!scale) return fail(scale.error());
+    if (*scale <= Duration{0}) return fail(refused("--scale " + options.scale, "it is not above 0", "such as 10us"));
+    Time start{};
+    if (!options.start.empty()) {
+      const auto given = parse_iso8601(options.start);
+      if (!given) return fail(given.error());
+      start = *given;
+    }
+    ImportOptions named = options;
+    const std::string stem = std::filesystem::path(options.file).stem().string();
+    if (named.topic.empty()) named.topic = stem;
+    if (named.origin.empty()) named.origin = stem;
+    if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
+    auto found = look_at(named, *scale, start);
+    if (!found) return fail(found.error());
+    std::uint64_t moved = 0;
+    const auto rows = record(named, *found, *scale, start, moved);
+    if (!rows) return fail(rows.error());
+    out << named.database << ": " << *rows << (*rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
+        << named.topic << ", from " << to_iso8601(found->first) << " on\n";
+    for (std::size_t i = 0; i < found->columns.size(); ++i) {
+      const Column& column = found->columns[i];
+      out << "  " << column.heading << ": "
+          << (i == found->time_column ? "the time" : column.name + ", " + column.type()) << "\n";
+    }
+    if (moved > 0)
+      err << "rtdata: warning: " << moved
+          << " rows were not later than the row before; each got a time 1 ns after it\n";
+    return 0;
+  } catch (const SetupError& error) {
+    return fail(error.error());
+  }
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,502 @@
+#include "rtdata/io/gpio.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <limits>
+
+#include "data/nearest.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/support/handler.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+
+namespace rtdata {
+
+bool ConfigValue<GpioLineName>::read(const ConfigItem& item, GpioLineName& out, Problems& problems) {
+  if (item.kind() == ConfigItem::Kind::string) {
+    if (!ConfigValue<std::string>::read(item, out.text, problems)) return false;
+    if (!out.text.empty()) return true;
+    problems.add(item.problem("bad-value", R"(the line has no name: such as "GPIO17", 17 or "gpiochip0:17")"));
+    return false;
+  }
+  unsigned number = 0;
+  if (!ConfigValue<unsigned>::read(item, number, problems)) return false;
+  out = GpioLineName(number);
+  return true;
+}
+
+namespace {
+
+constexpr const char* cannot_use = "cannot use the GPIO line";
+constexpr const char* list_advice = "`rtdata scan` lists the chips and their lines";
+
+struct Place {
+  std::string path;  // of the chip
+  unsigned number = 0;
+  GpioLineInfo line;
+  std::string text() const {
+    const std::string name = line.name.empty() ? "" : " (" + line.name + ")";
+    return path.substr(path.rfind('/') + 1) + ":" + std::to_string(number) + name;
+  }
+};
+
+std::string base_of(std::string_view path) { return std::string(path.substr(path.rfind('/') + 1)); }
+
+bool is_named(const GpioChipInfo& chip, std::string_view name) {
+  return name == chip.path || name == base_of(chip.path) || (!chip.label.empty() && name == chip.label);
+}
+
+std::string listed(const std::vector<GpioChipInfo>& chips) {
+  std::string text;
+  for (const GpioChipInfo& chip : chips) {
+    text += (text.empty() ? "" : ", ") + base_of(chip.path) + " (";
+    text += chip.error_number != 0 ? system_error(chip.error_number, "", "").why
+                                   : chip.label + ", " + std::to_string(chip.lines.size()) + " lines";
+    text += ")";
+  }
+  return text;
+}
+
+/// None: it is no number.
+std::optional<unsigned> number_of(std::string_view text) {
+  unsigned number = 0;
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (status != std::errc{} || end != text.data() + text.size() || text.empty()) return {};
+  return number;
+}
+
+class Finder {
+ public:
+  Finder(std::vector<GpioChipInfo> chips, const GpioLineName& line, const std::string& chip)
+      : chips_(std::move(chips)), line_(line.text), chip_(chip) {
+    // A name may have a colon of its own: what stands before it is a chip only if there is one of that name.
+    const std::size_t colon = line_.rfind(':');
+    if (!chip_.empty() || colon == std::string::npos || colon == 0 || colon + 1 == line_.size()) return;
+    const std::string_view before = std::string_view(line_).substr(0, colon);
+    const bool is_chip = std::any_of(chips_.begin(), chips_.end(),
+                                     [&](const GpioChipInfo& one) { return is_named(one, before); });
+    if (!is_chip && !before.starts_with("gpiochip") && !before.starts_with("/dev/")) return;
+    chip_ = before;
+    line_.erase(0, colon + 1);
+  }
+
+  Result<Place> find() const {
+    if (chips_.empty())
+      return error(Errc::not_found, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them");
+    std::vector<const GpioChipInfo*> among;
+    for (const GpioChipInfo& one : chips_)
+      if (chip_.empty() || is_named(one, chip_)) among.push_back(&one);
+    if (among.empty())
+      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + listed(chips_),
+                   "set `chip` to one of these");
+    if (among.size() > 1 && !chip_.empty())
+      return error(Errc::bad_argument, "several chips are called " + chip_ + ": " + listed(chips_),
+                   "set `chip` to the name of its file");
+    for (const GpioChipInfo* one : among) {
+      if (one->error_number == 0 || (among.size() > 1 && one->error_number != EACCES && one->error_number != EPERM))
+        continue;
+      Error refused = system_error(one->error_number, cannot_use, where() + ", " + one->path);
+      if (refused.code == Errc::not_permitted)
+        refused.advice = "become one of the group that may: `ls -l " + one->path +
+                         "` shows it; `sudo usermod -aG gpio $USER`, then log in again";
+      return refused;
+    }
+    if (const auto number = number_of(line_)) return by_number(*number, among);
+    return by_name(among);
+  }
+
+ private:
+  std::string where() const { return "line " + line_; }
+  Error error(Errc code, std::string why, std::string advice) const {
+    return {code, cannot_use, where(), std::move(why), std::move(advice)};
+  }
+  Result<Place> by_number(unsigned number, const std::vector<const GpioChipInfo*>& among) const {
+    if (among.size() > 1)
+      return error(Errc::bad_argument, "there are several chips, and each has its own numbers: " + listed(chips_),
+                   "set `chip` to one of these, or name the line");
+    const GpioChipInfo& chip = *among.front();
+    if (number >= chip.lines.size())
+      return error(Errc::not_found, base_of(chip.path) + " has the lines 0 to " + std::to_string(chip.lines.size() - 1),
+                   list_advice);
+    return Place{chip.path, number, chip.lines[number]};
+  }
+  Result<Place> by_name(const std::vector<const GpioChipInfo*>& among) const {
+    std::optional<Place> found;
+    std::string places;
+    std::vector<std::string_view> names;
+    for (const GpioChipInfo* chip : among) {
+      for (std::size_t i = 0; i < chip->lines.size(); ++i) {
+        if (!chip->lines[i].name.empty()) names.push_back(chip->lines[i].name);
+        if (chip->lines[i].name != line_) continue;
+        places += (found ? ", " : "") + base_of(chip->path) + ":" + std::to_string(i);
+        if (!found) {
+          found = Place{chip->path, static_cast<unsigned>(i), chip->lines[i]};
+        } else {
+          is_ambiguous_ = true;
+        }
+      }
+    }
+    if (!found) {
+      std::string hint = detail::suggestion(line_, names);
+      return error(Errc::not_found,
+                   names.empty() ? "the lines have no names here: " + listed(chips_) : "no line has this name",
+                   names.empty() ? "give its number, such as \"gpiochip0:17\"" : hint + "; " + list_advice);
+    }
+    if (std::exchange(is_ambiguous_, false))
+      return error(Errc::bad_argument, "several lines have this name: " + places, "write one of these instead");
+    return *std::move(found);
+  }
+
+  const std::vector<GpioChipInfo> chips_;
+  std::string line_;
+  std::string chip_;
+  mutable bool is_ambiguous_ = false;
+};
+
+Error failure_of(int error_number, const char* what, const std::string& place) {
+  if (error_number == ENODEV || error_number == ENXIO || error_number == EIO)
+    return {Errc::disconnected, what, place, "its chip is gone",
+            "look at the chip's plug or driver; it is opened again when it is back"};
+  return system_error(error_number, what, place);
+}
+
+Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
+  switch (error_number) {
+    case EBUSY: {
+      std::string who = place.line.consumer;
+      for (const GpioChipInfo& chip : backend.chips())  // it may have been taken just now
+        if (chip.path == place.path && place.number < chip.lines.size()) who = chip.lines[place.number].consumer;
+      return {Errc::busy, cannot_use, place.text(),
+              who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it",
+              "end that, or use another line; a driver of the kernel is named in the device tree"};
+    }
+    case EINVAL:
+    case ENXIO:
+    case EOPNOTSUPP:
+    case 524:  // ENOTSUPP, the kernel's own
+      return {Errc::bad_argument, cannot_use, place.text(), "its chip cannot do what is asked for",
+              "a chip may lack resistors (`bias`), interrupts (edges), or reading of outputs"};
+    default:
+      return failure_of(error_number, cannot_use, place.text());
+  }
+}
+
+template <class Settings, class Take>
+std::unique_ptr<GpioRequest> taken(GpioBackend& backend, const Settings& settings, std::string& place, Error& error,
+                                   const Take& take) {
+  const Result<Place> found = Finder(backend.chips(), settings.line, settings.chip).find();
+  if (!found) {
+    error = found.error();
+    return nullptr;
+  }
+  int error_number = 0;
+  auto request = take(*found, error_number);
+  place = found->text();
+  if (request == nullptr) error = refusal_of(error_number, backend, *found);
+  return request;
+}
+
+}  // namespace
+
+std::unique_ptr<GpioRequest> detail::take_gpio_input(GpioBackend& backend, const GpioInput& settings, bool with_edges,
+                                                     std::string& place, Error& error) {
+  return taken(backend, settings, place, error, [&](const Place& at, int& error_number) {
+    return backend.take_input(at.path, at.number, settings, with_edges, error_number);
+  });
+}
+
+// ---- GpioLine
+
+GpioLine::GpioLine(std::string place, std::unique_ptr<GpioRequest> request, std::optional<bool> safe, bool is_output)
+    : place_(std::move(place)), request_(std::move(request)), safe_(safe), is_output_(is_output) {}
+
+GpioLine GpioLine::input(GpioInput settings, const std::shared_ptr<GpioBackend>& backend) {
+  std::string place;
+  Error error;
+  auto request = detail::take_gpio_input(*backend, settings, false, place, error);
+  if (request == nullptr) throw SetupError(std::move(error));
+  return {std::move(place), std::move(request), std::nullopt, false};
+}
+
+GpioLine GpioLine::output(GpioOutput settings, const std::shared_ptr<GpioBackend>& backend) {
+  std::string place;
+  Error error;
+  auto request = taken(*backend, settings, place, error, [&](const Place& at, int& error_number) {
+    return backend->take_output(at.path, at.number, settings, error_number);
+  });
+  if (request == nullptr) throw SetupError(std::move(error));
+  return {std::move(place), std::move(request), settings.safe, true};
+}
+
+GpioLine::GpioLine(GpioLine&& other) noexcept
+    : place_(std::move(other.place_)),
+      request_(std::move(other.request_)),
+      safe_(other.safe_),
+      is_output_(other.is_output_) {}
+
+GpioLine& GpioLine::operator=(GpioLine&& other) noexcept {
+  if (this == &other) return *this;
+  close();
+  place_ = std::move(other.place_);
+  request_ = std::move(other.request_);
+  safe_ = other.safe_;
+  is_output_ = other.is_output_;
+  return *this;
+}
+
+Result<bool> GpioLine::read() const {
+  if (request_ == nullptr) return Error{Errc::closed, "cannot read the GPIO line", place_, "it is closed", ""};
+  const int value = request_->value();
+  if (value < 0) return failure_of(-value, "cannot read the GPIO line", place_);
+  return value != 0;
+}
+
+Result<void> GpioLine::set(bool value) {
+  constexpr const char* what = "cannot set the GPIO line";
+  if (request_ == nullptr) return Error{Errc::closed, what, place_, "it is closed", ""};
+  if (!is_output_) return Error{Errc::bad_argument, what, place_, "it is an input", "make it with GpioLine::output"};
+  if (const int error_number = request_->set(value); error_number != 0) return failure_of(error_number, what, place_);
+  return {};
+}
+
+void GpioLine::close() noexcept {
+  if (request_ == nullptr) return;
+  if (safe_) request_->set(*safe_);
+  request_.reset();
+}
+
+// ---- GpioEdges
+
+namespace detail {
+namespace {
+
+constexpr std::size_t most_read = 64;                      // edges in one turn of the loop
+constexpr Duration look_period = std::chrono::seconds{1};  // whether the chip is still there
+
+}  // namespace
+
+class GpioEdgesNode final : public Node {
+ public:
+  GpioEdgesNode(LoopCore& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback,
+                std::shared_ptr<GpioBackend> backend)
+      : Node(loop),
+        settings_(std::move(settings)),
+        backend_(std::move(backend)),
+        name_("GPIO line " + settings_.line.text),
+        callback_(std::move(callback)) {
+    if (!callback_) refuse_empty("cannot watch the GPIO line", settings_.line.text);
+  }
+
+  Result<void> open() {
+    GpioInput asked = settings_;
+    is_settled_here_ = settings_.debounce > Duration{0} && !backend_->debounces();
+    if (is_settled_here_) asked.edges = GpioEdgeKind::both;
+    from_ = loop()->now();
+    Error error;
+    request_ = take_gpio_input(*backend_, asked, true, place_, error);
+    if (request_ == nullptr) return error;
+    name_ = "GPIO line " + place_;
+    if (is_settled_here_) {
+      const int value = request_->value();
+      if (value < 0) return failure_of(-value, "cannot read the GPIO line", place_);
+      level_ = value != 0;
+      settle_ = Timer(loop()->face, {.name = name_}, [this] { settle(); });
+    }
+    watch_ = FdWatch(loop()->face, request_->descriptor(), FdWatch::readable, name_,
+                     [this](const FdEvent& event) { ready(event.hung_up); });
+    look_ = Timer(loop()->face, {.name = name_}, [this] { look(); });
+    look_.start(look_period);
+    return {};
+  }
+
+  Result<bool> read() const {
+    constexpr const char* what = "cannot read the GPIO line";
+    if (failure_) return *failure_;
+    if (request_ == nullptr) return Error{Errc::closed, what, place_, "it is closed", ""};
+    const int value = request_->value();
+    if (value < 0) return failure_of(-value, what, place_);
+    return value != 0;
+  }
+  void take_waiting() {
+    Call call(*this);
+    // Bounded: what comes as fast as it is taken is left to the next turn.
+    for (std::size_t left = 4096 / most_read; left > 0 && request_ != nullptr && take_some(false); --left) {
+    }
+  }
+  const GpioEdgeCounts& counts() const noexcept { return counts_; }
+  bool lost_is_known() const noexcept { return backend_->numbers_edges(); }
+  const std::optional<Error>& failure() const noexcept { return failure_; }
+  void set_on_error(Callback<void(const ErrorReport&)> handler) { on_error_.set(std::move(handler)); }
+  std::string callback_name() const override { return name_; }
+
+ private:
+  void ready(bool has_hung_up) {
+    Call call(*this);
+    take_some(has_hung_up);
+  }
+  /// False: there were no more, or it has ended.
+  bool take_some(bool has_hung_up) {
+    std::array<GpioRawEdge, most_read> edges;
+    const int got = request_->read(edges);
+    if (got < 0 || (got == 0 && has_hung_up)) {
+      end(failure_of(got < 0 ? -got : ENODEV, "lost the GPIO line", place_));
+      return false;
+    }
+    const MonotonicTime now = loop()->now();
+    const auto count = static_cast<std::size_t>(got);
+    const std::uint64_t lost_before = counts_.lost;
+    for (std::size_t i = 0; i < count; ++i) {
+      take(edges[i], now);
+      if (request_ == nullptr) return false;  // the callback has closed it
+    }
+    if (counts_.lost != lost_before) {
+      tell({Errc::backlog, "edges are lost", place_,
+            std::to_string(counts_.lost - lost_before) + " came faster than they were read",
+            "let nothing hold this loop, give it a tier of its own, or set `debounce`"});
+    } else if (const std::size_t kept = backend_->kept_edges();
+               !backend_->numbers_edges() && kept != 0 && count >= kept && !is_settled_here_) {
+      ++counts_.overflows;
+      tell({Errc::backlog, "edges may be lost", place_,
+            "the kernel's store of " + std::to_string(kept) +
+                " was full, and libgpiod 1 does not say how many it dropped",
+            "let nothing hold this loop, give it a tier of its own, or use libgpiod 2"});
+    }
+    return count == edges.size() || (count != 0 && count == backend_->kept_edges());
+  }
+
+  void take(const GpioRawEdge& edge, MonotonicTime now) {
+    std::uint64_t step = 1;
+    if (backend_->numbers_edges()) {
+      const std::uint32_t raw_step = edge.number - last_number_;
+      last_number_ = edge.number;
+      step = raw_step != 0 ? raw_step : 1;
+      counts_.lost += step - 1;
+    }
+    MonotonicTime time{Duration{edge.time}};
+    if (time > now || time < from_) time = now;  // of another clock
+    if (!is_settled_here_) return give({edge.is_rising, time, number_ += step});
+    ++bounces_;
+    last_bounce_ = time;
+    settle_.start_at(later(time, settings_.debounce));
+  }
+  void give(const GpioEdge& edge) {
+    ++counts_.edges;
+    loop()->call_user(name_, [&] { callback_(edge); });
+  }
+
+  /// The level has lasted long enough, and is read again, since edges may have been dropped.
+  void settle() {
+    Call call(*this);
+    if (request_ == nullptr) return;
+    const std::uint64_t bounces = std::exchange(bounces_, 0);
+    const int value = request_->value();
+    if (value < 0) return end(failure_of(-value, "lost the GPIO line", place_));
+    const bool has_changed = (value != 0) != level_;
+    counts_.filtered += has_changed ? bounces - std::min<std::uint64_t>(bounces, 1) : bounces;
+    if (!has_changed) return;
+    level_ = value != 0;
+    if (settings_.edges == (level_ ? GpioEdgeKind::falling : GpioEdgeKind::rising)) return;
+    give({level_, last_bounce_, ++number_});
+  }
+  void look() {
+    Call call(*this);
+    if (request_ == nullptr) return;
+    if (!request_->is_there()) return end(failure_of(ENODEV, "lost the GPIO line", place_));
+    look_.start(look_period);
+  }
+
+  void end(Error error) {
+    give_back();
+    failure_ = std::move(error);
+    tell(*failure_);
+  }
+  void tell(const Error& error) {
+    LoopCore& on = *loop();
+    if (on_error_) {
+      on.call_user(name_, [&] { on_error_({name_, error, 1}); });
+    } else {
+      on.runtime.report(&on, name_, error);
+    }
+  }
+  void give_back() noexcept {
+    watch_.close();  // before the descriptor
+    look_.close();
+    settle_.close();
+    request_.reset();
+  }
+  void on_close() noexcept override { give_back(); }
+  void drop_callbacks() noexcept override {
+    callback_.reset();
+    on_error_.reset();
+  }
+
+  const GpioInput settings_;
+  const std::shared_ptr<GpioBackend> backend_;
+  std::string name_;
+  std::string place_;
+  std::unique_ptr<GpioRequest> request_;
+  FdWatch watch_;
+  Timer look_;
+  Timer settle_;
+  MonotonicTime from_{};  // no edge of this line is older
+  std::uint32_t last_number_ = 0;
+  std::uint64_t number_ = 0;
+  GpioEdgeCounts counts_;
+  bool is_settled_here_ = false;  // `debounce` is
+  bool level_ = false;            // that has lasted
+  std::uint64_t bounces_ = 0;     // since then
+  MonotonicTime last_bounce_{};
+  std::optional<Error> failure_;
+  Callback<void(const GpioEdge&)> callback_;
+  Handler<ErrorReport> on_error_;
+};
+
+namespace {
+
+GpioEdgesNode* edges(Node* node) noexcept {
+  return node != nullptr && node->is_open() ? static_cast<GpioEdgesNode*>(node) : nullptr;
+}
+
+}  // namespace
+}  // namespace detail
+
+GpioEdges::GpioEdges(Loop& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback,
+                     const std::shared_ptr<GpioBackend>& backend)
+    : Handle(new detail::GpioEdgesNode(loop.core(), std::move(settings), std::move(callback), backend)) {
+  const Result<void> opened = static_cast<detail::GpioEdgesNode*>(node())->open();
+  if (opened) return;
+  close();
+  throw SetupError(opened.error());
+}
+
+Result<bool> GpioEdges::read() const {
+  if (auto* open = detail::edges(node())) return open->read();
+  return Error{Errc::closed, "cannot read the GPIO line", "", "it is closed", ""};
+}
+void GpioEdges::take_waiting() {
+  if (auto* open = detail::edges(node())) {
+    open->loop()->check_thread("cannot take edges of", open->callback_name());
+    open->take_waiting();
+  }
+}
+GpioEdgeCounts GpioEdges::counts() const noexcept {
+  const auto* open = detail::edges(node());
+  return open != nullptr ? open->counts() : GpioEdgeCounts{};
+}
+bool GpioEdges::lost_is_known() const noexcept {
+  const auto* open = detail::edges(node());
+  return open != nullptr && open->lost_is_known();
+}
+std::optional<Error> GpioEdges::failure() const {
+  const auto* open = detail::edges(node());
+  return open != nullptr ? open->failure() : std::nullopt;
+}
+void GpioEdges::on_error(Callback<void(const ErrorReport&)> handler) {
+  if (auto* open = detail::edges(node())) open->set_on_error(std::move(handler));
+}
+
+}  // namespace rtdata

@@ -1,0 +1,134 @@
+// The layout of a scan: where iio_compute_scan_bytes of the kernel (drivers/iio/industrialio-buffer.c) puts each value.
+#include <algorithm>
+#include <bit>
+#include <cstring>
+
+#include "data/number_text.hpp"
+#include "rtdata/io/iio.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_decode = "cannot decode the buffer";
+
+template <class Word>
+Word loaded(const std::byte* from, bool is_big_endian) noexcept {
+  Word word;
+  std::memcpy(&word, from, sizeof word);
+  if constexpr (sizeof word > 1) {
+    if (is_big_endian != (std::endian::native == std::endian::big)) {
+      if constexpr (sizeof word == 2) word = __builtin_bswap16(word);
+      if constexpr (sizeof word == 4) word = __builtin_bswap32(word);
+      if constexpr (sizeof word == 8) word = __builtin_bswap64(word);
+    }
+  }
+  return word;
+}
+
+std::uint64_t loaded(const std::byte* from, const IioStorage& storage) noexcept {
+  switch (storage.storage_bits) {
+    case 8:
+      return loaded<std::uint8_t>(from, false);
+    case 16:
+      return loaded<std::uint16_t>(from, storage.is_big_endian);
+    case 32:
+      return loaded<std::uint32_t>(from, storage.is_big_endian);
+    default:
+      return loaded<std::uint64_t>(from, storage.is_big_endian);
+  }
+}
+
+double code_of(const std::byte* from, const IioStorage& storage) noexcept {
+  const unsigned above = 64 - storage.bits;
+  const std::uint64_t bits = loaded(from, storage) >> storage.shift << above;
+  if (storage.is_signed) return static_cast<double>(static_cast<std::int64_t>(bits) >> above);
+  if (storage.bits < 64) return static_cast<double>(static_cast<std::int64_t>(bits >> above));
+  return static_cast<double>(bits);
+}
+
+std::size_t aligned(std::size_t at, std::size_t to) noexcept { return (at + to - 1) & ~(to - 1); }
+
+/// Takes a number of at most three digits from the front.
+bool take_number(std::string_view& text, unsigned& number) noexcept {
+  const std::size_t end = std::min(text.find_first_not_of("0123456789"), text.size());
+  if (end > 3 || detail::read_number(text.substr(0, end), number) != std::errc{}) return false;
+  text.remove_prefix(end);
+  return true;
+}
+bool take(std::string_view& text, std::string_view what) noexcept {
+  if (!text.starts_with(what)) return false;
+  text.remove_prefix(what.size());
+  return true;
+}
+
+}  // namespace
+
+Result<IioStorage> parse_iio_storage(std::string_view text) {
+  const auto refused = [whole = text](const char* why) {
+    return Error{Errc::bad_data, cannot_decode, "type \"" + std::string(whole.substr(0, 40)) + "\"", why,
+                 "such as le:s12/16>>4"};
+  };
+  IioStorage storage;
+  storage.is_big_endian = text.starts_with("be:");
+  if (!take(text, "be:") && !take(text, "le:")) return refused("it begins with neither le: nor be:");
+  storage.is_signed = text.starts_with('s');
+  if (!take(text, "s") && !take(text, "u")) return refused("it is neither s nor u");
+  if (!take_number(text, storage.bits) || !take(text, "/") || !take_number(text, storage.storage_bits))
+    return refused("it does not say how many bits there are");
+  if (take(text, "X") && !take_number(text, storage.repeat)) return refused("it does not say how many there are");
+  // Old kernels leave the shift out.
+  if (take(text, ">>") && !take_number(text, storage.shift)) return refused("it does not say by how much to shift");
+  if (!text.empty()) return refused("something follows");
+  const unsigned room = storage.storage_bits;
+  if (room != 8 && room != 16 && room != 32 && room != 64) return refused("storage is of 8, 16, 32 or 64 bits");
+  if (storage.bits == 0 || storage.bits + storage.shift > room) return refused("its bits do not fit the storage");
+  if (storage.repeat == 0 || storage.repeat > 64) return refused("there are 1 to 64");
+  return storage;
+}
+
+Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
+  const auto refused = [](const Channel& channel, const char* why) {
+    return Error{Errc::bad_data, cannot_decode, "the channel of index " + std::to_string(channel.index), why, ""};
+  };
+  std::sort(channels.begin(), channels.end(), [](const Channel& a, const Channel& b) { return a.index < b.index; });
+  IioLayout layout;
+  std::size_t at = 0, largest = 1;
+  for (std::size_t i = 0; i < channels.size(); ++i) {
+    const Channel& channel = channels[i];
+    const IioStorage& storage = channel.storage;
+    const std::size_t size = storage.size();
+    if (i > 0 && channels[i - 1].index == channel.index) return refused(channel, "there are two of this index");
+    if (storage.bits == 0 || storage.bits + storage.shift > storage.storage_bits || !std::has_single_bit(size))
+      return refused(channel, "kernels differ in how they align elements of this size");
+    if (channel.is_timestamp && (storage.storage_bits != 64 || storage.repeat != 1))
+      return refused(channel, "times are one number of 64 bits");
+    at = aligned(at, size);
+    const Element element{at, storage, channel.conversion, channel.position};
+    if (channel.is_timestamp) {
+      layout.timestamp_ = element;
+    } else {
+      layout.elements_.push_back(element);
+      layout.values_ = std::max(layout.values_, channel.position + storage.repeat);
+    }
+    at += size;
+    largest = std::max(largest, size);
+  }
+  layout.size_ = aligned(at, largest);
+  return layout;
+}
+
+void IioLayout::decode(const std::byte* scan, double* to) const noexcept {
+  for (const Element& element : elements_) {
+    const IioStorage& storage = element.storage;
+    double* value = to + element.position;
+    const std::byte* from = scan + element.at;
+    for (unsigned i = 0; i < storage.repeat; ++i, from += storage.storage_bits / 8)
+      *value++ = (code_of(from, storage) + element.conversion.offset) * element.conversion.scale;
+  }
+}
+
+std::int64_t IioLayout::timestamp(const std::byte* scan) const noexcept {
+  return static_cast<std::int64_t>(loaded(scan + timestamp_->at, timestamp_->storage));
+}
+
+}  // namespace rtdata

@@ -1,0 +1,382 @@
+#include <algorithm>
+#include <atomic>
+#include <bit>
+#include <functional>
+#include <utility>
+
+#include "loop/support/no_thread.hpp"
+#include "rtdata/io/iio.hpp"
+#include "rtdata/loop/lane.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "rtdata/sensors/iio.hpp"
+#include "sensors/core/stream_node.hpp"
+#include "sensors/kernel/iio_lane.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+constexpr const char* cannot_open = "cannot use the IIO buffer";
+// Published in one turn, so that they stay below the capacity of a topic's ring.
+constexpr std::size_t most_at_once = 512;
+// Kernels up to at least 6.1 do not wake who waits for a device that is taken away.
+constexpr Duration look_again = std::chrono::milliseconds{500};
+// A driver may give the first scan a time from before it was turned on, since it counts back from its interrupt.
+constexpr Duration most_before = std::chrono::seconds{1};
+constexpr Duration most_ahead = std::chrono::milliseconds{10};
+
+/// Opens the device on its lane. What is opened belongs to whoever comes last: the sensor, or this, when the sensor
+/// does not want it any more.
+class IioOpening final : public LaneJob {
+ public:
+  IioOpening(IioBufferConfig config, std::function<void(IioOpening&, Outcome)> done)
+      : config_(std::move(config)), done_(std::move(done)) {}
+
+  void run() noexcept override {
+    if (state_.load() == unwanted) return;
+    try {
+      open();
+    } catch (...) {  // so short that it needs no memory
+      error = Error{Errc::io_failed, "no memory", "", "", ""};
+    }
+    if (state_.exchange(finished) == unwanted) capture = nullptr;
+  }
+  void done(Outcome outcome) override {
+    if (const auto done = std::exchange(done_, nullptr)) done(*this, outcome);
+  }
+  /// Returns what is to be closed. `done` is nobody's any more.
+  std::shared_ptr<IioCapture> cancel() noexcept {
+    done_ = nullptr;
+    return state_.exchange(unwanted) == finished ? std::move(capture) : nullptr;
+  }
+
+  std::shared_ptr<IioCapture> capture;
+  std::optional<Error> error;
+  MonotonicTime began{};
+
+ private:
+  enum State { wanted, finished, unwanted };
+  void open() {
+    const auto device = IioDevice::find(config_.device, config_.root);
+    began = lane_now();
+    if (!device) {
+      error = device.error();
+      return;
+    }
+    auto opened = IioCapture::open(*device, {.channels = config_.channels,
+                                             .trigger = config_.trigger,
+                                             .rate = config_.rate.value_or(Rate{}),
+                                             .length = config_.length,
+                                             .watermark = config_.watermark});
+    if (opened) {
+      capture = std::make_shared<IioCapture>(std::move(*opened));
+    } else {
+      error = std::move(opened).error();
+    }
+  }
+  const IioBufferConfig config_;
+  std::function<void(IioOpening&, Outcome)> done_;  // on the loop
+  std::atomic<State> state_{wanted};
+};
+
+class IioClosing final : public LaneJob {
+ public:
+  explicit IioClosing(std::shared_ptr<IioCapture> capture) noexcept : capture_(std::move(capture)) {}
+  void run() noexcept override { capture_->close(); }
+  void done(Outcome) override {}
+
+ private:
+  std::shared_ptr<IioCapture> capture_;
+};
+
+}  // namespace
+
+class IioBufferNode final : public StreamNode {
+ public:
+  IioBufferNode(LoopCore& loop, const FeedConfig& feed, IioBufferConfig config)
+      : StreamNode(loop, feed, described_type(iio_description(config.channels).or_throw()),
+                   {config.silence, config.retry_first, config.retry_longest}),
+        config_(std::move(config)),
+        rest_(loop.face, [this] { on_rest(); }),
+        look_(loop.face, [this] { look(); }) {
+    origin_.expect_gaps();
+  }
+
+  void start() override {
+    if (!is_open() || is_running()) return;
+    begin();
+    Call call(*this);
+    std::optional<Error> refusal;
+    if (config_.required) refusal_ = &refusal;
+    open_stream();
+    if (is_open() && opening_ != nullptr && (loop()->is_being_set_up() || config_.required)) wait();
+    refusal_ = nullptr;
+    if (!config_.required) return;
+    if (is_open() && opening_ != nullptr && !refusal) refusal = given_up_error();
+    if (!refusal) return;
+    if (is_open()) end();
+    throw SetupError(std::move(*refusal));
+  }
+  std::optional<SensorLoad> load() const override {
+    return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
+  }
+
+ private:
+  Lane& lane() { return loop()->lanes.of(iio_lane(config_.device, config_.root), config_.timeout); }
+
+  void wait() {
+    const MonotonicTime end = later(loop()->now(), config_.timeout);
+    Lane& on = lane();
+    while (is_open() && opening_ != nullptr) {
+      const Duration left = span_between(loop()->now(), end);
+      if (left <= Duration{0}) return;
+      on.wait(left);
+    }
+  }
+
+  void open_stream() override {
+    close_the_rest();
+    began_ = loop()->now();
+    try {
+      opening_ = std::make_shared<IioOpening>(
+          config_, [this](IioOpening& job, LaneJob::Outcome outcome) { on_opened(job, outcome); });
+      Lane& on = lane();
+      if (on.submit(opening_, config_.timeout)) return;
+      opening_ = nullptr;
+      cannot(on.lacks_thread() ? no_thread(cannot_open, config_.device)
+             : on.is_stuck()   ? given_up_error()
+                               : Error{Errc::busy, cannot_open, config_.device, "its lane is full", ""});
+    } catch (const std::exception& e) {
+      opening_ = nullptr;
+      cannot({Errc::io_failed, cannot_open, config_.device, e.what(), ""});
+    }
+  }
+  void cannot(const Error& error) {
+    if (refusal_ != nullptr) {
+      *refusal_ = error;
+    } else {
+      lose(error, began_);
+    }
+  }
+  Error given_up_error() const {
+    return {Errc::timed_out, cannot_open, config_.device, "no answer within " + to_string(config_.timeout),
+            "look at the chip and its bus; `timeout` sets how long to wait"};
+  }
+
+  void on_opened(IioOpening& job, LaneJob::Outcome outcome) {
+    Call call(*this);
+    const auto done = std::exchange(opening_, nullptr);
+    if (outcome != LaneJob::Outcome::finished) {
+      job.cancel();
+      return cannot(given_up_error());
+    }
+    if (job.error) return cannot(*job.error);
+    use(std::move(job.capture), job.began);
+  }
+  void use(std::shared_ptr<IioCapture> capture, MonotonicTime began) {
+    capture_ = std::move(capture);
+    const IioLayout& layout = capture_->layout();
+    // The kernel rounds the length up in this way; a full buffer comes in one read.
+    bytes_.resize(std::bit_ceil(config_.length) * layout.size());
+    values_.resize(layout.values());
+    at_ = end_ = 0;
+    turned_on_ = later(began, -most_before);
+    last_ = last_published_ = MonotonicTime{};
+    was_full_ = false;
+    const std::string& clock = capture_->clock();
+    is_monotonic_ = clock == "monotonic" || clock == "monotonic_coarse";
+    has_clock_ = is_monotonic_ || clock == "realtime" || clock == "realtime_coarse";
+    const double frequency = capture_->frequency();
+    interval_ = frequency > 0 ? Rate::hertz(frequency).period() : Duration{0};
+    opened();
+    watch_ = FdWatch(loop()->face, capture_->fd(), FdWatch::readable, object_name(),
+                     [this](const FdEvent& event) { on_ready(event.hung_up); });
+    look_.start(look_again);
+    for (const std::string& note : capture_->notes()) loop()->runtime.log(LogLevel::warning, object_name(), note);
+  }
+
+  void close_stream() noexcept override {
+    watch_.close();  // before the descriptor
+    rest_.stop();
+    look_.stop();
+    at_ = end_ = 0;
+    auto capture = std::exchange(capture_, nullptr);
+    if (const auto opening = std::exchange(opening_, nullptr)) capture = opening->cancel();
+    if (capture != nullptr) unclosed_.push_back(std::move(capture));
+    close_the_rest();
+  }
+  /// Turns off on the lane what is on, which can take long. What a lane that is stuck does not take waits.
+  void close_the_rest() noexcept {
+    try {
+      while (!unclosed_.empty()) {
+        if (!lane().submit(std::make_shared<IioClosing>(unclosed_.back()))) return;
+        unclosed_.pop_back();
+      }
+    } catch (...) {  // no memory: later, or by the destructor
+    }
+  }
+
+  void on_ready(bool hung_up) {
+    Call call(*this);
+    if (at_ < end_) return;  // some are left of the last read
+    const auto got = capture_->read(bytes_);
+    if (!got) return lose(got.error(), loop()->now());
+    if (*got == 0) {
+      if (hung_up)
+        lose({Errc::disconnected, "lost the IIO device", config_.device, "it has gone away", ""}, loop()->now());
+      return;
+    }
+    const std::size_t size = capture_->layout().size();
+    if (*got % size != 0) {
+      ++origin_.counts.received;
+      ++origin_.counts.unreadable;
+      return lose({Errc::bad_data, "lost the IIO device", config_.device,
+                   std::to_string(*got) + " bytes are no whole scans of " + std::to_string(size), ""},
+                  loop()->now());
+    }
+    heard();
+    at_ = 0;
+    end_ = *got;
+    is_full_ = *got / size >= config_.length;
+    ahead_ = difference(heard_at().time_since_epoch(), loop()->runtime.clock_log.clock().realtime().time_since_epoch());
+    take_scans();
+  }
+  void on_rest() {
+    Call call(*this);
+    if (capture_ != nullptr) take_scans();
+  }
+  /// What came in one read, or as much of it as may be published at once.
+  void take_scans() {
+    const IioLayout& layout = capture_->layout();
+    const std::size_t size = layout.size();
+    const std::size_t end = std::min(end_, at_ + most_at_once * size);
+    missing_ = 0;
+    bool is_dropped = false, is_odd = false;
+    for (; at_ < end; at_ += size) {
+      const std::byte* scan = bytes_.data() + at_;
+      layout.decode(scan, values_.data());
+      MonotonicTime time = time_of(scan, is_odd);
+      is_dropped = look_for_hole(time) || is_dropped;
+      time = std::max(std::min(time, heard_at()), later(last_published_, Duration{1}));
+      last_published_ = time;
+      ++origin_.counts.received;
+      ++origin_.counts.published;
+      origin_.topic.publish(origin_, loop()->runtime.event_time(time), values_.data());
+    }
+    if (at_ < end_) {
+      rest_.start(Duration{0});
+    } else {
+      was_full_ = is_full_;
+    }
+    if (missing_ > 0 || is_dropped) return tell_missing(is_dropped);
+    if (is_odd) return tell_odd_time();
+    succeed();
+  }
+
+  /// By the device's clock if it can be, else by the read.
+  MonotonicTime time_of(const std::byte* scan, bool& is_odd) noexcept {
+    if (capture_->layout().has_timestamp()) {
+      const std::int64_t stamp = capture_->layout().timestamp(scan);
+      const MonotonicTime time{is_monotonic_ ? Duration{stamp} : difference(ahead_, Duration{stamp})};
+      if (has_clock_ && time >= turned_on_ && time <= later(heard_at(), most_ahead)) return time;
+      is_odd = true;
+      odd_ = has_clock_ ? span_between(heard_at(), time) : Duration{0};
+    }
+    const auto after = static_cast<std::int64_t>((end_ - at_) / capture_->layout().size()) - 1;
+    return later(heard_at(), -multiple(after, interval_));
+  }
+
+  /// Whether the buffer was full before this scan, so that some before it may have been dropped.
+  bool look_for_hole(MonotonicTime time) noexcept {
+    const bool was_full = std::exchange(was_full_, false);
+    const MonotonicTime before = std::exchange(last_, time);
+    if (before == MonotonicTime{} || !capture_->layout().has_timestamp()) return was_full;
+    const Duration apart = span_between(before, time);
+    if (interval_ <= Duration{0}) return was_full;
+    const Duration most = was_full ? interval_ / 2 * 3 : interval_ / 4 * 7;
+    if (apart <= most) return false;
+    missing_ += static_cast<std::uint64_t>((apart + interval_ / 2) / interval_ - 1);
+    origin_.begin_absence(Gap::Kind::silent, id(Errc::backlog), before);
+    origin_.end_absence(time);
+    return was_full;
+  }
+  void tell_missing(bool is_dropped) {
+    const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
+                                          : std::string("how many is not known");
+    degrade(
+        {Errc::backlog, "scans are missing", config_.device,
+         is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or look at its bus"});
+  }
+  void tell_odd_time() {
+    degrade({Errc::bad_data, "the times of scans are not used", config_.device,
+             has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
+                        : "it has the clock " + capture_->clock(),
+             "those of the reads stand for them"});
+  }
+
+  /// A device that was taken away may wake nobody.
+  void look() {
+    Call call(*this);
+    look_.start(look_again);
+    if (capture_ != nullptr && span_between(heard_at(), loop()->now()) >= look_again) on_ready(false);
+  }
+
+  Error silence_error() const override {
+    return {Errc::timed_out, "nothing comes", config_.device, "no scan for " + to_string(config_.silence),
+            "look whether its trigger fires; `silence` sets how long it may be silent"};
+  }
+  void on_close() noexcept override {
+    StreamNode::on_close();
+    rest_.close();
+    look_.close();
+    for (const auto& capture : unclosed_) capture->abandon();  // its driver hangs
+  }
+
+  const IioBufferConfig config_;
+  Timer rest_;  // of scans that were read and not published yet
+  Timer look_;
+  std::shared_ptr<IioOpening> opening_;
+  std::optional<Error>* refusal_ = nullptr;  // while a required one starts: where its failure goes
+  MonotonicTime began_{};                    // the attempt to open it
+  std::shared_ptr<IioCapture> capture_;
+  std::vector<std::shared_ptr<IioCapture>> unclosed_;
+  FdWatch watch_;
+  std::vector<std::byte> bytes_;
+  std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
+  std::vector<double> values_;      // of one scan: the payload
+  Duration interval_{0};            // between two scans; 0: not known
+  Duration ahead_{0};               // of the time of day before the monotonic line, at the last read
+  MonotonicTime turned_on_{};       // no time is earlier
+  MonotonicTime last_{};            // of the last scan
+  MonotonicTime last_published_{};  // the same, as it was published
+  std::uint64_t missing_ = 0;       // scans, as it seems
+  bool is_full_ = false;            // the buffer was, at the last read
+  bool was_full_ = false;           // the same, when all of that read is published: some may be missing behind it
+  bool has_clock_ = false;          // one that can be put on our line
+  bool is_monotonic_ = false;
+  Duration odd_{0};  // how far the last time that cannot be is from the read
+};
+
+}  // namespace detail
+
+ReadTime read_time(const IioBufferConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
+
+IioBufferSensor::IioBufferSensor(Loop& loop, FeedConfig feed, IioBufferConfig config) {
+  detail::check_iio(config.device, config.channels, feed.name);
+  const auto refuse = [&](const char* why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot use this IIO sensor", "sensor " + feed.name, why, advice});
+  };
+  if (config.length < 2 || config.length > 65536) refuse("length is not 2 to 65536", "such as 512");
+  if (config.watermark < 1 || config.watermark > config.length)
+    refuse("watermark is not between 1 and length", "such as 1");
+  if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
+  if (config.timeout <= Duration{0}) refuse("its timeout is not positive", "such as 5 s");
+  const bool starts = config.start;
+  auto* node = new detail::IioBufferNode(loop.core(), feed, std::move(config));
+  IioBufferSensor made(node);
+  if (starts) node->start();
+  *this = std::move(made);
+}
+
+}  // namespace rtdata

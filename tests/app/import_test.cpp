@@ -1,0 +1,146 @@
+// rtdata import: somebody's tables become recordings that verify, and say what they could not take.
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include "app/process.hpp"
+#include "paths.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+using namespace rtdata;
+using test::Folder;
+using test::Process;
+
+namespace {
+
+const std::string program = test::built("rtdata");
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+void check_verifies(const Folder& folder, const std::string& recording) {
+  Process verify(folder, program, {"verify", recording});
+  CHECK(verify.end() == 0);
+  CHECK(has(verify.out, "balanced"));
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("FW-5 import: a table becomes a recording, whose export has the same values") {
+    const Folder folder;
+    folder.write("bench.csv",
+                 "t,imu.ax [m/s2],imu.note,count,never,baro.ax\r\n"
+                 "10,1.5,\"a, \"\"b\"\"\nc\",9007199254740993,,1\r\n"
+                 "12.5,,x,-3,,2\r\n"
+                 "\r\n"
+                 "20,nan,,0,,1e300\r\n");
+    Process import(folder, program,
+                   {"import", "bench.csv", "--time", "t", "--scale", "1ms", "--start", "2026-03-01T12:00:00Z",
+                    "--topic", "bench/imu", "--origin", "imu"});
+    CHECK(import.end() == 0);
+    CHECK(has(import.out, "bench.db: 3 rows of bench.csv on topic bench/imu, from 2026-03-01T12:00:00.01Z on"));
+    CHECK(has(import.out, "  t: the time"));
+    CHECK(has(import.out, "  imu.ax [m/s2]: imu_ax, number, may be absent"));
+    CHECK(has(import.out, "  count: count, integer"));
+    CHECK(has(import.out, "  never: never, no values: left out"));
+    CHECK(import.err.empty());
+    check_verifies(folder, "bench.db");
+    Process rows(folder, program, {"export", "bench.db", "--utc", "--units"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out ==
+          "utc,origin,sequence,imu_ax [m/s2],note,count,baro_ax\n"
+          "2026-03-01T12:00:00.01Z,imu,1,1.5,\"a, \"\"b\"\"\nc\",9007199254740993,1\n"
+          "2026-03-01T12:00:00.0125Z,imu,2,,x,-3,2\n"
+          "2026-03-01T12:00:00.02Z,imu,3,nan,,0,1e+300\n");
+  }
+
+  TEST_CASE("FW-5 import: rows that do not follow in time are moved, which is said; absolute times; a second table") {
+    const Folder folder;
+    folder.write(
+        "a.csv",
+        "when,v\n2026-03-01T12:00:00Z,1\n2026-03-01T11:00:00Z,2\n2026-03-01T12:00:00Z,3\n2026-03-02T12:00:00Z,4\n");
+    Process import(folder, program, {"import", "a.csv", "--time", "when", "--into", "all.db"});
+    CHECK(import.end() == 0);
+    CHECK(has(import.err, "2 rows were not later than the row before"));
+    check_verifies(folder, "all.db");
+    folder.write("b.csv", "when,v\n5,1\n");
+    Process second(folder, program, {"import", "b.csv", "--time", "when", "--into", "all.db"});
+    CHECK(second.end() == 0);
+    check_verifies(folder, "all.db");
+    Process rows(folder, program, {"export", "all.db", "--topic", "a"});
+    CHECK(has(rows.out, "a,4,4\n"));
+  }
+
+  TEST_CASE("FW-5 import: what cannot be taken is said with its row, and nothing is made") {
+    const Folder folder;
+    folder.write("good.csv", "time_s,v\n1,2\n");
+    folder.write("short.csv", "t,v\n1,2\n2\n");
+    folder.write("text.csv", "t,v\n1,2\nsoon,3\n");
+    folder.write("far.csv", "t,v\n1e30,2\n");
+    folder.write("quote.csv", "t,v\n1,\"2\n");
+    folder.write("empty.csv", "");
+    folder.write("head.csv", "t,v\n");
+    folder.write("twice.csv", "t,v,V\n1,2,3\n");
+    folder.write("long.csv", "t,v\n1," + std::string(2000, 'x') + "\n");
+    std::ofstream(folder.path() + "/garbage.csv", std::ios::binary) << std::string(2'000'000, '\x01');
+    const auto refuses = [&](std::vector<std::string> arguments, const std::string& why) {
+      arguments.insert(arguments.begin(), "import");
+      Process import(folder, program, arguments);
+      CAPTURE(why);
+      CHECK(import.end() == 1);
+      CHECK_MESSAGE(has(import.err, why), import.err);
+    };
+    refuses({"good.csv", "--time", "time"}, "did you mean time_s?");
+    refuses({"good.csv", "--time", "time_s", "--scale", "0s"}, "not above 0");
+    refuses({"good.csv", "--time", "time_s", "--scale", "fast"}, "fast");
+    refuses({"good.csv", "--time", "time_s", "--start", "noon"}, "noon");
+    refuses({"good.csv", "--time", "time_s", "--topic", "a b"}, "a b");
+    refuses({"short.csv", "--time", "t"}, "short.csv:3");
+    refuses({"text.csv", "--time", "t"}, "text.csv:3");
+    refuses({"far.csv", "--time", "t"}, "far.csv:2");
+    refuses({"quote.csv", "--time", "t"}, "quote.csv:2");
+    refuses({"empty.csv", "--time", "t"}, "it is empty");
+    refuses({"head.csv", "--time", "t"}, "it has no rows");
+    refuses({"twice.csv", "--time", "t"}, "V");
+    refuses({"long.csv", "--time", "t"}, "2000 bytes");
+    refuses({"garbage.csv", "--time", "t"}, "longer than 1 MiB");
+    refuses({"absent.csv", "--time", "t"}, "absent.csv");
+    refuses({".", "--time", "t"}, "");
+    for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+      CHECK(entry.path().extension() == ".csv");
+  }
+
+  TEST_CASE("FW-5 import: a real flight, every row of each of its tables") {
+    const std::string flight = test::in_source("../shared/data/flight");
+    if (!std::filesystem::exists(flight)) {
+      MESSAGE("skipped: there is no flight in ../shared/data/flight");
+      return;
+    }
+    const Folder folder;
+    const std::pair<const char*, const char*> tables[] = {{"barometer", "barometer_data.timeStamp_barometer"},
+                                                          {"fsm", "rocketState_data.timeStamp_RS"},
+                                                          {"gnc", "state_data.timeStamp_state"},
+                                                          {"gps", "gps_data.timeStamp_GPS"},
+                                                          {"highg_imu", "highG_data.timeStamp_highG"},
+                                                          {"lowg_imu", "lowG_data.timeStamp_lowG"}};
+    for (const auto& [name, time] : tables) {
+      const std::string path = flight + "/tars_" + name + ".csv";
+      std::ifstream file(path);
+      const auto lines = static_cast<std::size_t>(std::count(std::istreambuf_iterator<char>(file), {}, '\n'));
+      Process import(folder, program,
+                     {"import", path, "--time", time, "--scale", "10us", "--topic", name, "--into", "flight.db"});
+      CHECK_MESSAGE(import.end() == 0, import.err);
+      CHECK_MESSAGE(has(import.out, "flight.db: " + std::to_string(lines - 1) + " rows of "), import.out);
+    }
+    check_verifies(folder, "flight.db");
+    const auto recording = Recording::open(folder.path() + "/flight.db").or_throw();
+    auto rows = recording.rows({.topic = "barometer"}).or_throw();
+    const auto* first = rows.next().or_throw();
+    REQUIRE(first != nullptr);
+    CHECK(to_nanoseconds(first->header().time) == 194853870 * std::int64_t{10'000});
+    CHECK(first->event().value("altitude").or_throw() == Value(-112.56299999999999));
+  }
+}
