@@ -13,7 +13,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <cerrno>
 #include <mutex>
@@ -94,8 +93,6 @@ Result<int> connect_to(const std::string& host, std::uint16_t port, Duration tim
   return error;
 }
 
-std::string unit_text(unsigned unit) { return "unit " + std::to_string(unit); }
-
 }  // namespace
 
 void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems) {
@@ -174,7 +171,7 @@ struct ModbusDevice::Core {
   const std::string bus;
   const ModbusConfig config;
   const Duration silence;
-  mutable std::mutex mutex;  // of what follows; not while it connects or asks
+  std::mutex mutex;  // of what follows; not while it connects or asks
   Use connection;
 };
 
@@ -329,9 +326,7 @@ ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
   if (place.unit < 1 || place.unit > last_unit)
     throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
                       "units have the numbers 1 to 247, not " + std::to_string(place.unit), ""});
-  return {core_, place.unit, account_of(unit_text(place.unit))};
+  return {core_, place.unit, account_of("unit " + std::to_string(place.unit))};
 }
-
-TransferCounts ModbusBus::counts(unsigned unit) const { return counts_of(unit_text(unit)); }
 
 }  // namespace rtdata

@@ -16,8 +16,6 @@ std::span<const std::uint8_t> bytes_of(std::string_view text) {
   return {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()};
 }
 
-constexpr const char* all_devices = "all devices";  // of which the port sees one: itself
-
 }  // namespace
 
 void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems) {
@@ -172,8 +170,6 @@ SerialPort::SerialPort(std::string name, std::shared_ptr<SerialTransport> transp
   if (const auto flags = detail::control_flags(core_->config.serial); !flags) throw SetupError(flags.error());
 }
 
-SerialDevice SerialPort::device(const SerialDevice::Place&) const { return {core_, account_of(all_devices)}; }
-
-TransferCounts SerialPort::counts() const { return counts_of(all_devices); }
+SerialDevice SerialPort::device(const SerialDevice::Place&) const { return {core_, account_of(all)}; }
 
 }  // namespace rtdata

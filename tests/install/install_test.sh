@@ -23,7 +23,7 @@ fi
 project() {
     cp -r "$source/tests/install/$1" "$work/$1"
     sed 's/run_for(1s)/run_for(200ms)/' "$source/examples/01_record.cpp" >"$work/$1/record.cpp"
-    cp "$source/tests/install/lines.cpp" "$work/$1"
+    cp "$source/tests/install/lines.cpp" "$source/tests/install/registers.cpp" "$work/$1"
     cd "$work/$1"
 }
 # Runs the program $1 and looks whether its rows are there.
@@ -93,6 +93,10 @@ if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
     out/lines
     echo "GPIO, CMake: good"
 fi
+if [ -e "$pkgconfig/rtdata-modbus.pc" ]; then
+    out/registers
+    echo "Modbus, CMake: good"
+fi
 # The program with types of its own, made in the way $1: it knows them, and records with them.
 check_own_types() {
     "$2" check "$source/examples/06_own_types.json"
@@ -116,6 +120,11 @@ if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh lines rtdata-gpio
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./lines
     echo "GPIO, pkg-config: good"
+fi
+if [ -e "$pkgconfig/rtdata-modbus.pc" ]; then
+    PKG_CONFIG_PATH="$pkgconfig" sh build.sh registers rtdata-modbus
+    LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./registers
+    echo "Modbus, pkg-config: good"
 fi
 if [ -x "$work/prefix/bin/rtdata" ]; then
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh own_types rtdata-program

@@ -128,6 +128,88 @@ class FakeLine final : public Fake {
   Content content_ = Content::good;
 };
 
+/// A receiver that sends NMEA: an instant a sentence.
+class FakeNmea final : public Fake {
+ public:
+  FakeNmea() : pty_(directory.file("tty")) {}
+  const char* kind() const override { return "serial line with NMEA"; }
+  void plug_in() override { pty_.plug_in(); }
+  void unplug() override { pty_.unplug(); }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    if (pty_.master() < 0) return;
+    char time[16];
+    ++count_;
+    std::snprintf(time, sizeof time, "%02u%02u%02u", count_ / 3600 % 24, count_ / 60 % 60, count_ % 60);
+    const std::string body = "GPGGA," + std::string(time) + ",4804.1,N,01621.5,E,1,10,0.9,205.3,M,42.0,M,,";
+    unsigned sum = content_ == Content::good ? 0 : 1;
+    for (const char c : body) sum ^= static_cast<unsigned char>(c);
+    char end[8];
+    std::snprintf(end, sizeof end, "*%02X\r\n", sum & 0xff);
+    pty_.send("$" + body + end);
+  }
+  bool has_rate() const override { return false; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return SerialLineSensor(loop, {.name = "s", .topic = "t"},
+                            {.device = pty_.path(),
+                             .format = LineFormat::nmea,
+                             .retry_first = 2ms,
+                             .retry_longest = 4ms,
+                             .required = is_required});
+  }
+
+ private:
+  Pty pty_;
+  Content content_ = Content::good;
+  unsigned count_ = 0;
+};
+
+/// What answers requests on a serial line.
+class FakeAnswerer : public Fake {
+ public:
+  explicit FakeAnswerer(std::string good)
+      : pty_(directory.file("tty")),
+        good_(std::move(good)),
+        port_("line", {.device = pty_.path(), .answer_timeout = 100ms, .timeout = 1s}) {}
+  void plug_in() override { pty_.plug_in(); }
+  void unplug() override { pty_.unplug(); }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    char request[64];
+    if (pty_.master() < 0 || ::read(pty_.master(), request, sizeof request) <= 0) return;
+    std::string answer = good_;
+    if (content_ == Content::corrupt) answer[0] = '?';
+    pty_.send(answer);
+  }
+
+ protected:
+  SerialPort& port() { return port_; }
+
+ private:
+  Pty pty_;
+  std::string good_;
+  Content content_ = Content::good;
+  SerialPort port_;
+};
+
+class FakeMeter final : public FakeAnswerer {
+ public:
+  FakeMeter() : FakeAnswerer("1.5\r\n") {}
+  const char* kind() const override { return "query"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return DriverSensor<Query>(loop, common(is_required), port(), {}, {.request = "?\n", .fields = {{.name = "v"}}});
+  }
+};
+
+class FakeMhZ19 final : public FakeAnswerer {
+ public:
+  FakeMhZ19() : FakeAnswerer(std::string("\xff\x86\x02\x60\x47\0\0\0\xd1", 9)) {}
+  const char* kind() const override { return "mhz19"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return DriverSensor<MhZ19>(loop, common(is_required), port());
+  }
+};
+
 class FakeBarometer final : public FakeFile {
  public:
   FakeBarometer() : FakeFile("sys/bus/iio/devices/iio:device0/in_pressure_input", "101.3\n") {
@@ -233,88 +315,6 @@ class FakeBuffer final : public Fake {
   Content content_ = Content::good;
 };
 
-/// A receiver that sends NMEA: an instant a sentence.
-class FakeNmea final : public Fake {
- public:
-  FakeNmea() : pty_(directory.file("tty")) {}
-  const char* kind() const override { return "serial line with NMEA"; }
-  void plug_in() override { pty_.plug_in(); }
-  void unplug() override { pty_.unplug(); }
-  void set(Content content) override { content_ = content; }
-  void speak() override {
-    if (pty_.master() < 0) return;
-    char time[16];
-    ++count_;
-    std::snprintf(time, sizeof time, "%02u%02u%02u", count_ / 3600 % 24, count_ / 60 % 60, count_ % 60);
-    const std::string body = "GPGGA," + std::string(time) + ",4804.1,N,01621.5,E,1,10,0.9,205.3,M,42.0,M,,";
-    unsigned sum = content_ == Content::good ? 0 : 1;
-    for (const char c : body) sum ^= static_cast<unsigned char>(c);
-    char end[8];
-    std::snprintf(end, sizeof end, "*%02X\r\n", sum & 0xff);
-    pty_.send("$" + body + end);
-  }
-  bool has_rate() const override { return false; }
-  AnySensor make(Loop& loop, bool is_required) override {
-    return SerialLineSensor(loop, {.name = "s", .topic = "t"},
-                            {.device = pty_.path(),
-                             .format = LineFormat::nmea,
-                             .retry_first = 2ms,
-                             .retry_longest = 4ms,
-                             .required = is_required});
-  }
-
- private:
-  Pty pty_;
-  Content content_ = Content::good;
-  unsigned count_ = 0;
-};
-
-/// What answers requests on a serial line.
-class FakeAnswerer : public Fake {
- public:
-  explicit FakeAnswerer(std::string good)
-      : pty_(directory.file("tty")),
-        good_(std::move(good)),
-        port_("line", {.device = pty_.path(), .answer_timeout = 100ms, .timeout = 1s}) {}
-  void plug_in() override { pty_.plug_in(); }
-  void unplug() override { pty_.unplug(); }
-  void set(Content content) override { content_ = content; }
-  void speak() override {
-    char request[64];
-    if (pty_.master() < 0 || ::read(pty_.master(), request, sizeof request) <= 0) return;
-    std::string answer = good_;
-    if (content_ == Content::corrupt) answer[0] = '?';
-    pty_.send(answer);
-  }
-
- protected:
-  SerialPort& port() { return port_; }
-
- private:
-  Pty pty_;
-  std::string good_;
-  Content content_ = Content::good;
-  SerialPort port_;
-};
-
-class FakeMeter final : public FakeAnswerer {
- public:
-  FakeMeter() : FakeAnswerer("1.5\r\n") {}
-  const char* kind() const override { return "query"; }
-  AnySensor make(Loop& loop, bool is_required) override {
-    return DriverSensor<Query>(loop, common(is_required), port(), {}, {.request = "?\n", .fields = {{.name = "v"}}});
-  }
-};
-
-class FakeMhZ19 final : public FakeAnswerer {
- public:
-  FakeMhZ19() : FakeAnswerer(std::string("\xff\x86\x02\x60\x47\0\0\0\xd1", 9)) {}
-  const char* kind() const override { return "mhz19"; }
-  AnySensor make(Loop& loop, bool is_required) override {
-    return DriverSensor<MhZ19>(loop, common(is_required), port());
-  }
-};
-
 class FakeReceiver final : public Fake {
  public:
   FakeReceiver() { gpsd_.vanish(); }
@@ -406,16 +406,15 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeOneWire>());
   kinds.push_back(std::make_unique<FakePulse>());
   kinds.push_back(std::make_unique<FakeReceiver>());
-  kinds.push_back(std::make_unique<FakeEdges>());
-  kinds.push_back(std::make_unique<FakePulses>());
-  kinds.push_back(std::make_unique<FakeLevels>());
-  if (terminals_can_be_set_up()) kinds.push_back(std::make_unique<FakeLine>());
   if (terminals_can_be_set_up()) {
     kinds.push_back(std::make_unique<FakeLine>());
     kinds.push_back(std::make_unique<FakeNmea>());
     kinds.push_back(std::make_unique<FakeMeter>());
     kinds.push_back(std::make_unique<FakeMhZ19>());
   }
+  kinds.push_back(std::make_unique<FakeEdges>());
+  kinds.push_back(std::make_unique<FakePulses>());
+  kinds.push_back(std::make_unique<FakeLevels>());
   return kinds;
 }
 

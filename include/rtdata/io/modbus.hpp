@@ -121,7 +121,7 @@ class ModbusBus : public Bus {
   /// None: several sensors may read one device.
   static std::string text_of(const ModbusDevice::Place&) { return {}; }
   /// What the unit has cost the bus. Any thread.
-  TransferCounts counts(unsigned unit) const;
+  TransferCounts counts(unsigned unit) const { return counts_of("unit " + std::to_string(unit)); }
 
  private:
   std::shared_ptr<ModbusDevice::Core> core_;

@@ -264,7 +264,7 @@ std::string ParameterType::range() const {
 std::string ParameterInfo::default_text() const {
   if (default_value.is_null()) return "";
   const std::string* text = default_value.as_string();
-  const auto is_control = [](char c) { return c >= 0 && c < ' '; };
+  const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' '; };
   if (text != nullptr && std::any_of(text->begin(), text->end(), is_control)) {  // as in a file: \n
     const std::string json = default_value.to_json(ConfigItem::Layout::one_line);
     return json.substr(1, json.size() - 2);
