@@ -2,18 +2,13 @@
 
 #include <algorithm>
 
+#include "app/core/standard_drivers.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
-#include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/ina.hpp"
-#include "rtdata/sensors/lm75.hpp"
-#include "rtdata/sensors/mcp3x08.hpp"
 #include "rtdata/sensors/serial_line.hpp"
-#include "rtdata/sensors/sht.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
 #ifdef RTDATA_WITH_SQLITE
@@ -88,12 +83,8 @@ Registry standard_registry() {
   registry.add_bus<SpiConfig>(
       std::string(SpiBus::type), "an SPI controller of the kernel",
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
-  registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
-  registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
-  registry.add_driver<Lm75>();
-  registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");
-  registry.add_driver<Ina>("ina", "voltage, current and power of an INA219 or INA226 on I2C");
-  registry.add_driver<Mcp3x08>("mcp3x08", "eight channels of an MCP3008 or MCP3208 on SPI");
+  app::add_i2c_drivers(registry);
+  app::add_spi_drivers(registry);
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },
