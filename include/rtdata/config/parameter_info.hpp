@@ -74,8 +74,9 @@ std::string schema(const std::vector<ParameterInfo>& parameters, std::string_vie
 struct TypePage {
   std::string bus = {};    ///< of a driver: the type of its bus
   std::string notes = {};  ///< Markdown: how it is wired, where it may be on its bus, its limits
-  /// What its events hold; null: that depends on its parameters.
-  const std::shared_ptr<const Description>& (*publishes)() = nullptr;
+  /// What its events hold, with the defaults of its parameters; null: that is not known without them.
+  std::shared_ptr<const Description> (*publishes)() = nullptr;
+  bool depends_on_parameters = false;  ///< what its events hold
 };
 
 /// A type in a registry, by its name in the file.

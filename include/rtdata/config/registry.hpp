@@ -206,8 +206,18 @@ class Registry {
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
-    TypePage page{std::string(BusOf::type), {}, &description_of<typename D::Value>};
+    TypePage page;
+    page.bus = std::string(BusOf::type);
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
+    if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
+      page.depends_on_parameters = true;
+      page.publishes = []() -> std::shared_ptr<const Description> {
+        const auto described = D::describe(typename D::Config{});
+        return described ? *described : nullptr;
+      };
+    } else {
+      page.publishes = []() -> std::shared_ptr<const Description> { return description_of<typename D::Value>(); };
+    }
     add_sensor<C>(
         type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {

@@ -56,6 +56,17 @@ void wrap_line(std::string& out, std::string_view line, std::size_t columns) {
 
 }  // namespace
 
+std::string printable(std::string_view text) {
+  std::string safe(text);
+  for (std::size_t i = 0; i < safe.size(); ++i) {
+    const auto byte = static_cast<unsigned char>(safe[i]);
+    const bool is_second_set = byte == 0xc2 && i + 1 < safe.size() && (safe[i + 1] & 0xe0) == 0x80;  // U+0080 to 9f
+    if (byte < 0x20 || byte == 0x7f || is_second_set) safe[i] = '?';
+    if (is_second_set) safe.erase(i + 1, 1);
+  }
+  return safe;
+}
+
 std::size_t columns_of(int fd) {
   if (::isatty(fd) != 1) return 0;
   winsize size{};

@@ -60,11 +60,12 @@ std::string notes_of(const TypeInfo& type) {
 }
 
 std::string fields_of(const TypeInfo& type) {
-  if (type.page.publishes == nullptr) return {};
+  const auto description = type.page.publishes != nullptr ? type.page.publishes() : nullptr;
+  if (description == nullptr) return {};
   Table table({"field", "type", "unit"});
-  for (const PublishedField& field : published_fields(*type.page.publishes()))
-    table.add({field.name, field.type, field.unit});
-  return "\n  its events have\n" + table.text("  ");
+  for (const PublishedField& field : published_fields(*description)) table.add({field.name, field.type, field.unit});
+  return std::string("\n  its events have") +
+         (type.page.depends_on_parameters ? ", unless its parameters say otherwise,\n" : "\n") + table.text("  ");
 }
 
 enum class Page { short_one, whole };

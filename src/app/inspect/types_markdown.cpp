@@ -98,10 +98,11 @@ std::string markdown_of(const TypeInfo& type) {
   if (!rows.empty()) {
     text += "\n| parameter | type | unit | default | range | meaning |\n|---|---|---|---|---|---|\n" + rows;
   }
-  if (type.page.publishes != nullptr) {
-    const Description& description = *type.page.publishes();
-    text += "\nIts events (`" + description.name() + "`):\n\n| field | type | unit |\n|---|---|---|\n";
-    for (const PublishedField& field : published_fields(description))
+  if (const auto description = type.page.publishes != nullptr ? type.page.publishes() : nullptr) {
+    text += "\nIts events (`" + description->name() + "`)" +
+            (type.page.depends_on_parameters ? ", unless its parameters say otherwise" : "") +
+            ":\n\n| field | type | unit |\n|---|---|---|\n";
+    for (const PublishedField& field : published_fields(*description))
       text += "| " + code(field.name) + " | " + in_cell(field.type) + " | " + in_cell(field.unit) + " |\n";
   }
   return text;
