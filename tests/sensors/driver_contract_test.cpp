@@ -40,9 +40,9 @@ enum class Chip {
 /// Of the one chip that is tried on a bus.
 struct Wires {
   Chip chip = Chip::absent;
-  int error = EIO;            // of `failing`
+  int error = EIO;  // of `failing`
   unsigned failing_percent = 100;
-  Duration takes{0};          // each transfer
+  Duration takes{0};  // each transfer
   std::uint64_t transfers = 0;
   std::mt19937_64 random{1};
   FakeI2c i2c;  // how the chip behaves when it is good
@@ -94,7 +94,8 @@ class I2cWires final : public I2cTransport {
       fill([] { return neighbours_byte; });
       return 0;
     }
-    return wires_->transfer(true, [&] { return wires_->i2c.transfer(address, write, read); }, fill);
+    return wires_->transfer(
+        true, [&] { return wires_->i2c.transfer(address, write, read); }, fill);
   }
 
  private:
@@ -113,7 +114,8 @@ class SpiWires final : public SpiTransport {
       fill([] { return neighbours_byte; });
       return 0;
     }
-    return wires_->transfer(false, [&] { return wires_->spi.transfer(place, segments); }, fill);
+    return wires_->transfer(
+        false, [&] { return wires_->spi.transfer(place, segments); }, fill);
   }
 
  private:
@@ -166,20 +168,20 @@ const FakeBus fake_buses[] = {
     {"i2c", R"({"type": "i2c", "device": "none"})", R"("address": "0x23")",
      R"({"name": "neighbour", "type": "own-on-i2c", "bus": "b", "rate": "100 Hz", "address": "0x11"})", true,
      [](Registry& registry, std::shared_ptr<Wires> wires) {
-       registry.add_bus<I2cConfig>(
-           "i2c", "made of memory", [wires](Runtime&, const std::string& name, const I2cConfig& config) {
-             return I2cBus(name, std::make_shared<I2cWires>(wires), config);
-           });
+       registry.add_bus<I2cConfig>("i2c", "made of memory",
+                                   [wires](Runtime&, const std::string& name, const I2cConfig& config) {
+                                     return I2cBus(name, std::make_shared<I2cWires>(wires), config);
+                                   });
        app::add_i2c_drivers(registry);
        registry.add_driver<Echo<I2cDevice>>("own-on-i2c", "a user's on I2C");
      }},
     {"spi", R"({"type": "spi", "device": "none"})", R"("chip_select": 3)",
      R"({"name": "neighbour", "type": "own-on-spi", "bus": "b", "rate": "100 Hz", "chip_select": 77})", false,
      [](Registry& registry, std::shared_ptr<Wires> wires) {
-       registry.add_bus<SpiConfig>(
-           "spi", "made of memory", [wires](Runtime&, const std::string& name, const SpiConfig& config) {
-             return SpiBus(name, std::make_shared<SpiWires>(wires), config);
-           });
+       registry.add_bus<SpiConfig>("spi", "made of memory",
+                                   [wires](Runtime&, const std::string& name, const SpiConfig& config) {
+                                     return SpiBus(name, std::make_shared<SpiWires>(wires), config);
+                                   });
        app::add_spi_drivers(registry);
        registry.add_driver<Echo<SpiDevice>>("own-on-spi", "a user's on SPI");
      }},
@@ -199,7 +201,7 @@ bool is_near(const EventView& event, std::string_view path, double wanted) {
 /// What a chip is like that works, at the place where its driver looks for it.
 struct GoodChip {
   std::string_view type;
-  std::string members;                    // of its item in a configuration, beside bus and rate
+  std::string members;  // of its item in a configuration, beside bus and rate
   void (*put)(Wires&);
   bool (*is_right)(const EventView& event);
   bool has_proof;  // by an identity or a checksum: neither zeros nor ones are taken for values
@@ -549,7 +551,8 @@ TEST_SUITE("sensors") {
     }
   }
 
-  TEST_CASE("driver contract: stop, start, another rate, another configuration; no event and no transfer after a stop") {
+  TEST_CASE(
+      "driver contract: stop, start, another rate, another configuration; no event and no transfer after a stop") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
       for (std::uint64_t seed = 0; seed < 10; ++seed) {
@@ -635,7 +638,8 @@ TEST_SUITE("sensors") {
               rig.sensor().set_rate(Rate::from_period(std::chrono::milliseconds{1 + random() % 500}));
               break;
             case 3:
-              rig.wires->takes = random() % 4 == 0 ? Duration{10s} : Duration{std::chrono::microseconds{random() % 900}};
+              rig.wires->takes = random() % 4 == 0 ? Duration{10s}
+                                                   : Duration{std::chrono::microseconds{random() % 900}};
               break;
             default:
               rig.wires->chip = has_garbage ? all[random() % std::size(all)]

@@ -9,7 +9,7 @@
 ///       using Device = rtdata::I2cDevice;           // how it talks to the chip
 ///       static constexpr I2cDevice::Place place{0x48};          // where it is unless the user says otherwise
 ///       explicit Lm75(const Lm75Config& config);
-///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration, settings; see below
+///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration; see below
 ///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
 ///       rtdata::Duration conversion_time() const;               // ... which takes so long; the bus is free
 ///       rtdata::Reading<Temperature> read(I2cDevice& chip);     // or Temperature, or Result<Temperature>

@@ -58,8 +58,7 @@ const Parameters& common_parameters() {
 bool is_own(const ParameterInfo& parameter) {
   const Parameters& common = common_parameters();
   return std::none_of(common.begin(), common.end(), [&](const ParameterInfo& other) {
-    return other.key == parameter.key && other.doc == parameter.doc &&
-           other.default_text() == parameter.default_text();
+    return other.key == parameter.key && other.doc == parameter.doc && other.default_text() == parameter.default_text();
   });
 }
 

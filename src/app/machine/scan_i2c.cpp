@@ -58,7 +58,10 @@ constexpr Usual usual[] = {
     {0x2a, 0x2a, "NAU7802", {{{"nau7802"}}}},
     {0x38, 0x38, "AHT20, or a PCF8574A"},
     {0x3c, 0x3d, "a display (SSD1306)"},
-    {0x40, 0x43, "INA219, INA226, HDC1080, PCA9685", {{{"ina", R"("model": "ina219")"}, {"ina", R"("model": "ina226")"}}}},
+    {0x40,
+     0x43,
+     "INA219, INA226, HDC1080, PCA9685",
+     {{{"ina", R"("model": "ina219")"}, {"ina", R"("model": "ina226")"}}}},
     {0x44, 0x45, "SHT3x, SHT4x, INA219", {{{"sht", R"("model": "sht3x")"}, {"sht", R"("model": "sht4x")"}}}},
     {0x46, 0x47, "INA219, INA226", {{{"ina", R"("model": "ina219")"}, {"ina", R"("model": "ina226")"}}}},
     {0x48, 0x4b, "ADS1115, ADS1015, LM75, TMP102", {{{"lm75"}, {"ads1x15"}}}},
@@ -135,18 +138,17 @@ void i2c_adapter(Scanner& scanner, const std::string& adapter) {
   const std::string number = adapter.substr(4), path = "/dev/" + adapter;
   FoundDevice& found = scanner.add("i2c", path, scanner.text("/sys/bus/i2c/devices/" + adapter + "/name"), R_OK | W_OK);
   const bool is_open = found.obstacle.empty();
-  if (!scanner.files.exists(path))
-    found.advice = "sudo modprobe i2c-dev; for good: a line `i2c-dev` in /etc/modules";
+  if (!scanner.files.exists(path)) found.advice = "sudo modprobe i2c-dev; for good: a line `i2c-dev` in /etc/modules";
   const std::string bus = json_text("i2c" + number) + R"(: {"type": "i2c", "device": )" + json_text(path) + "}";
   scanner.line(found, "buses", bus);
   for (const std::string& chip : scanner.files.names("/sys/bus/i2c/devices", number + "-")) {
     const std::string folder = "/sys/bus/i2c/devices/" + chip;
     const std::string driver = scanner.files.link_name(folder + "/driver");
     const auto address = static_cast<unsigned>(std::strtoul(chip.c_str() + chip.rfind('-') + 1, nullptr, 16));
-    scanner.add({"i2c", path,
-                 "address " + to_string(I2cAddress(address)) + ": " + scanner.text(folder + "/name") +
-                     (driver.empty() ? ", known to the kernel, without a driver"
-                                     : ", used by the kernel's driver " + driver)});
+    scanner.add(
+        {"i2c", path,
+         "address " + to_string(I2cAddress(address)) + ": " + scanner.text(folder + "/name") +
+             (driver.empty() ? ", known to the kernel, without a driver" : ", used by the kernel's driver " + driver)});
   }
   if (scanner.probing == Probing::yes && is_open && scanner.files.is_this_machine())
     probe(scanner, adapter, "i2c" + number, bus);

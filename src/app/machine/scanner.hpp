@@ -47,9 +47,9 @@ void scan_serial(Scanner& scanner);
 void scan_i2c(Scanner& scanner);
 void scan_spi(Scanner& scanner);
 void scan_gpio(Scanner& scanner);
-void scan_iio(Scanner& scanner);       // and hwmon
+void scan_iio(Scanner& scanner);  // and hwmon
 void scan_one_wire(Scanner& scanner);
-void scan_clocks(Scanner& scanner);    // PPS and PWM
+void scan_clocks(Scanner& scanner);  // PPS and PWM
 void scan_gpsd(Scanner& scanner);
 
 }  // namespace rtdata::app
