@@ -78,7 +78,8 @@ Exchange socketcan(const std::string& interface) {
     const canid_t node = frame.can_id;
     if (::write(fd, &frame, sizeof frame) != static_cast<ssize_t>(sizeof frame)) return errno;
     for (pollfd wait{fd, POLLIN, 0}; ::poll(&wait, 1, 50) > 0;)
-      if (::read(fd, &frame, sizeof frame) == static_cast<ssize_t>(sizeof frame) && frame.can_id == node + 128) return 0;
+      if (::read(fd, &frame, sizeof frame) == static_cast<ssize_t>(sizeof frame) && frame.can_id == node + 128)
+        return 0;
     return ETIMEDOUT;
   };
 }

@@ -48,6 +48,7 @@ TEST_SUITE("drivers") {
   }
 
   TEST_CASE("US-15 NFR-3 examples/rocket_sensors.json runs as it stands, and its recording verifies") {
-    run_example("rocket_sensors.json", "rocket.db", {{"imu", 0x68, 700}, {"barometer", 0x76, 50}, {"battery", 0x40, 15}});
+    run_example("rocket_sensors.json", "rocket.db",
+                {{"imu", 0x68, 700}, {"barometer", 0x76, 50}, {"battery", 0x40, 15}});
   }
 }

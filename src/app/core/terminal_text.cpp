@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "app/core/table.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -57,12 +58,17 @@ void wrap_line(std::string& out, std::string_view line, std::size_t columns) {
 }  // namespace
 
 std::string printable(std::string_view text) {
-  std::string safe(text);
-  for (std::size_t i = 0; i < safe.size(); ++i) {
-    const auto byte = static_cast<unsigned char>(safe[i]);
-    const bool is_second_set = byte == 0xc2 && i + 1 < safe.size() && (safe[i + 1] & 0xe0) == 0x80;  // U+0080 to 9f
-    if (byte < 0x20 || byte == 0x7f || is_second_set) safe[i] = '?';
-    if (is_second_set) safe.erase(i + 1, 1);
+  std::string safe;
+  while (!text.empty()) {
+    const std::size_t size = detail::utf8_size(text);
+    const auto first = static_cast<unsigned char>(text[0]);
+    const bool is_second_set = size == 2 && first == 0xc2 && (text[1] & 0xe0) == 0x80;  // U+0080 to U+009F
+    if (size == 0 || first < 0x20 || first == 0x7f || is_second_set) {
+      safe += '?';
+    } else {
+      safe += text.substr(0, size);
+    }
+    text.remove_prefix(std::max<std::size_t>(size, 1));
   }
   return safe;
 }

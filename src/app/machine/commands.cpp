@@ -102,6 +102,7 @@ int doctor(const Registry& registry, const DoctorOptions& options) {
     }
     append(examine_devices(files, *plan));
   }
+  append(examine_groups(files));
   append(examine_timing(files, plan ? &*plan : nullptr));
   append(examine_clock(files));
   append(examine_disks(files, plan ? &*plan : nullptr));

@@ -4,6 +4,7 @@
 
 #include <utility>
 
+#include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/machine/scanner.hpp"
 #include "rtdata/config/system.hpp"
@@ -32,7 +33,9 @@ void Scanner::line(FoundDevice& device, const char* list, const std::string& tex
   if (plan_system(registry_, parse_config(document)).good()) device.lines.push_back({list, text});
 }
 
-std::string Scanner::text(const std::string& file) const { return printable(files.text(file).value_or("")); }
+std::string Scanner::text(const std::string& file) const {
+  return fitted(printable(files.text(file).value_or("")), 80);
+}
 
 std::string Scanner::new_name(const std::string& wanted) {
   std::string name = wanted;

@@ -1,34 +1,12 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <filesystem>
 #include <vector>
 
 #include "app/machine/scanner.hpp"
 
 namespace rtdata::app {
 namespace {
-
-/// Which program has the file open, "gpsd (pid 712)"; empty: none that this user can see.
-std::string holder_of(const std::string& file) {
-  std::error_code failed;
-  const std::filesystem::path wanted = std::filesystem::canonical(file, failed);
-  if (failed) return "";
-  for (std::filesystem::directory_iterator process("/proc", failed), end; !failed && process != end;
-       process.increment(failed)) {
-    const std::string pid = process->path().filename().string();
-    if (pid.find_first_not_of("0123456789") != std::string::npos) continue;
-    std::error_code hidden;
-    for (std::filesystem::directory_iterator fd(process->path() / "fd", hidden); !hidden && fd != end;
-         fd.increment(hidden)) {
-      std::error_code gone;
-      if (std::filesystem::read_symlink(fd->path(), gone) != wanted) continue;
-      const std::string name = MachineFiles().text("/proc/" + pid + "/comm").value_or("a program");
-      return name + " (pid " + pid + ")";
-    }
-  }
-  return "";
-}
 
 void serial_port(Scanner& scanner, const std::string& path, const std::string& tty) {
   // The folder of the USB device lies above those of its interface and of the port.

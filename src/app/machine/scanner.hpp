@@ -28,7 +28,7 @@ class Scanner {
 
   /// A line to paste, if this program takes it; one of a type that it lacks is left out. `bus`: the item that it is on.
   void line(FoundDevice& device, const char* list, const std::string& text, const std::string& bus = {}) const;
-  /// The file's text, for people: without control characters.
+  /// The file's text, for people: at most 80 characters, none of them a control character.
   std::string text(const std::string& file) const;
   /// A name that no line had before: "bmp280", "bmp280-2".
   std::string new_name(const std::string& wanted);
