@@ -53,5 +53,7 @@ if(TARGET rtdata_main AND TARGET rtdata_sqlite)
   rtdata_fresh_folder(host)
   rtdata_example_test(gps COMMAND rtdata_main run ${example_source_dir}/gps.json --for 500ms)  # also without gpsd
   rtdata_fresh_folder(gps)
-  rtdata_example_test(bench COMMAND rtdata_main check ${example_source_dir}/bench.json)
+  foreach(name bench weather rocket_sensors)  # the last two run in the kernel bench: tests/kernel/examples_test.cpp
+    rtdata_example_test(${name} COMMAND rtdata_main check ${example_source_dir}/${name}.json)
+  endforeach()
 endif()

@@ -1,15 +1,19 @@
 // What `rtdata scan` and `rtdata doctor` find, in copies of machines' files and on this one.
 #include <doctest/doctest.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <random>
 
+#include "app/core/terminal_text.hpp"
 #include "app/machine/doctor.hpp"
 #include "app/machine/scan.hpp"
 #include "app/process.hpp"
+#include "app/run/starter.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 
@@ -142,9 +146,171 @@ TEST_SUITE("app") {
     const Machine empty;
     const Scan scan = scan_machine(empty.files(), standard_registry(), Probing::yes);
     CHECK(scan.devices.empty());
-    REQUIRE(scan.hints.size() == 2);
+    REQUIRE(scan.hints.size() == 3);
     CHECK(scan.hints[0].kind == "i2c");
     CHECK(scan.hints[1].kind == "spi");
+    CHECK(scan.hints[2].kind == "1-wire");
+    CHECK(scan.hints[2].text.find("dtoverlay=w1-gpio") != std::string::npos);
+  }
+
+  TEST_CASE("FW-2 scan says what stands in the way: the kernel's console, a driver that is missing") {
+    const Machine board;
+    board.file("/sys/class/tty/ttyAMA0/type", "1\n");
+    board.file("/dev/ttyAMA0");
+    board.file("/proc/cmdline", "console=ttyAMA0,115200 root=/dev/mmcblk0p2\n");
+    board.file("/sys/bus/w1/devices/28-0000075565ad/rw", "");
+    board.file("/sys/bus/w1/devices/29-0000000000aa/rw", "");
+    board.file("/sys/class/spi_master/spi0/uevent", "");
+    board.file("/sys/bus/gpio/devices/gpiochip0/gpio/gpiochip512/label", "pinctrl\x1b[31m\n");
+    board.file("/sys/bus/gpio/devices/gpiochip0/gpio/gpiochip512/ngpio", "54\n");
+    board.file("/dev/gpiochip0");
+    const Scan scan = scan_machine(board.files(), standard_registry(), Probing::no);
+    const FoundDevice* port = find(scan, "/dev/ttyAMA0");
+    REQUIRE(port != nullptr);
+    CHECK(port->obstacle.find("the kernel writes its messages to it") == 0);
+    CHECK(port->advice.find("raspi-config") != std::string::npos);
+    const FoundDevice* thermometer = find(scan, "/sys/bus/w1/devices/28-0000075565ad");
+    REQUIRE(thermometer != nullptr);
+    CHECK(thermometer->advice.find("sudo modprobe w1_therm") == 0);
+    CHECK(find(scan, "/sys/bus/w1/devices/29-0000000000aa", "family 29")->obstacle.empty());
+    const FoundDevice* chip = find(scan, "/dev/gpiochip0");
+    REQUIRE(chip != nullptr);
+    CHECK(chip->what == "pinctrl?[31m, 54 lines");  // nothing that commands a terminal
+    CHECK(scan.hints[1].text.find("sudo modprobe spidev") != std::string::npos);
+    CHECK(printable("a\xc2\x9b"
+                    "b\x7f\xc3\xa9") == "a?b?\xc3\xa9");
+  }
+
+  TEST_CASE("FW-2 init writes what scan finds, and names the rest; also of files that hold anything") {
+    const Registry registry = standard_registry();
+    const Machine board;
+    board.file("/sys/bus/w1/devices/28-0000075565ad/temperature", "21500\n");
+    board.file("/sys/bus/iio/devices/iio:device0/in_voltage0_raw", "1\n");
+    board.file("/sys/bus/i2c/devices/i2c-1/name", "bcm\n2835\n");
+    board.file("/dev/i2c-1");
+    board.link("/dev/serial/by-id/usb\n\"x\"", "../../ttyUSB0");
+    board.file("/dev/ttyUSB0");
+    const std::string text = starter_file(registry, "first.json", board.root);
+    CAPTURE(text);
+    CHECK(text.find("/sys/bus/w1/devices/28-0000075565ad/temperature") != std::string::npos);
+    CHECK(text.find("in_voltage0_raw") != std::string::npos);
+    CHECK(text.find("\n//   i2c: /dev/i2c-1, bcm?2835\n") != std::string::npos);
+    CHECK(text.find("\n//   serial: /dev/serial/by-id/usb?\"x\", ttyUSB0\n") != std::string::npos);
+    CHECK(plan_system(registry, parse_config(text)).good());
+  }
+
+  TEST_CASE("FW-2 FW-3 scan, doctor and init take any machine: files that are missing, huge, binary, folders, pipes") {
+    const char* const paths[] = {"/dev/serial/by-id/usb-x",
+                                 "/dev/ttyUSB0",
+                                 "/dev/ttyS0",
+                                 "/dev/i2c-1",
+                                 "/dev/spidev0.0",
+                                 "/dev/gpiochip0",
+                                 "/sys/class/tty/ttyUSB0/device",
+                                 "/sys/class/tty/ttyUSB0/manufacturer",
+                                 "/sys/class/tty/ttyS0/type",
+                                 "/sys/bus/i2c/devices/i2c-1/name",
+                                 "/sys/bus/i2c/devices/1-0076/name",
+                                 "/sys/bus/i2c/devices/1-0076/driver",
+                                 "/sys/bus/i2c/devices/i2c-x/name",
+                                 "/sys/class/spi_master/spi0",
+                                 "/sys/bus/gpio/devices/gpiochip0/gpio",
+                                 "/sys/bus/iio/devices/iio:device0/name",
+                                 "/sys/bus/iio/devices/iio:device0/in_voltage0_raw",
+                                 "/sys/class/hwmon/hwmon0/name",
+                                 "/sys/class/hwmon/hwmon0/temp1_input",
+                                 "/sys/class/hwmon/hwmon0/in0_lcrit_alarm",
+                                 "/sys/bus/w1/devices/28-1/temperature",
+                                 "/sys/bus/w1/devices/2",
+                                 "/sys/class/pps/pps0/name",
+                                 "/sys/class/pwm",
+                                 "/proc/cmdline",
+                                 "/proc/version",
+                                 "/proc/mounts",
+                                 "/proc/swaps",
+                                 "/proc/self/timerslack_ns",
+                                 "/proc/sys/kernel/sched_rt_runtime_us",
+                                 "/proc/sys/kernel/sched_rt_period_us",
+                                 "/etc/group",
+                                 "/etc/security/limits.conf",
+                                 "/etc/security/limits.d/a.conf",
+                                 "/sys/kernel/realtime",
+                                 "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
+                                 "/sys/devices/system/cpu/cpuidle/current_driver",
+                                 "/sys/devices/system/clocksource/clocksource0/current_clocksource",
+                                 "/sys/devices/system/clocksource/clocksource0/available_clocksource",
+                                 "/sys/devices/platform/soc/soc:firmware/get_throttled",
+                                 "/sys/class/rtc",
+                                 "/run/systemd/timesync/synchronized"};
+    const Registry registry = standard_registry();
+    for (unsigned seed = 0; seed < 40; ++seed) {
+      CAPTURE(seed);
+      std::mt19937 random(seed);
+      const Machine machine;
+      for (const char* path : paths) {
+        const auto at = std::filesystem::path(machine.root + path);
+        std::error_code taken;  // by a file that stands where a folder should
+        std::filesystem::create_directories(at.parent_path(), taken);
+        std::string bytes(random() % 300, '\0');
+        for (char& byte : bytes) byte = static_cast<char>(random() & 0xff);
+        switch (random() % 10) {
+          case 0:
+            break;
+          case 1:
+            std::ofstream(at, std::ios::binary) << std::string(300'000, 'x');
+            break;
+          case 2:
+            std::filesystem::create_directories(at / bytes.substr(0, 0) / "name", taken);
+            break;
+          case 3:
+            ::mkfifo(at.c_str(), 0600);
+            break;
+          case 4:
+            std::filesystem::create_symlink(at.filename(), at, taken);  // to itself
+            break;
+          case 5:
+            std::filesystem::create_symlink("/nowhere/" + std::string(200, 'a'), at, taken);
+            break;
+          case 6:
+            std::ofstream(at, std::ios::binary) << "99999999999999999999999\n-1\n";
+            break;
+          case 7:
+            std::ofstream(at, std::ios::binary) << "a b c d\n: : :\n\x1b[2J\n/ / / ro\n";
+            break;
+          case 8:
+            std::ofstream(at, std::ios::binary) << "1\n";
+            std::filesystem::permissions(at, std::filesystem::perms::none, taken);
+            break;
+          default:
+            std::ofstream(at, std::ios::binary) << bytes;
+            break;
+        }
+      }
+      const Scan scan = scan_machine(machine.files(), registry, Probing::yes);  // a copy is not probed
+      for (const FoundDevice& device : scan.devices) CHECK_FALSE(device.kind.empty());
+      for (const std::vector<Finding>& findings :
+           {examine_timing(machine.files(), nullptr), examine_clock(machine.files()),
+            examine_disks(machine.files(), nullptr), examine_groups(machine.files())}) {
+        for (const Finding& finding : findings) {
+          CHECK_FALSE(finding.subject.empty());
+          CHECK_FALSE(finding.what.empty());
+          if (finding.severity >= Severity::warning) CHECK(finding.cost.size() + finding.advice.size() > 0);
+        }
+      }
+      const std::string starter = starter_file(registry, "first.json", machine.root);
+      const SystemPlan plan = plan_system(registry, parse_config(starter));
+      INFO(starter << plan.report());
+      CHECK(plan.good());
+      if (seed % 8 != 0) continue;
+      for (const char* command : {"scan", "doctor"}) {
+        Process json(machine.folder, shipped, {command, "--root", machine.root, "--json"});
+        CHECK(json.end() != 1);
+        CHECK(nlohmann::json::accept(json.out));
+        Process text(machine.folder, shipped, {command, "--root", machine.root});
+        CHECK(text.end() != 1);
+        CHECK(text.out.find('\x1b') == std::string::npos);
+      }
+    }
   }
 
   TEST_CASE("FW-2 scan takes files of the kernel that hold garbage") {
@@ -193,6 +359,15 @@ TEST_SUITE("app") {
     }
     board.file("/sys/devices/platform/soc/soc:firmware/get_throttled", "?\n");
     CHECK(find(examine_timing(board.files(), nullptr), "power")->severity == Severity::warning);
+    // Kernels that do not show the firmware's state have an alarm of the supply.
+    std::filesystem::remove(board.root + "/sys/devices/platform/soc/soc:firmware/get_throttled");
+    CHECK(find(examine_timing(board.files(), nullptr), "power") == nullptr);
+    board.file("/sys/class/hwmon/hwmon1/name", "rpi_volt\n");
+    for (const auto& [alarm, severity] :
+         {std::pair("1\n", Severity::warning), std::pair("0\n", Severity::good), std::pair("x\n", Severity::warning)}) {
+      board.file("/sys/class/hwmon/hwmon1/in0_lcrit_alarm", alarm);
+      CHECK(find(examine_timing(board.files(), nullptr), "power")->severity == severity);
+    }
     board.file("/proc/mounts", "/dev/sda1 / ext4 ro,relatime 0 0\n");
     CHECK(examine_disks(board.files(), nullptr)[0].what == "it is mounted read-only");
   }
@@ -229,6 +404,49 @@ TEST_SUITE("app") {
     const auto json = nlohmann::json::parse(here.out);
     CHECK(status == (json["worst"] == "fault" ? 2 : json["worst"] == "warning" ? 3 : 0));
     CHECK(json["findings"].size() >= 6);
+  }
+
+  TEST_CASE("FW-3 doctor says which groups nobody is in, and that the kernel has a chip") {
+    const Machine board;
+    board.file("/etc/group", "root:x:0:\ndialout:x:20:pi\ni2c:x:994:\nspi:x:995:\nvideo:x:44:\n");
+    const Finding groups = examine_groups(board.files()).at(0);
+    CHECK(groups.severity == Severity::note);
+    CHECK(groups.what == "nobody is in: i2c,spi");
+    CHECK(groups.advice.find("usermod -aG i2c,spi $USER") != std::string::npos);
+    board.file("/etc/group", "i2c:x:994:pi\n");
+    CHECK(examine_groups(board.files()).at(0).severity == Severity::good);
+
+    board.file("/dev/i2c-1");
+    board.file("/sys/bus/i2c/devices/1-0048/name", "lm75\n");
+    board.link("/sys/bus/i2c/devices/1-0048/driver", "../../../bus/i2c/drivers/lm75");
+    const SystemPlan plan = plan_system(standard_registry(), parse_config(R"({"buses": {"i2c1": {"type": "i2c",
+      "device": "/dev/i2c-1"}}, "sensors": [{"name": "room", "type": "lm75", "bus": "i2c1", "rate": "1 Hz"},
+      {"name": "hall", "type": "lm75", "bus": "i2c1", "address": "0x49", "rate": "1 Hz"}]})"));
+    REQUIRE(plan.good());
+    const std::vector<Finding> found = examine_devices(board.files(), plan);
+    const Finding* room = find(found, "sensor room");
+    REQUIRE(room != nullptr);
+    CHECK(room->severity == Severity::fault);
+    CHECK(room->what == "the kernel's driver lm75 has the chip at 0x48");
+    CHECK(room->advice.find("echo 1-0048 | sudo tee /sys/bus/i2c/drivers/lm75/unbind") != std::string::npos);
+    CHECK(find(found, "sensor hall") == nullptr);
+    CHECK(find(found, "bus i2c1")->severity == Severity::good);
+  }
+
+  TEST_CASE("FW-3 doctor says that a file stands where a device should be") {
+    const Folder folder;
+    const std::string path = "/dev/rtdata-test-" + std::to_string(::getpid());
+    std::ofstream(path) << "x";
+    if (!std::filesystem::exists(path)) {
+      MESSAGE("skipped: this user may not write in /dev");
+      return;
+    }
+    folder.write("bench.json", R"({"sensors": [{"name": "board", "type": "serial", "device": ")" + path +
+                                   R"(", "fields": [{"name": "x"}]}]})");
+    Process run(folder, shipped, {"doctor", "bench.json"});
+    CHECK(run.end() == 2);
+    CHECK(run.out.find("fault: sensor board: " + path + " is no device but a file or folder") == 0);
+    std::filesystem::remove(path);
   }
 
   TEST_CASE("FW-3 doctor says that a device may not be opened, and which group may") {

@@ -736,6 +736,31 @@ TEST_SUITE("app") {
     CHECK(has(run.err, "`rtdata types host` lists what there is"));
   }
 
+  TEST_CASE("NFR-5 types NAME says all of a driver: wiring and limits, parameters, fields with units") {
+    const Folder folder;
+    Process one(folder, shipped, {"types", "lm75"});
+    CHECK(one.end() == 0);
+    CHECK(has(one.out, "lm75  temperature of"));
+    CHECK(has(one.out, "\n  - Addresses `0x48` to `0x4f`"));
+    CHECK(has(one.out, "\n  address "));
+    CHECK(has(one.out, "\n  temperature  double  Cel\n"));
+    Process page(folder, shipped, {"types", "lm75", "--markdown"});
+    CHECK(page.end() == 0);
+    CHECK(has(page.out, "## `lm75`\n\nTemperature of"));
+    CHECK(has(page.out, "\n| `address` | any |  | `0x48` |  | of the chip"));
+    CHECK(has(page.out, "\n| `temperature` | double | Cel |\n"));
+    CHECK(!has(page.out, "`retry_first`"));  // every sensor has it
+    Process all(folder, shipped, {"types", "--markdown"});
+    CHECK(all.end() == 0);
+    CHECK(has(all.out, "\n# Sensors on `i2c`\n\n## `"));
+    CHECK(has(all.out, "\n# Sinks\n"));
+    CHECK(has(all.out, "\n| `fields.scale` | number |  | `1.0` |"));  // of a member
+    CHECK(has(all.out, "\n| `conversion` | `default`, `two_point` |"));
+    Process none(folder, shipped, {"types", "lm57", "--markdown"});
+    CHECK(none.end() == 1);
+    CHECK(has(none.err, "did you mean \"lm75\"?"));
+  }
+
   TEST_CASE("NFR-5 a time without its zone, and a size with a unit, are answered with what to write") {
     const Folder folder;
     folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],

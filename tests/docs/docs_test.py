@@ -8,7 +8,8 @@ A comment on the line before a code block says what is done with it:
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
-that there are into the tables of docs/requirements.md.
+that there are into the tables of docs/requirements.md, `--write-types` what the program says of its drivers into
+docs/chips.md.
 """
 import os
 import re
@@ -112,6 +113,37 @@ def check_errors(source):
         problem("docs/errors.md", f"no heading for {name}")
 
 
+GENERATED = re.compile(r"(<!-- begin of what `rtdata types` says -->\n).*(<!-- end of it -->\n)", re.S)
+
+
+def drivers_page(program):
+    """What `rtdata types` says of the sensors on buses, with an overview in front."""
+    done = run([program, "types", "--markdown"])
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr)
+    groups = [part for part in re.split(r"^(?=# )", done.stdout, flags=re.M) if re.match(r"# Sensors on `", part)]
+    overview = "| type | on | gives |\n|---|---|---|\n"
+    for group in groups:
+        bus = re.match(r"# Sensors on (`[^`]+`)", group)[1]
+        for name, phrase in re.findall(r"^## `([^`]+)`\n\n(.*)\.$", group, re.M):
+            overview += f"| [`{name}`](#{name}) | {bus} | {phrase} |\n"
+    return overview + "\n" + "\n".join(group.strip() + "\n" for group in groups)
+
+
+def check_drivers_page(source, program, rewrite):
+    if program is None:
+        print("skipped: docs/chips.md, since the program is not built")
+        return set()
+    page, wanted = source / "docs/chips.md", drivers_page(program)
+    text = page.read_text()
+    fresh = GENERATED.sub(lambda match: match[1] + wanted + match[2], text)
+    if rewrite:
+        page.write_text(fresh)
+    elif fresh != text or not GENERATED.search(text):
+        problem("docs/chips.md", "is not what `rtdata types` says: write it with docs_test.py ... --write-types")
+    return set(re.findall(r"^## `([^`]+)`$", wanted, re.M))
+
+
 def documented(source):
     """Of each section of configuration.md: the default of each parameter in its tables."""
     sections, rows = {}, {}
@@ -124,7 +156,8 @@ def documented(source):
     return sections
 
 
-def check_types(source, program):
+def check_types(source, program, elsewhere):
+    """`elsewhere`: types whose parameters another page has."""
     if program is None:
         print("skipped: the parameters of `rtdata types`, since the program is not built")
         return
@@ -136,11 +169,11 @@ def check_types(source, program):
             break
         elif match := re.match(r"([a-z][\w-]*)  \S", line):
             name = match[1]
-            if name not in sections:
+            if name not in sections and name not in elsewhere:
                 problem("docs/configuration.md", f"no section for the type {name}")
         elif line.startswith("  parameter "):
             columns = {word: line.index(word, line.index("type")) for word in ("default", "meaning")}
-        elif match := re.match(r"( +)([a-z]\w*)  ", line):
+        elif name not in elsewhere and (match := re.match(r"( +)([a-z]\w*)  ", line)):
             key, default = match[2], line[columns["default"]:columns["meaning"]].strip()
             is_member = len(match[1]) > 2  # of the parameter before it
             parent = parent if is_member else key
@@ -201,10 +234,13 @@ def main():
         check_requirements(source, rewrite=True)
         return 0
     program = build / "rtdata" if (build / "rtdata").exists() else None
+    if "--write-types" in sys.argv:
+        check_drivers_page(source, program, rewrite=True)
+        return 0 if program else 1
     check_blocks(source, build, compiler, program)
     check_links(source)
     check_errors(source)
-    check_types(source, program)
+    check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)
     check_requirements(source, rewrite=False)
     print("\n".join(problems))

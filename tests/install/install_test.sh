@@ -112,10 +112,12 @@ project pkg_config
 cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 PKG_CONFIG_PATH="$pkgconfig" sh build.sh record rtdata-sqlite
 LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check ./record
-cp "$source/examples/10_own_driver.cpp" own_driver.cpp
-PKG_CONFIG_PATH="$pkgconfig" sh build.sh own_driver rtdata
-LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./own_driver
-echo "own driver: good"
+for own in 10_own_driver 11_own_bus; do
+    cp "$source/examples/$own.cpp" .
+    PKG_CONFIG_PATH="$pkgconfig" sh build.sh "$own" rtdata
+    LD_LIBRARY_PATH="$(dirname "$pkgconfig")" "./$own"
+    echo "$own: good"
+done
 if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh lines rtdata-gpio
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./lines

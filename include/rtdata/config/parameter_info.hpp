@@ -4,12 +4,14 @@
 #pragma once
 
 #include <cstddef>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/data/description.hpp"
 #include "rtdata/data/parameter.hpp"
 
 namespace rtdata {
@@ -68,11 +70,21 @@ struct ParameterInfo {
 /// A draft-07 JSON Schema of an object with these parameters and no others, as JSON text.
 std::string schema(const std::vector<ParameterInfo>& parameters, std::string_view title, std::string_view doc);
 
+/// What a page says of a type beside its parameters. Making one needs nothing of it.
+struct TypePage {
+  std::string bus = {};    ///< of a driver: the type of its bus
+  std::string notes = {};  ///< Markdown: how it is wired, where it may be on its bus, its limits
+  /// What its events hold, with the defaults of its parameters; null: that is not known without them.
+  std::shared_ptr<const Description> (*publishes)() = nullptr;
+  bool depends_on_parameters = false;  ///< what its events hold
+};
+
 /// A type in a registry, by its name in the file.
 struct TypeInfo {
   std::string name;
   std::string doc;
   std::vector<ParameterInfo> parameters;
+  TypePage page = {};
 
   /// The schema of an item of this type: `{"type": "analog", ...}`. `key`: what names the type.
   std::string schema(std::string_view key = "type") const;

@@ -121,6 +121,9 @@ PublishedTopic published_topic(const std::string& name, const std::string& topic
 /// The name of a sink: as it is given, or its path, or its type.
 std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
 
+/// Without empty lines before and after, which raw strings have.
+std::string trimmed_notes(std::string_view notes);
+
 /// Whether a factory of sensors takes these settings, with or without the parts that are made.
 template <class Make, class Common, class C>
 inline constexpr bool makes_sensor_of = std::is_invocable_v<const Make&, Loop&, const Common&, const C&> ||
@@ -168,16 +171,17 @@ class Registry {
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
     add_sensor<C>(type, std::move(doc), std::move(describe), std::move(make), [](PartPlan&, const C&) {});
   }
-  /// `complete(PartPlan&, const C&)`: says more of the part.
+  /// `complete(PartPlan&, const C&)`: says more of the part. `page`: what `rtdata types` says of it.
   template <Configurable C, class Describe, class Make, class Complete>
-  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make, Complete complete) {
+  void add_sensor(const std::string& type, std::string doc, Describe describe, Make make, Complete complete,
+                  TypePage page = {}) {
     constexpr bool is_scheduled = config_detail::makes_sensor_of<Make, SensorConfig, C>;
     static_assert(is_scheduled || config_detail::makes_sensor_of<Make, FeedConfig, C>,
                   "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
                   "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
     using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
     using All = config_detail::Joined<Common, C>;
-    add_type<All>("sensor", type, std::move(doc), [describe, make, complete](PartPlan& plan, const All& all) {
+    const auto plan_part = [describe, make, complete](PartPlan& plan, const All& all) {
       complete(plan, all.own);
       plan.name = all.common.name;
       plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
@@ -189,18 +193,32 @@ class Registry {
         return PartObject::made_by<AnySensor>(
             [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
       };
-    });
+    };
+    add_type<All>("sensor", type, std::move(doc), plan_part, std::move(page));
   }
 
   /// A driver (driver.hpp) that says its type and description itself.
   template <Driver D>
   requires requires { std::string(D::type), std::string(D::description); }
   void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
-  /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config.
+  /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config. A driver may
+  /// say `static constexpr std::string_view notes`, Markdown: its wiring, addresses, limits, for `rtdata types`.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
+    TypePage page;
+    page.bus = std::string(BusOf::type);
+    if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
+    if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
+      page.depends_on_parameters = true;
+      page.publishes = []() -> std::shared_ptr<const Description> {
+        const auto described = D::describe(typename D::Config{});
+        return described ? *described : nullptr;
+      };
+    } else {
+      page.publishes = []() -> std::shared_ptr<const Description> { return description_of<typename D::Value>(); };
+    }
     add_sensor<C>(
         type, std::move(doc), [](const C& config) { return description_of_driver<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
@@ -208,7 +226,8 @@ class Registry {
         },
         [](PartPlan& plan, const C& config) {
           plan.place = {config.bus, BusOf::text_of(config.place)};
-        });
+        },
+        std::move(page));
   }
 
   /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
@@ -291,7 +310,7 @@ class Registry {
   PartKind& kind_named(std::string_view name);
   template <Configurable C>
   void add_type(std::string_view kind, const std::string& type, std::string doc,
-                std::function<void(PartPlan&, const C&)> plan) {
+                std::function<void(PartPlan&, const C&)> plan, TypePage page = {}) {
     const auto make_plan = [kind = std::string(kind), type, plan](const std::string& name, const C& config) {
       PartPlan made;
       made.kind = kind;
@@ -300,7 +319,7 @@ class Registry {
       plan(made, config);
       return made;
     };
-    kind_named(kind).types.template add<C>(type, std::move(doc), make_plan);
+    kind_named(kind).types.template add<C>(type, std::move(doc), make_plan, std::move(page));
   }
 
   std::vector<PartKind> kinds_;

@@ -51,7 +51,7 @@ class TypeRegistryBase {
 
   using Parameters = std::vector<ParameterInfo> (*)();
   /// `parameters` is called when they are asked for: making a part needs none.
-  void add_type(std::string type, std::string doc, Parameters parameters);
+  void add_type(std::string type, std::string doc, Parameters parameters, TypePage page);
   /// Which type the item names; `none`, with a problem, when it names none of these.
   std::size_t type_of(const ConfigItem& item, Problems& problems) const;
   /// "type" and the common keys: known, but not the Config's.
@@ -63,6 +63,7 @@ class TypeRegistryBase {
     std::string name;
     std::string doc;
     Parameters parameters;
+    TypePage page;
   };
   TypeInfo info_of(const Type& type) const;
 
@@ -81,8 +82,9 @@ class TypeRegistry : public TypeRegistryBase {
       : TypeRegistryBase(std::move(what), std::move(common)) {}
 
   template <Configurable Config>
-  void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory) {
-    add_type(std::move(type), std::move(doc), &parameters_of<Config>);
+  void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory,
+           TypePage page = {}) {
+    add_type(std::move(type), std::move(doc), &parameters_of<Config>, std::move(page));
     const auto read = [](const ConfigItem& item, Config& config, const std::vector<std::string>& others,
                          Problems& problems) {
       return read_config(item, config, problems, UnknownKeys::report, others);

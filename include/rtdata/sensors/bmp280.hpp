@@ -13,6 +13,7 @@
 
 #include <cstdint>
 #include <span>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
@@ -31,6 +32,14 @@ struct BarometerReading {
 
 class Bmp280 {
  public:
+  static constexpr std::string_view type = "bmp280";
+  static constexpr std::string_view description = "pressure and temperature of a Bosch BMP280 on I2C";
+  static constexpr std::string_view notes = R"(
+- Address `0x76` with SDO at ground, `0x77` with SDO at the supply. 1.71 to 3.6 V: a board without a regulator takes no 5 V.
+- 300 to 1100 hPa, -40 to 85 degrees. One measurement takes 7 ms, with 16-fold oversampling of both 76 ms.
+- A chip with another identity is refused; a BME280, with humidity, is one.
+- A chip that has lost its settings, or gives the value of a measurement that it skipped, is unreadable for that reading.
+)";
   struct Config {
     unsigned pressure_oversampling = 1;     ///< measurements that are averaged: 1, 2, 4, 8, 16
     unsigned temperature_oversampling = 1;  ///< the same

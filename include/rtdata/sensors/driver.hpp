@@ -9,7 +9,7 @@
 ///       using Device = rtdata::I2cDevice;           // how it talks to the chip
 ///       static constexpr I2cDevice::Place place{0x48};          // where it is unless the user says otherwise
 ///       explicit Lm75(const Lm75Config& config);
-///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration, settings
+///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration; see below
 ///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
 ///       rtdata::Duration conversion_time() const;               // ... which takes so long; the bus is free
 ///       rtdata::Reading<Temperature> read(I2cDevice& chip);     // or Temperature, or Result<Temperature>
@@ -21,6 +21,9 @@
 /// whose Config says what it publishes has the Value `DescribedValue`, and a function
 ///
 ///     static rtdata::Result<std::shared_ptr<const rtdata::Description>> describe(const Config& config);
+///
+/// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
+/// start, and `required` means something. One that brings several samples at a time needs an open() for that.
 ///
 /// Configurations know a driver by `registry.add_driver<Lm75>()`.
 ///
@@ -148,8 +151,21 @@ class DriverDevice final : public detail::LaneDevice {
       }
       if constexpr (requires { driver.open(device); }) {
         if (auto opened = driver.open(device); !opened) return opened;
+      } else if constexpr (requires { Reading<Value>(driver.read(device)); }) {
+        if (auto answered = try_it(); !answered) return answered;
       }
       is_open = true;
+      return {};
+    }
+    /// One reading, of which nothing is kept: is the chip there, and does it make sense?
+    Result<void> try_it() {
+      if constexpr (requires { driver.start(device); }) {
+        if (auto started = driver.start(device); !started) return started;
+        device.wait(driver.conversion_time());
+      }
+      Reading<Value> reading(driver.read(device));
+      if (Error* error = reading.error()) return std::move(*error);
+      if (Unreadable* unreadable = reading.unreadable()) return std::move(unreadable->error);
       return {};
     }
     void close() noexcept {

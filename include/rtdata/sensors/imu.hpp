@@ -21,6 +21,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
@@ -47,6 +48,18 @@ enum class ImuModel { mpu6050, mpu6500, mpu9250 };
 
 class Mpu6050 {
  public:
+  static constexpr std::string_view type = "imu";
+  static constexpr std::string_view
+      description = "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C";
+  static constexpr std::string_view notes = R"(
+- Address `0x68` with AD0 at ground, `0x69` with AD0 at the supply. The magnetometer of the MPU-9250 is not read.
+- The chip takes `sample_rate` samples a second by itself and keeps them in a FIFO, which each tick empties: `rate` says how
+  often. Each sample is an event.
+- The FIFO holds 73 samples (MPU-6500 and 9250: 36): read it at least twice as often as it fills. What one that has run over
+  did not keep is counted as lost.
+- The chip has no clock that can be read: times are right within a period, and follow the chip's own rate (1 % at most off).
+- Axes as printed in the data sheet. A chip of another identity is refused.
+)";
   struct Config {
     ImuModel model = ImuModel::mpu6050;
     unsigned sample_rate = 100;        ///< Hz of the chip: 1000 / n with n from 1 to 256

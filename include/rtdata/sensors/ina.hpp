@@ -12,6 +12,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
@@ -33,6 +34,16 @@ enum class InaModel { ina219, ina226 };
 
 class Ina {
  public:
+  static constexpr std::string_view type = "ina";
+  static constexpr std::string_view description = "voltage, current and power of an INA219 or INA226 on I2C";
+  static constexpr std::string_view notes = R"(
+- Addresses `0x40` to `0x4f`, by what A0 and A1 are connected to.
+- The load's supply goes through the shunt, from IN+ to IN-. To 26 V (INA219) or 36 V (INA226).
+- Current is the voltage at the shunt over `shunt_resistance`. To 0.32 V at the shunt (INA219) or 0.08 V (INA226): 3.2 A or
+  0.8 A with 0.1 Ohm; more is unreadable.
+- It measures by itself, some 900 times a second (INA219) or 450 times (INA226); a reading takes the last value.
+- The INA226 has an identity, which is checked. A chip that has lost its settings is unreadable once, and set up again.
+)";
   struct Config {
     InaModel model = InaModel::ina219;
     double shunt_resistance = 0.1;  ///< Ohm

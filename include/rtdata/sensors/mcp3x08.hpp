@@ -16,6 +16,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/spi.hpp"
@@ -35,6 +36,15 @@ enum class AdcModel { mcp3008, mcp3208 };
 
 class Mcp3x08 {
  public:
+  static constexpr std::string_view type = "mcp3x08";
+  static constexpr std::string_view description = "eight channels of an MCP3008 or MCP3208 on SPI";
+  static constexpr std::string_view notes = R"(
+- All eight channels against ground, one after the other in one message: 0.2 ms at a clock of 1 MHz.
+- Clock: to 1 MHz with a supply of 2.7 V, 2 MHz (MCP3008: 3.6 MHz) with 5 V. Modes 0 and 3.
+- SPI has no acknowledgement: a chip that is not there reads as ones, which its null bit shows, and is unreadable; a data line
+  held at 0 cannot be told from 0 V.
+- Signals above `reference_voltage` read as its last code. The kernel's own driver of these chips is read with `analog`.
+)";
   struct Config {
     AdcModel model = AdcModel::mcp3208;
     double reference_voltage = 3.3;  ///< V at the pin VREF: of the code after the last

@@ -13,6 +13,7 @@
 
 #include <cstdint>
 #include <span>
+#include <string_view>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
@@ -33,6 +34,14 @@ enum class ShtModel { sht3x, sht4x };
 
 class Sht {
  public:
+  static constexpr std::string_view type = "sht";
+  static constexpr std::string_view description = "temperature and humidity of an SHT3x or SHT4x on I2C";
+  static constexpr std::string_view notes = R"(
+- Addresses: SHT3x `0x44` with ADDR at ground, `0x45` with ADDR at the supply; SHT4x as ordered, `0x44` to `0x46`.
+- -40 to 125 degrees, 0 to 100 %. One measurement takes 16 ms (SHT3x) or 9 ms (SHT4x).
+- Both numbers have a checksum: a reading with a wrong one is unreadable.
+- Nothing of the chip says which model it is: the wrong `model` has no answer, or wrong values.
+)";
   struct Config {
     ShtModel model = ShtModel::sht3x;
     friend constexpr auto parameters(type_tag<Config>) {

@@ -35,7 +35,7 @@ struct CheckOptions {
 };
 int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
-enum class TypesAs { text, schema };
+enum class TypesAs { text, schema, markdown };
 /// `name`: only this type; empty: all.
 int types(const Registry& registry, const std::string& name, TypesAs format);
 

@@ -142,6 +142,8 @@ Action prepare_types(CLI::App& command) {
   command.add_option("NAME", given->type, "Only this type");
   command.add_flag_callback(
       "--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
+  command.add_flag_callback(
+      "--markdown", [given] { given->format = app::TypesAs::markdown; }, "Print pages of documentation, in Markdown");
   command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
   return [given](const Registry& registry) {
     std::optional<ForPeople> wrapped;

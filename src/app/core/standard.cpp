@@ -2,26 +2,19 @@
 
 #include <algorithm>
 
+#include "app/core/standard_drivers.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
-#include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/levels.hpp"
-#include "rtdata/sensors/lm75.hpp"
-#include "rtdata/sensors/mcp3x08.hpp"
-#include "rtdata/sensors/mhz19.hpp"
 #include "rtdata/sensors/pps.hpp"
-#include "rtdata/sensors/query.hpp"
 #include "rtdata/sensors/serial_line.hpp"
-#include "rtdata/sensors/sht.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -116,16 +109,13 @@ Registry standard_registry() {
   registry.add_bus<ModbusConfig>(
       std::string(ModbusBus::type), "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)",
       [](Runtime&, const std::string& name, const ModbusConfig& config) { return ModbusBus(name, config); });
+#endif
+  app::add_i2c_drivers(registry);
+  app::add_spi_drivers(registry);
+  app::add_serial_drivers(registry);
+#ifdef RTDATA_WITH_MODBUS
   registry.add_driver<Modbus>();
 #endif
-  registry.add_driver<MhZ19>();
-  registry.add_driver<Query>();
-  registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
-  registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
-  registry.add_driver<Lm75>();
-  registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");
-  registry.add_driver<Ina>("ina", "voltage, current and power of an INA219 or INA226 on I2C");
-  registry.add_driver<Mcp3x08>("mcp3x08", "eight channels of an MCP3008 or MCP3208 on SPI");
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },

@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "app/core/table.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -55,6 +56,22 @@ void wrap_line(std::string& out, std::string_view line, std::size_t columns) {
 }
 
 }  // namespace
+
+std::string printable(std::string_view text) {
+  std::string safe;
+  while (!text.empty()) {
+    const std::size_t size = detail::utf8_size(text);
+    const auto first = static_cast<unsigned char>(text[0]);
+    const bool is_second_set = size == 2 && first == 0xc2 && (text[1] & 0xe0) == 0x80;  // U+0080 to U+009F
+    if (size == 0 || first < 0x20 || first == 0x7f || is_second_set) {
+      safe += '?';
+    } else {
+      safe += text.substr(0, size);
+    }
+    text.remove_prefix(std::max<std::size_t>(size, 1));
+  }
+  return safe;
+}
 
 std::size_t columns_of(int fd) {
   if (::isatty(fd) != 1) return 0;

@@ -17,6 +17,10 @@ std::size_t columns_of(int fd);
 /// can be copied; so do lines with escape sequences. `columns` 0: the text as it is.
 std::string wrapped(std::string_view text, std::size_t columns);
 
+/// With '?' for control characters, and bytes that are no UTF-8: what a device or somebody else's file says must not
+/// command the terminal.
+std::string printable(std::string_view text);
+
 /// While it lives, lines printed to a stream are wrapped for the terminal behind `fd`, if there is one. For what is
 /// read by people, never for data. Thread: one prints.
 class WrappedOutput final : public std::streambuf {

@@ -1,10 +1,12 @@
 #include <unistd.h>
 
+#include <algorithm>
 #include <iostream>
 
 #include "app/core/configuration_commands.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
+#include "app/inspect/types_markdown.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
@@ -46,10 +48,36 @@ void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, 
   }
 }
 
-std::string described(const TypeInfo& type) {
+/// What one type's page has beside its parameters.
+std::string notes_of(const TypeInfo& type) {
+  std::string text;
+  for (std::size_t at = 0; at < type.page.notes.size();) {
+    const std::size_t end = std::min(type.page.notes.find('\n', at), type.page.notes.size());
+    text += (end == at ? "" : "  ") + type.page.notes.substr(at, end - at) + "\n";
+    at = end + 1;
+  }
+  return text.empty() ? text : text + "\n";
+}
+
+std::string fields_of(const TypeInfo& type) {
+  const auto description = type.page.publishes != nullptr ? type.page.publishes() : nullptr;
+  if (description == nullptr) return {};
+  Table table({"field", "type", "unit"});
+  for (const PublishedField& field : published_fields(*description)) table.add({field.name, field.type, field.unit});
+  return std::string("\n  its events have") +
+         (type.page.depends_on_parameters ? ", unless its parameters say otherwise,\n" : "\n") + table.text("  ");
+}
+
+enum class Page { short_one, whole };
+
+std::string described(const TypeInfo& type, Page page) {
   Table table({"parameter", "type", "unit", "default", "meaning"});
   add_parameters(table, type.parameters, "", columns_of(STDOUT_FILENO));
-  return type.name + "  " + type.doc + "\n" + (table.empty() ? "" : table.text("  "));
+  std::string text = type.name + "  " + type.doc + "\n";
+  if (page == Page::whole) text += notes_of(type);
+  if (!table.empty()) text += table.text("  ");
+  if (page == Page::whole) text += fields_of(type);
+  return text;
 }
 
 /// What of the type `host` this machine has.
@@ -68,14 +96,14 @@ std::string on_this_machine() {
 
 void print_all(const std::string& title, const std::vector<TypeInfo>& types) {
   std::cout << title << "\n\n";
-  for (const TypeInfo& type : types) std::cout << described(type) << "\n";
+  for (const TypeInfo& type : types) std::cout << described(type, Page::short_one) << "\n";
 }
 
 }  // namespace
 
 int types(const Registry& registry, const std::string& name, TypesAs format) {
-  if (name.empty() && format == TypesAs::schema) {
-    std::cout << registry.schema() << std::endl;
+  if (name.empty() && format != TypesAs::text) {
+    std::cout << (format == TypesAs::schema ? registry.schema() + "\n" : markdown_of(registry)) << std::flush;
     return exit_good;
   }
   if (name.empty()) {
@@ -96,7 +124,9 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
       names.push_back(type.name);
       if (type.name != name) continue;
       ++found;
-      std::cout << (format == TypesAs::schema ? type.schema() + "\n" : described(type));
+      std::cout << (format == TypesAs::schema     ? type.schema() + "\n"
+                    : format == TypesAs::markdown ? markdown_of(type)
+                                                  : described(type, Page::whole));
       if (format == TypesAs::text && kind.name == "sensor" && name == "host") std::cout << on_this_machine();
     }
   }

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/machine/doctor.hpp"
 #include "app/machine/scan.hpp"
 
@@ -41,10 +42,10 @@ void print(const Scan& scan) {
   for (const FoundDevice& device : scan.devices) {
     if (device.kind != kind) std::cout << (kind.empty() ? "" : "\n") << device.kind << "\n";
     kind = device.kind;
-    std::cout << "  " << device.path << (device.what.empty() ? "" : "  ") << device.what << "\n";
+    std::cout << "  " << printable(device.path) << (device.what.empty() ? "" : "  ") << printable(device.what) << "\n";
     if (!device.obstacle.empty())
-      std::cout << "    cannot be used: " << device.obstacle << (device.advice.empty() ? "" : "; ") << device.advice
-                << "\n";
+      std::cout << "    cannot be used: " << printable(device.obstacle) << (device.advice.empty() ? "" : "; ")
+                << printable(device.advice) << "\n";
     for (const FoundDevice::Line& line : device.lines) std::cout << "    " << line.list << ": " << line.text << "\n";
   }
   if (scan.devices.empty()) std::cout << "no device was found that could be measured with\n";
@@ -101,6 +102,7 @@ int doctor(const Registry& registry, const DoctorOptions& options) {
     }
     append(examine_devices(files, *plan));
   }
+  append(examine_groups(files));
   append(examine_timing(files, plan ? &*plan : nullptr));
   append(examine_clock(files));
   append(examine_disks(files, plan ? &*plan : nullptr));
@@ -118,9 +120,9 @@ int doctor(const Registry& registry, const DoctorOptions& options) {
     std::cout << text_of({{"worst", name_of(worst)}, {"findings", std::move(findings)}}) << std::endl;
   } else {
     for (const Finding& one : found) {
-      std::cout << name_of(one.severity) << ": " << one.subject << ": " << one.what << "\n";
+      std::cout << name_of(one.severity) << ": " << printable(one.subject) << ": " << printable(one.what) << "\n";
       if (!one.cost.empty()) std::cout << "    cost: " << one.cost << "\n";
-      if (!one.advice.empty()) std::cout << "    do:   " << one.advice << "\n";
+      if (!one.advice.empty()) std::cout << "    do:   " << printable(one.advice) << "\n";
     }
     std::cout << std::flush;
   }

@@ -35,6 +35,9 @@ std::vector<Finding> examine_clock(const MachineFiles& files);
 /// written and synced on each, on this machine.
 std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* plan);
 /// Devices of the plan's parts: are they there, and may they be opened?
+/// Is a chip the kernel's, and has somebody else the port open?
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan);
+/// Of the groups that devices of ports and buses belong to: those that the user, or on a copy anybody, is not in.
+std::vector<Finding> examine_groups(const MachineFiles& files);
 
 }  // namespace rtdata::app

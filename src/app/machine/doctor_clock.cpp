@@ -26,10 +26,16 @@ std::vector<Finding> examine_clock(const MachineFiles& files) {
                        "UTC of a recording is as wrong as the clock; times between events are right all the same",
                        "sudo apt install chrony; without a network, a GPS receiver gives the time (docs/gps.md)"});
     }
-    if constexpr (sizeof(std::time_t) < 8)
-      found.push_back({Severity::note, "time", "this system counts seconds in 32 bits",
-                       "files and logs of other programs go wrong in January 2038; recordings do not",
-                       "a system of 64 bits"});
+    if constexpr (sizeof(std::time_t) < 8) {
+      found.push_back({Severity::warning, "time", "this program counts seconds in 32 bits",
+                       "times of files and logs go wrong in January 2038; those of recordings do not",
+                       "compile it with -D_TIME_BITS=64, or use a system of 64 bits"});
+    } else if constexpr (sizeof(long) < 8) {
+      found.push_back({Severity::note, "time", "this system has 32 bits, this program counts seconds in 64",
+                       "other programs may go wrong in January 2038", "a system of 64 bits"});
+    } else {
+      found.push_back({Severity::good, "time", "seconds are counted in 64 bits"});
+    }
   } else if (files.exists("/run/systemd/timesync/synchronized")) {
     found.push_back({Severity::good, "clock", "synchronised by systemd-timesyncd"});
   }

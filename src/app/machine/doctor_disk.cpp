@@ -84,7 +84,7 @@ void examine_disk(const MachineFiles& files, const std::string& folder, Severity
   if (mount.type == "vfat" || mount.type == "exfat" || mount.type == "msdos")
     add(Severity::warning, "its file system has no journal (" + mount.type + ")", "a power cut can damage all of it",
         "ext4 for what is recorded onto");
-  if (mount.device.starts_with("/dev/mmcblk"))
+  if (mount.device.starts_with("/dev/mmcblk") || (files.is_this_machine() && is_on_card(folder)))
     add(Severity::note, "it is an SD card or eMMC", "writes wear it out",
         "`\"profile\": \"card\"` of a recording writes less often");
   if (files.is_this_machine()) {

@@ -146,12 +146,32 @@ std::vector<Finding> processors(const MachineFiles& files, const Needs& needs) {
   return found;
 }
 
+constexpr const char* supply_cost = "the board is slowed down, and may lose data or its SD card";
+constexpr const char* supply_advice = "a supply for 5.1 V and 3 A (Raspberry Pi 5: 5 A), and a short cable";
+
+/// Of a Raspberry Pi whose kernel does not show the firmware's state: the alarm of its driver rpi_volt.
+std::vector<Finding> voltage_alarm(const MachineFiles& files) {
+  for (const std::string& chip : files.names("/sys/class/hwmon", "hwmon")) {
+    const std::string folder = "/sys/class/hwmon/" + chip;
+    if (files.text(folder + "/name") != "rpi_volt") continue;
+    const std::string alarm = files.text(folder + "/in0_lcrit_alarm").value_or("");
+    if (alarm == "0") return {{Severity::good, "power", "the supply's voltage is not too low"}};
+    if (alarm == "1")
+      return {{Severity::warning, "power", "the supply's voltage is or was too low", supply_cost, supply_advice}};
+    return {{Severity::warning, "power", "the supply's state cannot be read: \"" + alarm + "\"",
+             "nobody knows whether it is too weak", "vcgencmd get_throttled: 0x0 is good"}};
+  }
+  return {};
+}
+
 /// Of a Raspberry Pi: bits of vcgencmd get_throttled, see its documentation.
 std::vector<Finding> power(const MachineFiles& files) {
   const std::optional<std::string> text = files.text("/sys/devices/platform/soc/soc:firmware/get_throttled");
-  if (!text) return {};
+  if (!text) return voltage_alarm(files);
   const std::optional<long> bits = number_in(*text, 16);
-  if (!bits) return {{Severity::warning, "power", "the firmware's state cannot be read: \"" + *text + "\""}};
+  if (!bits)
+    return {{Severity::warning, "power", "the firmware's state cannot be read: \"" + *text + "\"",
+             "nobody knows whether the supply is too weak", "vcgencmd get_throttled: 0x0 is good"}};
   std::vector<Finding> found;
   const auto state = [&](int bit, const char* what, const char* cost, const char* advice) {
     const bool is_now = (*bits >> bit & 1) != 0, was = (*bits >> (bit + 16) & 1) != 0;
@@ -159,8 +179,7 @@ std::vector<Finding> power(const MachineFiles& files) {
       found.push_back(
           {Severity::warning, "power", std::string(what) + (is_now ? " now" : " since the start"), cost, advice});
   };
-  state(0, "the supply's voltage was too low", "the board is slowed down, and may lose data or its SD card",
-        "a supply for 5.1 V and 3 A, and a short cable");
+  state(0, "the supply's voltage was too low", supply_cost, supply_advice);
   state(1, "the frequency was limited", "the processors are slow", "see the supply and the temperature");
   state(2, "the processors were throttled", "the processors are slow", "see the supply and the temperature");
   state(3, "the limit of the temperature was reached", "the processors are slow", "a heat sink or a fan");

@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <sys/stat.h>
+#include <sys/sysmacros.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -107,6 +108,35 @@ Access access_to(const MachineFiles& files, const std::string& file, int mode) {
                               : "its owner and mode let only root use it: add a udev rule that gives it to a group";
   }
   return access;
+}
+
+std::string holder_of(const std::string& file) {
+  std::error_code failed;
+  const std::filesystem::path wanted = std::filesystem::canonical(file, failed);
+  if (failed) return "";
+  for (std::filesystem::directory_iterator process("/proc", failed), end; !failed && process != end;
+       process.increment(failed)) {
+    const std::string pid = process->path().filename().string();
+    if (pid.find_first_not_of("0123456789") != std::string::npos) continue;
+    std::error_code hidden;
+    for (std::filesystem::directory_iterator fd(process->path() / "fd", hidden); !hidden && fd != end;
+         fd.increment(hidden)) {
+      std::error_code gone;
+      if (std::filesystem::read_symlink(fd->path(), gone) != wanted) continue;
+      const std::string name = MachineFiles().text("/proc/" + pid + "/comm").value_or("a program");
+      return name + " (pid " + pid + ")";
+    }
+  }
+  return "";
+}
+
+bool is_on_card(const std::string& folder, const std::string& root) {
+  struct stat status {};
+  if (::stat(folder.empty() ? "." : folder.c_str(), &status) != 0) return false;
+  const std::string device = std::to_string(major(status.st_dev)) + ":" + std::to_string(minor(status.st_dev));
+  std::error_code ignored;
+  const auto found = std::filesystem::read_symlink(root + "/sys/dev/block/" + device, ignored);
+  return found.filename().string().starts_with("mmcblk");
 }
 
 }  // namespace rtdata::app

@@ -40,4 +40,9 @@ struct Access {
 /// `mode`: R_OK, W_OK. On a copy of another machine, whose users nobody knows here, it says only what is not there.
 Access access_to(const MachineFiles& files, const std::string& file, int mode);
 
+/// Which program has the file of this machine open, "gpsd (pid 712)"; empty: none that this user can see.
+std::string holder_of(const std::string& file);
+/// Whether the folder is on an SD card or eMMC, as the kernel names it (mmcblk0).
+bool is_on_card(const std::string& folder, const std::string& root = "");
+
 }  // namespace rtdata::app

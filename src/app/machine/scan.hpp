@@ -41,7 +41,4 @@ enum class Probing {
 /// Only lines of types that the registry has.
 Scan scan_machine(const MachineFiles& files, const Registry& registry, Probing probing);
 
-/// The chips that answer on the adapter. `files` says which addresses drivers of the kernel have: these are left alone.
-void probe_i2c(const MachineFiles& files, const std::string& adapter, std::vector<FoundDevice>& found);
-
 }  // namespace rtdata::app

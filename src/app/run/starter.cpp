@@ -1,11 +1,9 @@
 #include "app/run/starter.hpp"
 
-#include <sys/stat.h>
-#include <sys/sysmacros.h>
-
 #include <filesystem>
 #include <vector>
 
+#include "app/core/terminal_text.hpp"
 #include "app/machine/scan.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/sensors/host.hpp"
@@ -52,39 +50,46 @@ std::vector<Entry> host_entries() {
   return entries;
 }
 
-/// Converters of the kernel that can be read here: four at most.
-std::vector<Entry> analog_entries(const Registry& registry, const MachineFiles& files) {
+/// What scan finds that needs no wiring to be known: converters of the kernel, thermometers on 1-Wire, gpsd; four of a
+/// kind at most. Of the rest, a comment says that it is there.
+std::vector<Entry> found_entries(const Registry& registry, const MachineFiles& files, std::string& others) {
+  struct Wanted {
+    std::string_view kind;
+    const char* comment;
+    std::size_t count = 0;
+  };
+  Wanted wanted[] = {{"iio", "set the scale and unit of your sensors; see: rtdata types analog"},
+                     {"1-wire", "thermometers on 1-Wire"},
+                     {"gpsd", "the receiver of gpsd; see: rtdata types gps"}};
   std::vector<Entry> entries;
   for (const FoundDevice& device : scan_machine(files, registry, Probing::no).devices) {
-    if (device.kind != "iio" || !device.obstacle.empty()) continue;
-    for (const FoundDevice::Line& line : device.lines) {
-      if (entries.size() == 4) return entries;
-      entries.push_back(
-          {entries.empty() ? "set the scale and unit of your sensors; see: rtdata types analog" : "", line.text});
+    bool is_used = false;
+    for (Wanted& one : wanted) {
+      if (device.kind != one.kind || !device.obstacle.empty()) continue;
+      for (const FoundDevice::Line& line : device.lines) {
+        is_used = true;
+        if (one.count++ < 4) entries.push_back({one.count == 1 ? one.comment : "", line.text});
+      }
     }
+    if (is_used || device.lines.empty() || device.kind == "hwmon") continue;
+    others += "//   " + device.kind + ": " + printable(device.path) + (device.what.empty() ? "" : ", ") +
+              printable(device.what) + "\n";
   }
   return entries;
 }
 
 }  // namespace
 
-bool is_on_card(const std::string& folder, const std::string& root) {
-  struct stat status {};
-  if (::stat(folder.empty() ? "." : folder.c_str(), &status) != 0) return false;
-  const std::string device = std::to_string(major(status.st_dev)) + ":" + std::to_string(minor(status.st_dev));
-  std::error_code ignored;
-  const auto found = std::filesystem::read_symlink(root + "/sys/dev/block/" + device, ignored);
-  return found.filename().string().starts_with("mmcblk");
-}
-
 std::string starter_file(const Registry& registry, const std::string& file, const std::string& root) {
   const std::string stem = std::filesystem::path(file).stem().string();
-  std::string text = "// A starter file for this machine. Run it:    rtdata run " + file +
-                     " --for 10s\n// What else can be configured:               rtdata types\n{\n  \"$schema\": \"" +
-                     std::string(schema_file) +
-                     "\",\n  \"name\": " + ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
   std::vector<Entry> sensors = host_entries();
-  for (Entry& entry : analog_entries(registry, MachineFiles(root))) sensors.push_back(std::move(entry));
+  std::string others;
+  for (Entry& entry : found_entries(registry, MachineFiles(root), others)) sensors.push_back(std::move(entry));
+  if (!others.empty()) others = "// What else there is here, with lines to paste: rtdata scan\n" + others;
+  std::string text = "// A starter file for this machine. Run it:    rtdata run " + file +
+                     " --for 10s\n// What else can be configured:               rtdata types\n" + others +
+                     "{\n  \"$schema\": \"" + std::string(schema_file) +
+                     "\",\n  \"name\": " + ConfigItem::of(stem).to_json(ConfigItem::Layout::one_line) + ",\n";
   add_list(text, registry, "sensors", sensors);
   text += ",\n";
   const auto output = [&](const char* extension) {

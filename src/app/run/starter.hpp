@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "app/machine/machine_files.hpp"
 #include "rtdata/config/registry.hpp"
 
 namespace rtdata::app {
@@ -12,7 +13,5 @@ inline constexpr const char* schema_file = "rtdata.schema.json";
 /// A configuration that runs on this machine as it is, also for months: sensors that exist here, at gentle rates, sinks
 /// of the types there are, with limits. `file` names its outputs. `root`: of the machine's files.
 std::string starter_file(const Registry& registry, const std::string& file, const std::string& root = "");
-/// Whether the folder is on an SD card or eMMC, as the kernel names it (mmcblk0).
-bool is_on_card(const std::string& folder, const std::string& root = "");
 
 }  // namespace rtdata::app

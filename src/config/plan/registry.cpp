@@ -40,6 +40,12 @@ std::string config_detail::sink_name(const std::string& type, const std::string&
   return path.empty() || path == "-" ? type : path;
 }
 
+std::string config_detail::trimmed_notes(std::string_view notes) {
+  const std::size_t first = notes.find_first_not_of("\n");
+  if (first == std::string_view::npos) return {};
+  return std::string(notes.substr(first, notes.find_last_not_of(" \n") + 1 - first));
+}
+
 Registry::Registry() {
   add_kind("bus", "buses", "what sensors are connected to, by name; each has a `type`", PartKind::Written::by_name);
   add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);

@@ -6,7 +6,7 @@ TypeRegistryBase::TypeRegistryBase(std::string what, std::vector<ParameterInfo> 
     : what_(std::move(what)), common_(std::move(common)) {}
 
 TypeInfo TypeRegistryBase::info_of(const Type& type) const {
-  TypeInfo info{type.name, type.doc, common_};
+  TypeInfo info{type.name, type.doc, common_, type.page};
   const std::vector<ParameterInfo> own = type.parameters();
   info.parameters.insert(info.parameters.end(), own.begin(), own.end());
   return info;
@@ -24,13 +24,13 @@ std::optional<TypeInfo> TypeRegistryBase::find(std::string_view name) const {
   return std::nullopt;
 }
 
-void TypeRegistryBase::add_type(std::string type, std::string doc, Parameters parameters) {
+void TypeRegistryBase::add_type(std::string type, std::string doc, Parameters parameters, TypePage page) {
   for (const Type& other : types_) {
     if (other.name == type)
       throw SetupError({Errc::bad_argument, "cannot add the " + what_ + " type \"" + type + "\"", "",
                         "there is one of this name already", "choose another name"});
   }
-  types_.push_back({std::move(type), std::move(doc), parameters});
+  types_.push_back({std::move(type), std::move(doc), parameters, std::move(page)});
 }
 
 std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems) const {

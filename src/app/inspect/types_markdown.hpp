@@ -1,0 +1,23 @@
+// Pages of the types that configurations can name, as `rtdata types --markdown` prints them. Private to the program.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "rtdata/config/registry.hpp"
+
+namespace rtdata::app {
+
+/// A field of an event as people read it: members of records by their path, arrays and texts with their size.
+struct PublishedField {
+  std::string name, type, unit;
+};
+std::vector<PublishedField> published_fields(const Description& description);
+
+/// "## `lm75`", what it is, its notes, a table of the parameters that not every type of its kind has, and one of the
+/// fields of its events where these are known.
+std::string markdown_of(const TypeInfo& type);
+/// All types: those of each kind under a heading, sensors on buses under one for each type of bus.
+std::string markdown_of(const Registry& registry);
+
+}  // namespace rtdata::app

@@ -1,0 +1,35 @@
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+
+#include "app/machine/scanner.hpp"
+
+namespace rtdata::app {
+
+void scan_gpsd(Scanner& scanner) {
+  if (!scanner.files.is_this_machine()) return;
+  const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+  if (fd < 0) return;
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(2947);
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  int status = ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address);
+  if (status != 0 && errno == EINPROGRESS) {
+    pollfd wait{fd, POLLOUT, 0};
+    socklen_t size = sizeof status;
+    if (::poll(&wait, 1, 500) != 1 || ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &status, &size) != 0) status = -1;
+  }
+  ::close(fd);
+  if (status != 0) return;
+  scanner.add({"gpsd", "localhost:2947", "a GPS service"});
+  scanner.line(scanner.scan.devices.back(), "sensors",
+               R"({"name": )" + json_text(scanner.new_name("gps")) + R"(, "type": "gps"})");
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,123 @@
+#include <unistd.h>
+
+#include <vector>
+
+#include "app/machine/scanner.hpp"
+#include "rtdata/io/iio.hpp"
+
+namespace rtdata::app {
+namespace {
+
+void hwmon_chips(Scanner& scanner) {
+  for (const std::string& chip : scanner.files.names("/sys/class/hwmon", "hwmon")) {
+    const std::string folder = "/sys/class/hwmon/" + chip;
+    std::vector<std::string> inputs;
+    for (const std::string& file : scanner.files.names(folder))
+      if (file.ends_with("_input")) inputs.push_back(file);
+    if (inputs.empty()) continue;
+    FoundDevice& found = scanner.add(
+        "hwmon", folder, scanner.text(folder + "/name") + ", " + std::to_string(inputs.size()) + " values", R_OK);
+    for (const std::string& input : inputs) {
+      if (!input.starts_with("temp")) continue;
+      const std::string which = chip + "/" + input.substr(0, input.find('_'));
+      scanner.line(found, "sensors",
+                   R"({"name": )" + json_text(scanner.new_name(which)) +
+                       R"(, "type": "host", "quantity": "temperature", "device": )" + json_text(which) +
+                       R"(, "rate": "1 Hz"})");
+    }
+  }
+}
+
+/// All channels of a device: by its buffer, when it has a trigger of its own, else one by one.
+void iio_line(Scanner& scanner, FoundDevice& found, const std::string& device) {
+  const MachineFiles& files = scanner.files;
+  const std::string folder = "/sys/bus/iio/devices/" + device;
+  const std::string name = scanner.text(folder + "/name");
+  std::size_t alike = 0;
+  bool has_trigger = false;
+  for (const std::string& other : files.names("/sys/bus/iio/devices")) {
+    const std::string its = scanner.text("/sys/bus/iio/devices/" + other + "/name");
+    if (other.starts_with("iio:device") && its == name) ++alike;
+    has_trigger = has_trigger || (other.starts_with("trigger") && its == name + "-dev" + device.substr(10));
+  }
+  const bool is_buffered = has_trigger && files.exists(folder + "/buffer/enable");
+  std::string channels;
+  const auto add_channel = [&](const std::string& file, std::string_view end) {
+    if (!file.ends_with(end) || file.size() <= 3 + end.size()) return;
+    const std::string channel = file.substr(3, file.size() - 3 - end.size());
+    const std::string quoted = json_text(channel);
+    if (iio_quantity(channel) != nullptr && channels.find(quoted) == std::string::npos)
+      channels += (channels.empty() ? "" : ", ") + quoted;
+  };
+  for (const std::string& file : files.names(is_buffered ? folder + "/scan_elements" : folder, "in_")) {
+    if (is_buffered) {
+      add_channel(file, "_type");
+    } else {
+      add_channel(file, "_raw");
+      add_channel(file, "_input");
+    }
+  }
+  if (channels.empty()) return;
+  const std::string which = name.empty() || alike != 1 ? device : name;
+  scanner.line(found, "sensors",
+               R"({"name": )" + json_text(scanner.new_name(which)) + R"(, "type": ")" +
+                   (is_buffered ? R"(iio_buffer")" : R"(iio", "rate": "10 Hz")") + R"(, "device": )" +
+                   json_text(which) + R"(, "channels": [)" + channels + "]}");
+}
+
+}  // namespace
+
+void scan_iio(Scanner& scanner) {
+  std::size_t count = 0;  // of the lines
+  for (const std::string& device : scanner.files.names("/sys/bus/iio/devices", "iio:device")) {
+    const std::string folder = "/sys/bus/iio/devices/" + device;
+    std::vector<std::string> channels;
+    for (const std::string& file : scanner.files.names(folder, "in_"))
+      if (file.ends_with("_raw") || file.ends_with("_input")) channels.push_back(file);
+    FoundDevice& found = scanner.add(
+        "iio", folder, scanner.text(folder + "/name") + ", " + std::to_string(channels.size()) + " channels", R_OK);
+    for (const std::string& channel : channels) {
+      if (!channel.starts_with("in_voltage") || !channel.ends_with("_raw")) continue;
+      scanner.line(found, "sensors",
+                   R"({"name": )" + json_text(scanner.new_name("adc" + std::to_string(count++))) +
+                       R"(, "type": "analog", "rate": "10 Hz", "file": )" + json_text(folder + "/" + channel) +
+                       R"(, "scale": 3.3, "unit": "V"})");
+    }
+    iio_line(scanner, found, device);
+  }
+  hwmon_chips(scanner);
+}
+
+void scan_one_wire(Scanner& scanner) {
+  const std::vector<std::string> devices = scanner.files.names("/sys/bus/w1/devices");
+  if (devices.empty()) {
+    scanner.hint("1-wire",
+                 "no 1-Wire bus: on a Raspberry Pi a line `dtoverlay=w1-gpio` in /boot/firmware/config.txt, then start "
+                 "it again");
+  }
+  for (const std::string& device : devices) {
+    if (device.starts_with("w1_bus_master")) continue;
+    const std::string folder = "/sys/bus/w1/devices/" + device;
+    const bool is_thermometer = scanner.files.exists(folder + "/temperature");
+    FoundDevice& found = scanner.add("1-wire", folder,
+                                     device.starts_with("28-")   ? "DS18B20"
+                                     : device.starts_with("10-") ? "DS18S20"
+                                     : is_thermometer            ? "a thermometer"
+                                                                 : "family " + device.substr(0, 2),
+                                     R_OK);
+    if (!is_thermometer) {
+      const bool is_known = device.starts_with("28-") || device.starts_with("10-");
+      if (is_known && !scanner.files.exists(folder + "/w1_slave")) {
+        found.obstacle = "the kernel has no driver for it";
+        found.advice = "sudo modprobe w1_therm; for good: a line `w1_therm` in /etc/modules";
+      }
+      continue;
+    }
+    scanner.line(
+        found, "sensors",
+        R"({"name": )" + json_text(scanner.new_name(device)) + R"(, "type": "w1", "rate": "0.5 Hz", "device": )" +
+            json_text(device) + "}");
+  }
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,54 @@
+// The configurations of examples/, as they stand, on the kernel's drivers.
+#include <array>
+#include <string>
+#include <vector>
+
+#include "app/process.hpp"
+#include "kernel/bench.hpp"
+#include "rtdata/io/i2c.hpp"
+
+using namespace bench;
+using rtdata::test::Process;
+
+namespace {
+
+struct Topic {
+  std::string name;
+  unsigned address;  // 0: it is on no I2C bus
+  std::int64_t least_rows;
+};
+
+/// Runs it for a while; what the bench has a chip for has rows, and everything is in the account.
+void run_example(const std::string& name, const std::string& recording, const std::vector<Topic>& topics) {
+  const rtdata::test::Folder folder;
+  const std::string program = rtdata::test::built("rtdata"), path = folder.path() + "/" + recording;
+  Process run(folder, program, {"run", rtdata::test::in_source("examples/" + name), "--for", "5s"});
+  CHECK(run.end() == 0);
+  Process verify(folder, program, {"verify", recording});
+  CHECK(verify.end() == 0);
+  I2cBus bus({.device = "/dev/i2c-1"});
+  for (const Topic& topic : topics) {
+    CAPTURE(topic.name);
+    std::array<std::uint8_t, 1> byte{};
+    if (topic.address != 0 && !bus.device({topic.address}).read(byte)) {
+      MESSAGE("the bench has no chip for " << topic.name);
+      CHECK(run.err.find("nothing acknowledges this address") != std::string::npos);
+      continue;
+    }
+    CHECK(recordings::number(path, "SELECT count(*) FROM \"" + topic.name + "\"") >= topic.least_rows);
+  }
+}
+
+}  // namespace
+
+TEST_SUITE("drivers") {
+  TEST_CASE("US-12 NFR-3 examples/weather.json runs as it stands, and its recording verifies") {
+    run_example("weather.json", "weather.db",
+                {{"weather/air", 0x76, 4}, {"weather/humidity", 0x44, 4}, {"weather/ground", 0, 1}});
+  }
+
+  TEST_CASE("US-15 NFR-3 examples/rocket_sensors.json runs as it stands, and its recording verifies") {
+    run_example("rocket_sensors.json", "rocket.db",
+                {{"imu", 0x68, 700}, {"barometer", 0x76, 50}, {"battery", 0x40, 15}});
+  }
+}
