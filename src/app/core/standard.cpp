@@ -5,7 +5,7 @@
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
-#include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/barometer.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/imu.hpp"
@@ -88,7 +88,7 @@ Registry standard_registry() {
   registry.add_bus<SpiConfig>(
       std::string(SpiBus::type), "an SPI controller of the kernel",
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
-  registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
+  registry.add_driver<Barometer>();
   registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");

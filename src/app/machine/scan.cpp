@@ -147,10 +147,11 @@ class Scanner {
     struct Driven {
       std::string_view chip, type, members;
     };
-    constexpr Driven known[] = {{"BMP280", "bmp280", ""},
-                                {"MPU-6050", "imu", R"(, "model": "mpu6050")"},
-                                {"MPU-6500", "imu", R"(, "model": "mpu6500")"},
-                                {"MPU-9250", "imu", R"(, "model": "mpu9250")"}};
+    constexpr Driven known[] = {
+        {"BMP280", "barometer", R"(, "model": "bmp280")"}, {"BME280", "barometer", R"(, "model": "bme280")"},
+        {"BMP388", "barometer", R"(, "model": "bmp388")"}, {"BMP390", "barometer", R"(, "model": "bmp390")"},
+        {"MPU-6050", "imu", R"(, "model": "mpu6050")"},    {"MPU-6500", "imu", R"(, "model": "mpu6500")"},
+        {"MPU-9250", "imu", R"(, "model": "mpu9250")"}};
     const std::size_t at = chip.what.find(": ");
     if (at == std::string::npos) return;
     const std::string address = chip.what.substr(8, at - 8);
