@@ -31,9 +31,8 @@ constexpr std::array<std::uint8_t, 8> bmp280_data{0x65, 0x5a, 0xc0, 0x7e, 0xed, 
 /// H1 75, H2 362, H3 0, H4 317, H5 50, H6 30.
 constexpr std::array<std::uint8_t, 7> bme280_humidity{0x6a, 0x01, 0x00, 0x13, 0x2d, 0x03, 0x1e};
 /// Such as they are, with values computed by hand from 9.1 to 9.3.
-constexpr std::array<std::uint8_t, 21> bmp388_trimming{0xd0, 0x6b, 0x92, 0x4a, 0xf9, 0x3e, 0xfe,
-                                                       0x04, 0xfc, 0x23, 0x00, 0x7c, 0x60, 0xc0,
-                                                       0x76, 0xf9, 0xf9, 0x54, 0x24, 0x1e, 0xc4};
+constexpr std::array<std::uint8_t, 21> bmp388_trimming{0xd0, 0x6b, 0x92, 0x4a, 0xf9, 0x3e, 0xfe, 0x04, 0xfc, 0x23, 0x00,
+                                                       0x7c, 0x60, 0xc0, 0x76, 0xf9, 0xf9, 0x54, 0x24, 0x1e, 0xc4};
 constexpr std::array<std::uint8_t, 6> bmp388_data{0x80, 0xc2, 0x67, 0x80, 0x2c, 0x80};
 /// The data sheet's example (MS5611-01BA03, figure 2); the checksum is set by the tests.
 Ms5611Prom ms5611_prom() {
@@ -221,12 +220,22 @@ TEST_SUITE("sensors") {
     struct Point {
       double height, pressure, tolerance;
     };
-    for (const Point& at : {Point{0, 101325, 0.01}, {11000, 22632.10, 0.1}, {20000, 5474.89, 0.1}, {32000, 868.02, 0.2},
-                            {47000, 110.91, 0.5}, {51000, 66.94, 0.5}, {71000, 3.96, 7}})
+    for (const Point& at : {Point{0, 101325, 0.01},
+                            {11000, 22632.10, 0.1},
+                            {20000, 5474.89, 0.1},
+                            {32000, 868.02, 0.2},
+                            {47000, 110.91, 0.5},
+                            {51000, 66.94, 0.5},
+                            {71000, 3.96, 7}})
       CHECK(std::abs(pressure_altitude(at.pressure) - at.height) <= at.tolerance);
     // Pressure surfaces, in feet.
-    for (const Point& at : {Point{4780, 85000, 2}, {9882, 70000, 2}, {18287, 50000, 3}, {30066, 30000, 3},
-                            {38661, 20000, 3}, {53084, 10000, 3}, {67507, 5000, 3}})
+    for (const Point& at : {Point{4780, 85000, 2},
+                            {9882, 70000, 2},
+                            {18287, 50000, 3},
+                            {30066, 30000, 3},
+                            {38661, 20000, 3},
+                            {53084, 10000, 3},
+                            {67507, 5000, 3}})
       CHECK(std::abs(pressure_altitude(at.pressure) / 0.3048 - at.height) <= at.tolerance);
     CHECK(pressure_altitude(113929.09) == doctest::Approx(-1000).epsilon(1e-5));
     CHECK(pressure_altitude(12044.55) == doctest::Approx(15000).epsilon(1e-6));
@@ -359,7 +368,8 @@ TEST_SUITE("sensors") {
                            {BarometerModel::bmp280, BarometerModel::ms5611, "it seems to be a BMP280: set `model`"}}) {
       Bench bench;
       put_bosch(bench.wires->chip(0x76), mix.there);
-      BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.bus, Barometer::place, {.model = mix.wanted});
+      BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.bus, Barometer::place,
+                          {.model = mix.wanted});
       CHECK(air.health() == Health::faulted);
       CHECK_MESSAGE(air.status().reason.find(mix.words) != std::string::npos, air.status().reason);
     }

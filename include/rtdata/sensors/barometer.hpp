@@ -7,19 +7,19 @@
 /// both 76 ms); the bus is free for others meanwhile, and the event has the time of the start. An MS5611 measures its
 /// temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as `temperature_oversampling` says).
 ///
-/// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that are
-/// all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
+/// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that
+/// are all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
 /// settings, or gives the value of a measurement that was skipped, is told as unreadable; the next tick sets it again.
 ///
 /// `altitude` is the pressure altitude of the ICAO standard atmosphere (`pressure_altitude`), less that of
 /// `reference_pressure`: what an altimeter that is set to this pressure shows. With the sea level's pressure it is the
 /// height above the sea, with that of the launch pad the height above it.
 ///
-/// Sources: BMP280, BST-BMP280-DS001: 3.8.1 times, 3.11.3 and 8.1 compensation, 4.3 registers. BME280, BST-BME280-DS002:
-/// 4.2.3 and 8.1 compensation, 5.4 registers, 9.1 times. BMP388, BST-BMP388-DS001, and BMP390, BST-BMP390-DS002: 3.9.2
-/// times, 4.3 registers, 9.1 to 9.3 compensation. MS5611-01BA03, TE data sheet of 2017: commands, conversion times,
-/// figures 2 and 3 compensation; checksum: AN520. Atmosphere: ICAO Doc 7488, the same as ISO 2533 and US Standard
-/// Atmosphere 1976 up to 80 km.
+/// Sources: BMP280, BST-BMP280-DS001: 3.8.1 times, 3.11.3 and 8.1 compensation, 4.3 registers. BME280,
+/// BST-BME280-DS002: 4.2.3 and 8.1 compensation, 5.4 registers, 9.1 times. BMP388, BST-BMP388-DS001, and BMP390,
+/// BST-BMP390-DS002: 3.9.2 times, 4.3 registers, 9.1 to 9.3 compensation. MS5611-01BA03, TE data sheet of 2017:
+/// commands, conversion times, figures 2 and 3 compensation; checksum: AN520. Atmosphere: ICAO Doc 7488, the same as
+/// ISO 2533 and US Standard Atmosphere 1976 up to 80 km.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -43,14 +43,15 @@
 
 namespace rtdata {
 
-/// Geopotential height in m at which the standard atmosphere has this pressure in Pa: 0 at 101325 Pa, to 80 km (below 0 Pa: NaN).
-/// Geometric heights are greater, by 35 m at 15 km. Layers: Doc 7488, table D; pressures at their bases follow from them.
+/// Geopotential height in m at which the standard atmosphere has this pressure in Pa: 0 at 101325 Pa, to 80 km (below 0
+/// Pa: NaN). Geometric heights are greater, by 35 m at 15 km. Layers: Doc 7488, table D; pressures at their bases
+/// follow from them.
 inline double pressure_altitude(double pressure) noexcept {
   struct Layer {
     double height, temperature, gradient;  // of its base: m, K; K/m
   };
-  constexpr Layer layers[] = {{0, 288.15, -0.0065},     {11000, 216.65, 0},      {20000, 216.65, 0.001},
-                              {32000, 228.65, 0.0028},  {47000, 270.65, 0},      {51000, 270.65, -0.0028},
+  constexpr Layer layers[] = {{0, 288.15, -0.0065},    {11000, 216.65, 0}, {20000, 216.65, 0.001},
+                              {32000, 228.65, 0.0028}, {47000, 270.65, 0}, {51000, 270.65, -0.0028},
                               {71000, 214.65, -0.002}};
   constexpr double gravity_by_gas_constant = 9.80665 / 287.05287;
   if (!(pressure > 0)) return std::numeric_limits<double>::quiet_NaN();
@@ -137,8 +138,7 @@ struct Bmp280Trimming {
     };
     if (pressure_code == skipped || temperature_code == skipped) return failure("the measurement was skipped");
     const double t = temperature_code;
-    const double fine = (t / 16384 - t1 / 1024.0) * t2 +
-                        (t / 131072 - t1 / 8192.0) * (t / 131072 - t1 / 8192.0) * t3;
+    const double fine = (t / 16384 - t1 / 1024.0) * t2 + (t / 131072 - t1 / 8192.0) * (t / 131072 - t1 / 8192.0) * t3;
     const double half = fine / 2 - 64000;
     const double curved = (half * half * p6 / 32768 + half * p5 * 2) / 4 + p4 * 65536.0;
     const double slope = (1 + (p3 * half * half / 524288 + p2 * half) / 524288 / 32768) * p1;
@@ -171,10 +171,10 @@ struct Bmp388Trimming {
       return scaled(static_cast<std::int16_t>(word(at)) - offset, bits);
     };
     const auto byte_by = [&](std::size_t at, int bits) { return scaled(static_cast<std::int8_t>(bytes[at]), bits); };
-    return {word_by(0, 8),           word_by(2, -30),          byte_by(4, -48),  signed_by(5, 16384, -20),
-            signed_by(7, 16384, -29), byte_by(9, -32),         byte_by(10, -37), word_by(11, 3),
-            word_by(13, -6),         byte_by(15, -8),          byte_by(16, -15), signed_by(17, 0, -48),
-            byte_by(19, -48),        byte_by(20, -65)};
+    return {
+        word_by(0, 8),    word_by(2, -30),       byte_by(4, -48),  signed_by(5, 16384, -20), signed_by(7, 16384, -29),
+        byte_by(9, -32),  byte_by(10, -37),      word_by(11, 3),   word_by(13, -6),          byte_by(15, -8),
+        byte_by(16, -15), signed_by(17, 0, -48), byte_by(19, -48), byte_by(20, -65)};
   }
   bool is_usable() const noexcept { return t1 != 0 && t2 != 0; }
 
@@ -236,8 +236,8 @@ struct Ms5611Prom {
 class Barometer {
  public:
   static constexpr std::string_view type = "barometer";
-  static constexpr std::string_view description =
-      "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
+  static constexpr std::string_view
+      description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low, 0x77 when
   it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C.
@@ -306,9 +306,12 @@ class Barometer {
   /// Resets it, and reads identity and trimming parameters.
   Result<void> open(I2cDevice& chip) {
     switch (model().family) {
-      case Family::bmp2: return open_bosch(chip, 0xe0, bmp2_);
-      case Family::bmp3: return open_bosch(chip, 0x7e, bmp3_);
-      case Family::ms5: return open_ms5611(chip);
+      case Family::bmp2:
+        return open_bosch(chip, 0xe0, bmp2_);
+      case Family::bmp3:
+        return open_bosch(chip, 0x7e, bmp3_);
+      case Family::ms5:
+        return open_ms5611(chip);
     }
     return {};
   }
@@ -324,7 +327,8 @@ class Barometer {
       case Family::bmp3:
         if (auto done = chip.write_register(bmp3_oversampling_register, bmp3_oversampling()); !done) return done;
         return chip.write_register(bmp3_power_register, bmp3_enabled | bmp3_forced);
-      case Family::ms5: return command(chip, static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
+      case Family::ms5:
+        return command(chip, static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
     }
     return {};
   }
@@ -337,16 +341,20 @@ class Barometer {
                             (model().has_humidity ? 2300 * humidity_ + 575 : 0));
       case Family::bmp3:  // typical; a fifth more
         return microseconds((234 + 392 + 2020 * pressure_ + 163 + 2020 * temperature_) * 6 / 5);
-      case Family::ms5: return ms5611_time(pressure_);
+      case Family::ms5:
+        return ms5611_time(pressure_);
     }
     return {};
   }
 
   Reading<BarometerReading> read(I2cDevice& chip) {
     switch (model().family) {
-      case Family::bmp2: return read_bmp2(chip);
-      case Family::bmp3: return read_bmp3(chip);
-      case Family::ms5: return read_ms5611(chip);
+      case Family::bmp2:
+        return read_bmp2(chip);
+      case Family::bmp3:
+        return read_bmp3(chip);
+      case Family::ms5:
+        return read_ms5611(chip);
     }
     return NothingNew{};
   }
@@ -390,11 +398,10 @@ class Barometer {
   };
   static std::array<Setting, 3> settings_of(const Config& config) {
     const Model& model = models[static_cast<std::size_t>(config.model)];
-    std::array<Setting, 3> all{{{"pressure_oversampling", config.pressure_oversampling.value_or(model.usual_pressure), {}},
-                                {"temperature_oversampling",
-                                 config.temperature_oversampling.value_or(model.usual_temperature),
-                                 {}},
-                                {"humidity_oversampling", config.humidity_oversampling.value_or(1), {}}}};
+    std::array<Setting, 3> all{
+        {{"pressure_oversampling", config.pressure_oversampling.value_or(model.usual_pressure), {}},
+         {"temperature_oversampling", config.temperature_oversampling.value_or(model.usual_temperature), {}},
+         {"humidity_oversampling", config.humidity_oversampling.value_or(1), {}}}};
     std::string list;
     for (unsigned count = model.least_oversampling; count <= model.most_oversampling; count *= 2)
       list += (list.empty() ? "" : ", ") + std::to_string(count);
@@ -473,7 +480,8 @@ class Barometer {
   }
 
   static Unreadable lost_settings(I2cDevice& chip) {
-    return Unreadable{chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+    return Unreadable{
+        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
   }
   static Error measures_still(I2cDevice& chip) {
     return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
@@ -513,7 +521,9 @@ class Barometer {
 
   static Result<void> command(I2cDevice& chip, std::uint8_t code) { return chip.write({&code, 1}); }
   /// 0 for 256, 1 for 512 ...
-  static unsigned ms5611_index(unsigned oversampling) { return static_cast<unsigned>(std::bit_width(oversampling)) - 9; }
+  static unsigned ms5611_index(unsigned oversampling) {
+    return static_cast<unsigned>(std::bit_width(oversampling)) - 9;
+  }
   /// At most.
   static Duration ms5611_time(unsigned oversampling) {
     constexpr int microseconds[] = {600, 1170, 2280, 4540, 9040};

@@ -4,6 +4,7 @@
 
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/spi.hpp"
+#include "rtdata/sensors/accelerometer.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/barometer.hpp"
 #include "rtdata/sensors/gps.hpp"
@@ -89,7 +90,8 @@ Registry standard_registry() {
       std::string(SpiBus::type), "an SPI controller of the kernel",
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
   registry.add_driver<Barometer>();
-  registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
+  registry.add_driver<Accelerometer>();
+  registry.add_driver<Imu>();
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");
   registry.add_driver<Ina>("ina", "voltage, current and power of an INA219 or INA226 on I2C");
