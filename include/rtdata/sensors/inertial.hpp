@@ -61,31 +61,31 @@ struct InertialWrite {
 
 /// How the FIFO is asked and read.
 struct InertialFifo {
-  InertialWrite off, on;          ///< emptied by going off and on; a register of `on` that was reset shows lost settings
-  std::uint8_t status = 0;        ///< register of the number of samples
-  std::size_t status_bytes = 1;   ///< the first one is the lowest, unless `big_endian`
-  std::uint32_t count_mask = 0;   ///< in the status
-  std::uint32_t over_mask = 0;    ///< it has run over
-  std::uint32_t torn_mask = 0;    ///< the next byte is not the first one of a sample
+  InertialWrite off, on;         ///< emptied by going off and on; `on` that does not read back: lost settings
+  std::uint8_t status = 0;       ///< register of the number of samples
+  std::size_t status_bytes = 1;  ///< the first one is the lowest, unless `big_endian`
+  std::uint32_t count_mask = 0;  ///< in the status
+  std::uint32_t over_mask = 0;   ///< it has run over
+  std::uint32_t torn_mask = 0;   ///< the next byte is not the first one of a sample
   std::uint8_t over_register = 0, over_bit = 0;  ///< where that it ran over is asked for apart, and is cleared by it
   std::size_t count_bytes = 1;                   ///< of what is counted
   std::size_t capacity = 0;                      ///< bytes
   bool keeps_whole_samples = false;              ///< when it runs over, the oldest is gone; else nobody knows
   std::uint8_t data = 0;                         ///< register it is read from
-  bool is_stream = false;        ///< the register is read on and on; else once for each sample
-  std::uint8_t second_data = 0;  ///< of a second reading of 6 bytes for each sample; 0: none
-  bool is_tagged = false;        ///< words of 7 bytes, of which one says what it is (LSM6DSO)
-  unsigned to_discard = 0;       ///< samples after it is switched on
+  bool is_stream = false;                        ///< the register is read on and on; else once for each sample
+  std::uint8_t second_data = 0;                  ///< of a second reading of 6 bytes for each sample; 0: none
+  bool is_tagged = false;                        ///< words of 7 bytes, of which one says what it is (LSM6DSO)
+  unsigned to_discard = 0;                       ///< samples after it is switched on
 };
 
 /// What the self-test changes.
 struct InertialSelfTest {
   std::uint8_t acceleration_register = 0, acceleration_on = 0;  ///< 0: it has none here
   std::uint8_t angle_register = 0, angle_on = 0;
-  std::uint8_t acceleration_output = 0, angle_output = 0;                ///< registers
-  double acceleration_range = 0, angle_range = 0;                        ///< at which it is done
-  std::array<double, 3> least_acceleration{}, most_acceleration{};       ///< m/s2
-  double least_angle = 0, most_angle = 0;                                ///< rad/s
+  std::uint8_t acceleration_output = 0, angle_output = 0;           ///< registers
+  double acceleration_range = 0, angle_range = 0;                   ///< at which it is done
+  std::array<double, 3> least_acceleration{}, most_acceleration{};  ///< m/s2
+  double least_angle = 0, most_angle = 0;                           ///< rad/s
 };
 
 struct InertialModel {
@@ -122,7 +122,8 @@ class InertialChip {
   };
   static std::vector<Mistake> mistakes_in(const InertialModel& model, const InertialSettings& settings) {
     std::vector<Mistake> mistakes;
-    const auto check = [&](std::string_view key, std::span<const InertialChoice> choices, std::optional<double> wanted) {
+    const auto check = [&](std::string_view key, std::span<const InertialChoice> choices,
+                           std::optional<double> wanted) {
       if (!wanted || find(choices, *wanted) != nullptr) return;
       std::string list;
       for (const InertialChoice& one : choices) list += (list.empty() ? "" : ", ") + text_of(one.number);
@@ -206,8 +207,8 @@ class InertialChip {
     const MonotonicTime now = Samples<Value>::now();
     const std::size_t filled = (*status & fifo.count_mask) * fifo.count_bytes;
     if (filled > fifo.capacity) {
-      return chip.error(Errc::bad_data, what,
-                        "its FIFO has " + std::to_string(filled) + " bytes, more than there are", "look at its wires");
+      return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
+                        "look at its wires");
     }
     has_run_over = has_run_over || (*status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
     if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (*status & fifo.torn_mask) != 0))
@@ -520,7 +521,8 @@ class InertialChip {
       chip.wait(period_ + Duration{std::chrono::milliseconds{1}});
       std::array<std::uint8_t, 6> bytes{};
       if (auto done = chip.read_registers(test.acceleration_output, bytes); !done) return std::move(done).error();
-      for (std::size_t axis = 0; axis < 3; ++axis) sum[axis] += word(bytes, 2 * axis) * acceleration_->per_count / count;
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        sum[axis] += word(bytes, 2 * axis) * acceleration_->per_count / count;
       if (test.angle_on == 0) continue;
       if (auto done = chip.read_registers(test.angle_output, bytes); !done) return std::move(done).error();
       for (std::size_t axis = 0; axis < 3; ++axis) sum[3 + axis] += word(bytes, 2 * axis) * angle_->per_count / count;
@@ -574,8 +576,7 @@ class InertialChip {
       const char* unit = i < 3 ? " m/s2" : " rad/s";
       return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.name) + " failed",
                         std::string(i < 3 ? "its acceleration " : "its angular velocity ") + "xyz"[i % 3] +
-                            " changes by " + text_of(by) + unit + ", not by " + text_of(least) + " to " +
-                            text_of(most),
+                            " changes by " + text_of(by) + unit + ", not by " + text_of(least) + " to " + text_of(most),
                         "hold it still while it starts; else the chip is damaged");
     }
     return {};

@@ -147,11 +147,18 @@ class Scanner {
     struct Driven {
       std::string_view chip, type, members;
     };
-    constexpr Driven known[] = {
-        {"BMP280", "barometer", R"(, "model": "bmp280")"}, {"BME280", "barometer", R"(, "model": "bme280")"},
-        {"BMP388", "barometer", R"(, "model": "bmp388")"}, {"BMP390", "barometer", R"(, "model": "bmp390")"},
-        {"MPU-6050", "imu", R"(, "model": "mpu6050")"},    {"MPU-6500", "imu", R"(, "model": "mpu6500")"},
-        {"MPU-9250", "imu", R"(, "model": "mpu9250")"}};
+    constexpr Driven known[] = {{"BMP280", "barometer", R"(, "model": "bmp280")"},
+                                {"BME280", "barometer", R"(, "model": "bme280")"},
+                                {"BMP388", "barometer", R"(, "model": "bmp388")"},
+                                {"BMP390", "barometer", R"(, "model": "bmp390")"},
+                                {"MPU-6050", "imu", R"(, "model": "mpu6050")"},
+                                {"MPU-6500", "imu", R"(, "model": "mpu6500")"},
+                                {"MPU-9250", "imu", R"(, "model": "mpu9250")"},
+                                {"LSM6DSO or LSM6DSOX", "imu", R"(, "model": "lsm6dso")"},
+                                {"LSM6DS3", "imu", R"(, "model": "lsm6ds3")"},
+                                {"LSM6DS3TR-C", "imu", R"(, "model": "lsm6ds3trc")"},
+                                {"LSM9DS1, accelerometer and gyroscope", "imu", R"(, "model": "lsm9ds1")"},
+                                {"ADXL345 or ADXL375", "accelerometer", R"(, "model": "adxl345")"}};
     const std::size_t at = chip.what.find(": ");
     if (at == std::string::npos) return;
     const std::string address = chip.what.substr(8, at - 8);
