@@ -191,9 +191,9 @@ struct Bench {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
     if (model.kind == ChipKind::adxl) {
-    heard = loop.subscribe<AccelerometerReading>("s", [this](const Event<AccelerometerReading>& event) {
-      take(event->acceleration_x * 256 / gravity, event->acceleration_z * 256 / gravity, event.time);
-    });
+      heard = loop.subscribe<AccelerometerReading>("s", [this](const Event<AccelerometerReading>& event) {
+        take(event->acceleration_x * 256 / gravity, event->acceleration_z * 256 / gravity, event.time);
+      });
       return;
     }
     heard = loop.subscribe<ImuReading>("s", [this](const Event<ImuReading>& event) {
@@ -216,7 +216,9 @@ struct Bench {
                              {.model = model.imu, .sample_rate = model.rate});
   }
   /// Numbers left out between the first and the last.
-  int left_out() const { return numbers.empty() ? 0 : numbers.back() - numbers.front() + 1 - static_cast<int>(numbers.size()); }
+  int left_out() const {
+    return numbers.empty() ? 0 : numbers.back() - numbers.front() + 1 - static_cast<int>(numbers.size());
+  }
   bool is_in_order() const {
     for (std::size_t i = 1; i < numbers.size(); ++i)
       if (numbers[i] <= numbers[i - 1] || times[i] <= times[i - 1]) return false;
@@ -369,11 +371,8 @@ TEST_SUITE("sensors") {
         for (const unsigned count : {1u, 4u}) {
           Bench bench(model);
           bench.wires->chip(model.address).set_duration(200us);
-          AnySensor sensor = bench.make({.name = "s",
-                                         .rate = 50_Hz,
-                                         .faulted_after = 100,
-                                         .retry_first = 10ms,
-                                         .retry_longest = 10ms});
+          AnySensor sensor = bench.make(
+              {.name = "s", .rate = 50_Hz, .faulted_after = 100, .retry_first = 10ms, .retry_longest = 10ms});
           bench.loop.advance(300ms + at * 500us);
           bench.wires->chip(model.address).fail(count, at % 2 == 0 ? ENXIO : EIO);
           bench.loop.advance(500ms);
@@ -479,8 +478,8 @@ TEST_SUITE("sensors") {
               .find("100 is none of 26, 52, 104, 208, 416, 833, 1660, which the LSM6DSO has") != std::string::npos);
     CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "angular_range": 1000)")
               .find("1000 is none of 245, 500, 2000") != std::string::npos);
-    CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "bandwidth": 42)")
-              .find("the LSM9DS1 has no such setting") != std::string::npos);
+    CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "bandwidth": 42)").find("the LSM9DS1 has no such setting") !=
+          std::string::npos);
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "acceleration_range": 16)")
               .find("16 is none of 200") != std::string::npos);
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "self_test": true)")

@@ -50,10 +50,10 @@ inline constexpr InertialChoice adxl345_ranges[] = {{2, 0, standard_gravity / 25
 inline constexpr InertialChoice adxl375_ranges[] = {{200, 3, 0.049 * standard_gravity}};
 // Standby, no interrupts, rate, format, and on. There is no reset.
 inline constexpr InertialWrite setting_up[] = {{.number = 0x2d},
-                                                       {.number = 0x2e},
-                                                       {.number = 0x2c, .by_rate = 1},
-                                                       {.number = 0x31, .value = 0x08, .by_acceleration = 1},
-                                                       {.number = 0x2d, .value = 0x08, .pause = 12ms}};
+                                               {.number = 0x2e},
+                                               {.number = 0x2c, .by_rate = 1},
+                                               {.number = 0x31, .value = 0x08, .by_acceleration = 1},
+                                               {.number = 0x2d, .value = 0x08, .pause = 12ms}};
 inline constexpr InertialWrite sleeping[] = {{.number = 0x2d}};
 constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoice> ranges,
                              InertialSelfTest self_test) {
@@ -114,12 +114,14 @@ class Accelerometer {
     bool self_test = false;                      ///< at each start, of an ADXL345
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("model", &Config::model, "which chip it is",
-                    choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
-          parameter("sample_rate", &Config::sample_rate,
-                    "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
-                    "they are fetched; default: 100",
-                    unit("Hz"), range(6.25, 1600.0)),
+          parameter(
+              "model", &Config::model, "which chip it is",
+              choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
+          parameter(
+              "sample_rate", &Config::sample_rate,
+              "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
+              "they are fetched; default: 100",
+              unit("Hz"), range(6.25, 1600.0)),
           parameter("acceleration_range", &Config::acceleration_range,
                     "in 9.80665 m/s2. ADXL345: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
           parameter("self_test", &Config::self_test, "tests the chip at each start, in which it must lie still",
@@ -136,8 +138,7 @@ class Accelerometer {
   static constexpr I2cDevice::Place place{0x53};
 
   /// SetupError (bad-argument): a setting that the chip does not have.
-  explicit Accelerometer(const Config& config)
-      : chip_(config.chip(), accelerometer_models::all, config.settings()) {}
+  explicit Accelerometer(const Config& config) : chip_(config.chip(), accelerometer_models::all, config.settings()) {}
   Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
   Result<void> read(I2cDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }

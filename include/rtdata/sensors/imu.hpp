@@ -283,9 +283,9 @@ inline constexpr InertialModel all[] = {mpu("MPU-6050", 0x68, 1024, mpu6050_sett
 class Imu {
  public:
   static constexpr std::string_view type = "imu";
-  static constexpr std::string_view
-      description = "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
-                    "I2C";
+  static constexpr std::string_view description =
+      "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
+      "I2C";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b. Boards
   with a pin CS have it on 3.3 V for I2C.

@@ -7,6 +7,7 @@
 #include "rtdata/sensors/accelerometer.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/barometer.hpp"
+#include "rtdata/sensors/bno055.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/imu.hpp"
@@ -90,6 +91,7 @@ Registry standard_registry() {
       std::string(SpiBus::type), "an SPI controller of the kernel",
       [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
   registry.add_driver<Barometer>();
+  registry.add_driver<Bno055>();
   registry.add_driver<Accelerometer>();
   registry.add_driver<Imu>();
   registry.add_driver<Lm75>();

@@ -158,7 +158,8 @@ class Scanner {
                                 {"LSM6DS3", "imu", R"(, "model": "lsm6ds3")"},
                                 {"LSM6DS3TR-C", "imu", R"(, "model": "lsm6ds3trc")"},
                                 {"LSM9DS1, accelerometer and gyroscope", "imu", R"(, "model": "lsm9ds1")"},
-                                {"ADXL345 or ADXL375", "accelerometer", R"(, "model": "adxl345")"}};
+                                {"ADXL345 or ADXL375", "accelerometer", R"(, "model": "adxl345")"},
+                                {"BNO055", "bno055", ""}};
     const std::size_t at = chip.what.find(": ");
     if (at == std::string::npos) return;
     const std::string address = chip.what.substr(8, at - 8);
