@@ -124,7 +124,8 @@ TEST_SUITE("drivers") {
       const Chip chip("i2c-6a");
       const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": ")" + device("I2C") +
                                R"("}}, "sensors": [{"name": "imu", "type": "imu", "model": "lsm6dso", "rate": "50 Hz",
-          "bus": "i2c1", "address": "0x6a", "sample_rate": 833, "faulted_after": 1000}], "sinks": [{"type": "sqlite", "path": ")" +
+          "bus": "i2c1", "address": "0x6a", "sample_rate": 833, "faulted_after": 1000}],
+          "sinks": [{"type": "sqlite", "path": ")" +
                                path + "\"}]}";
       loop.on_error([](const ErrorReport&) {});
       System system(loop, standard_registry(), parse_config(text, "imu.json"));

@@ -282,6 +282,61 @@ TEST_SUITE("sensors") {
     }
   }
 
+  TEST_CASE("US-15 the self-test of an MPU compares with what the factory has found") {
+    struct Change {
+      ImuModel model;
+      double acceleration, rate;  // g, degrees a second
+      const char* words;
+    };
+    // Codes of the MPU-6050: 16 and 8: 0.34 * (0.92 / 0.34)^(15 / 30) = 0.559 g, 25 * 1.046^7 = 34.25 degrees a second;
+    // of the MPU-6500: 100 and 50: 2620 / 16384 * 1.01^99 = 0.428 g, 20 * 1.01^49 = 32.57.
+    for (const Change& change : {Change{ImuModel::mpu6050, 0.559, 34.25, ""},
+                                 {ImuModel::mpu6050, 0.49, 34.25, ""},
+                                 {ImuModel::mpu6050, 0.46, 34.25, "its acceleration x changes by 4.5"},
+                                 {ImuModel::mpu6050, 0.66, 34.25, "its acceleration x changes by 6.4"},
+                                 {ImuModel::mpu6050, 0.559, -30.5, ""},
+                                 {ImuModel::mpu6050, 0.559, 40, "its angular velocity x changes by 0.69"},
+                                 {ImuModel::mpu6500, 0.3, 40, ""},
+                                 {ImuModel::mpu6500, 0.2, 40, "its acceleration x changes by 1.9"},
+                                 {ImuModel::mpu6500, 0.3, 15, "its angular velocity x changes by 0.26"}}) {
+      CAPTURE(change.acceleration);
+      CAPTURE(change.rate);
+      ImuBench bench;
+      I2cBus slow("i2c2", bench.wires, {.timeout = 1s});
+      FakeI2cChip& chip = bench.wires->chip(0x68);
+      const bool is_old = change.model == ImuModel::mpu6050;
+      if (is_old) {
+        chip.set(0x0d, {4 << 5 | 8, 4 << 5 | 8, 4 << 5 | 8, 0});
+      } else {
+        chip.set(0x75, {0x70});
+        chip.set(0x00, {50, 50, 50});
+        chip.set(0x0d, {100, 100, 100});
+      }
+      bool pushes = false, turns = false;
+      std::size_t at = 0;
+      chip.on_write(0x1c, [&](std::uint16_t value) { pushes = value >> 5 == 7; });
+      chip.on_write(0x1b, [&](std::uint16_t value) { turns = value >> 5 == 7; });
+      const auto byte_of = [&](double counts) {
+        const int number = static_cast<int>(std::lround(counts));
+        return static_cast<std::uint8_t>(at++ % 2 == 0 ? number >> 8 & 0xff : number & 0xff);
+      };
+      chip.on_read(0x3b, [&] { return byte_of(123 + (pushes ? change.acceleration * (is_old ? 4096 : 16384) : 0)); });
+      chip.on_read(0x43, [&] { return byte_of(-7 + (turns ? change.rate * 131 : 0)); });
+      ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, slow, {0x68},
+                    {.model = change.model, .sample_rate = 500, .self_test = true});
+      CHECK(!pushes);
+      if (std::string(change.words).empty()) {
+        CHECK_MESSAGE(imu.health() == Health::ok, imu.status().reason);
+        bench.loop.advance(1s);
+        CHECK(bench.numbers.size() > 400);
+        CHECK(bench.are_whole);
+      } else {
+        CHECK(imu.health() == Health::faulted);
+        CHECK_MESSAGE(imu.status().reason.find(change.words) != std::string::npos, imu.status().reason);
+      }
+    }
+  }
+
   TEST_CASE("US-15 another chip, and settings that it does not have, are told with what there is") {
     ImuBench bench;
     bench.wires->chip(0x68).set(0x75, {0x71});

@@ -79,13 +79,13 @@ constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoi
           .self_test = self_test};
 }
 /// At 2.5 V, to the most at 3.3 V.
-inline constexpr InertialSelfTest adxl345_self_test{
-    .acceleration_register = 0x31,
-    .acceleration_on = 0x80,
-    .acceleration_output = 0x32,
-    .acceleration_range = 16,
-    .least_acceleration = {0.2 * standard_gravity, 0.2 * standard_gravity, 0.3 * standard_gravity},
-    .most_acceleration = {3.72 * standard_gravity, 3.72 * standard_gravity, 5.0 * standard_gravity}};
+inline constexpr InertialSelfTest adxl345_self_test{.acceleration_register = 0x31,
+                                                    .acceleration_on = 0x80,
+                                                    .acceleration_output = 0x32,
+                                                    .acceleration_range = 16,
+                                                    .limits = {{{0.2 * standard_gravity, 3.72 * standard_gravity},
+                                                                {0.2 * standard_gravity, 3.72 * standard_gravity},
+                                                                {0.3 * standard_gravity, 5.0 * standard_gravity}}}};
 
 inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_self_test),
                                         adxl("ADXL375", adxl375_ranges, {})};
@@ -98,13 +98,14 @@ class Accelerometer {
   static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d.
-- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is emptied. Each
-  sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
+- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
+  emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
 - What does not fit is counted as `lost`, within one.
 - Times are right within a period: the chip's clock is not read, its rate is learned.
-- An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of 12.5.
-- `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout` of the bus
-  above that.
+- An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
+  12.5.
+- `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout`
+  of the bus above that.
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
   struct Config {

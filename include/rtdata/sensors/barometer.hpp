@@ -239,10 +239,10 @@ class Barometer {
   static constexpr std::string_view
       description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
   static constexpr std::string_view notes =
-      R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low, 0x77 when
-  it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C.
-- Range: 300 to 1100 hPa (BMP390: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip goes on beyond
-  it, with a greater error.
+      R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low,
+  0x77 when it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C.
+- Range: 300 to 1100 hPa (BMP390: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip goes on
+  beyond it, with a greater error.
 - `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
   `reference_pressure` to today's pressure at sea level, or to that of the ground where heights are to begin.
 - Only a BME280 has `humidity`; of the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in

@@ -1,17 +1,17 @@
 /// Bno055: orientation by a BNO055 of Bosch on I2C, which joins its accelerometer, gyroscope and magnetometer itself.
 ///
-///     rtdata::DriverSensor<rtdata::Bno055> attitude(loop, {.name = "attitude", .rate = 50_Hz}, bus, {.address = 0x28});
+///     rtdata::DriverSensor<rtdata::Bno055> attitude(loop, {.name = "attitude", .rate = 50_Hz}, bus);
 ///
 /// The chip has a new orientation 100 times a second and no FIFO: each tick reads the last one, faster ticks read the
 /// same again. For some 0.6 s after it was switched on it does not answer, and is tried again. Until its fusion runs,
-/// there is nothing new; an orientation that is none (a quaternion whose length is not 1) is unreadable. A chip that has
-/// lost its settings is told and set up again; so is an error that the chip reports.
+/// there is nothing new; an orientation that is none (a quaternion whose length is not 1) is unreadable. A chip that
+/// has lost its settings is told and set up again; so is an error that the chip reports.
 ///
-/// Orientation is only as good as the chip's calibration, which it makes while it is moved: `calibration_system` and the
-/// others go from 0 to 3.
+/// Orientation is only as good as the chip's calibration, which it makes while it is moved: `calibration_system` and
+/// the others go from 0 to 3.
 ///
-/// Source: Bosch BNO055, BST-BNO055-DS000 rev. 1.4: 3.3 modes, 3.6.1 units, 3.6.5 outputs and scales, 3.10 calibration,
-/// 4.3 registers.
+/// Source: Bosch BNO055, BST-BNO055-DS000 rev. 1.4: 3.3 modes, 3.6.1 units, 3.6.5 outputs and scales, 3.10
+/// calibration, 4.3 registers.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -71,14 +71,14 @@ class Bno055 {
   static constexpr std::string_view description = "orientation, linear acceleration and rates of a BNO055 on I2C";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Address: 0x28, with ADR (COM3) high 0x29.
-- The chip holds the clock line while it is busy (clock stretching). The I2C controller of Raspberry Pis up to the 4 reads
-  wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`), and name that one. Readings without sense are told as
-  unreadable, but not all wrong bytes can be noticed.
+- The chip holds the clock line while it is busy (clock stretching). The I2C controller of Raspberry Pis up to the 4
+  reads wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`), and name that one. Readings without sense are
+  told as unreadable, but not all wrong bytes can be noticed.
 - A new orientation comes 100 times a second: a `rate` above 100 Hz reads the same again. There is no FIFO.
-- In mode `ndof` the heading is that of the earth's magnetic field; in mode `imu` it begins at 0, drifts, and no magnet
-  disturbs it.
-- Trust an orientation when `calibration_system` is 3: lie still for the gyroscope, move in eights for the magnetometer, hold six
-  positions for the accelerometer. The calibration is made anew after each loss of power.
+- In mode `ndof` the heading is that of the earth's magnetic field; in mode `imu` it begins at 0, drifts, and no
+  magnet disturbs it.
+- Trust an orientation when `calibration_system` is 3: lie still for the gyroscope, move in eights for the
+  magnetometer, hold six positions for the accelerometer. The calibration is made anew after each loss of power.
 - After switching on it needs 0.7 s; the sensor tries again until then.
 )";
   struct Config {

@@ -21,8 +21,9 @@
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
 
+#include <array>
+#include <cmath>
 #include <cstdint>
-#include <iterator>
 #include <optional>
 #include <span>
 #include <string_view>
@@ -85,9 +86,55 @@ inline constexpr InertialWrite mpu6500_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1d, .by_filter = 1},
                                                        {.number = 0x23, .value = 0xf8}};
 inline constexpr InertialWrite mpu_sleeping[] = {{.number = 0x6b, .value = 0x40}};
+/// What the factory has found, within 14 % (register map 4.1): codes of 5 bits, those of acceleration in two pieces.
+inline Result<InertialSixLimits> mpu6050_limits(I2cDevice& chip) {
+  std::array<std::uint8_t, 4> bytes{};
+  if (auto done = chip.read_registers(0x0d, bytes); !done) return std::move(done).error();
+  InertialSixLimits limits;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const int acceleration = bytes[axis] >> 5 << 2 | (bytes[3] >> (4 - 2 * axis) & 3), angle = bytes[axis] & 0x1f;
+    const double by = g(0.34 * std::pow(0.92 / 0.34, (acceleration - 1) / 30.0));
+    const double turns = degrees(25 * std::pow(1.046, angle - 1));
+    if (acceleration == 0 || angle == 0)
+      return chip.error(Errc::bad_data, "cannot test the MPU-6050", "it has no values of the factory to compare with",
+                        "leave `self_test` out");
+    limits[axis] = {0.86 * by, 1.14 * by};
+    limits[3 + axis] = {0.86 * turns, 1.14 * turns};
+  }
+  return limits;
+}
+/// Half to one and a half of what the factory has found (AN-MPU-9250A-03); without that, what all chips of it do.
+inline Result<InertialSixLimits> mpu6500_limits(I2cDevice& chip) {
+  std::array<std::uint8_t, 3> angles{}, accelerations{};
+  if (auto done = chip.read_registers(0x00, angles); !done) return std::move(done).error();
+  if (auto done = chip.read_registers(0x0d, accelerations); !done) return std::move(done).error();
+  const auto by = [](std::uint8_t code, double of_first) { return of_first * std::pow(1.01, code - 1); };
+  InertialSixLimits limits;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const double acceleration = by(accelerations[axis], g(2620 / 16384.0));
+    const double angle = by(angles[axis], degrees(2620 / 131.0));
+    limits[axis] = accelerations[axis] != 0 ? InertialLimits{0.5 * acceleration, 1.5 * acceleration}
+                                            : InertialLimits{g(0.225), g(0.675)};
+    limits[3 + axis] = angles[axis] != 0 ? InertialLimits{0.5 * angle, 1.5 * angle}
+                                         : InertialLimits{degrees(60), degrees(250)};
+  }
+  return limits;
+}
+constexpr InertialSelfTest mpu_self_test(double acceleration_range,
+                                         Result<InertialSixLimits> (*limits_of)(I2cDevice&)) {
+  return {.acceleration_register = 0x1c,
+          .acceleration_on = 0xe0,
+          .angle_register = 0x1b,
+          .angle_on = 0xe0,
+          .acceleration_output = 0x3b,
+          .angle_output = 0x43,
+          .acceleration_range = acceleration_range,
+          .angle_range = 250,
+          .limits_of = limits_of};
+}
 constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::size_t fifo_bytes,
-                            std::span<const InertialWrite> setting_up, double counts_per_degree,
-                            double degrees_at_zero) {
+                            std::span<const InertialWrite> setting_up, InertialSelfTest self_test,
+                            double counts_per_degree, double degrees_at_zero) {
   return {.name = name,
           .identity_register = 0x75,
           .identity = identity,
@@ -113,7 +160,8 @@ constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::s
           .angle_at = 8,
           .temperature_at = 6,
           .counts_per_degree = counts_per_degree,
-          .degrees_at_zero = degrees_at_zero};
+          .degrees_at_zero = degrees_at_zero,
+          .self_test = self_test};
 }
 
 // STMicroelectronics, LSM6D family. Not the lowest rate, at which accelerometer and gyroscope differ.
@@ -125,21 +173,24 @@ inline constexpr InertialChoice lsm6_angles[] = {{125, 1, degrees(4.375e-3)},
                                                  {500, 2, degrees(17.5e-3)},
                                                  {1000, 4, degrees(35e-3)},
                                                  {2000, 6, degrees(70e-3)}};
-// Reset; registers that go on by themselves and change as a whole; both sensors; both into the FIFO.
-inline constexpr InertialWrite lsm6ds3_setting_up[] = {{.number = 0x12, .value = 0x01, .pause = 20ms},
-                                                       {.number = 0x12, .value = 0x44},
-                                                       {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
-                                                       {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1},
-                                                       {.number = 0x08, .value = 0x09}};
-inline constexpr InertialWrite lsm6dso_setting_up[] = {{.number = 0x12, .value = 0x01, .pause = 20ms},
-                                                       {.number = 0x12, .value = 0x44},
-                                                       {.number = 0x18, .value = 0xe2},  // without I3C
-                                                       {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
-                                                       {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1},
-                                                       {.number = 0x09, .by_rate = 1 << 4 | 1}};
+// Reset; registers that go on by themselves and change as a whole; both sensors, and until the gyroscope
+// turns (70 ms); both into the FIFO.
+inline constexpr InertialWrite lsm6ds3_setting_up[] = {
+    {.number = 0x12, .value = 0x01, .pause = 20ms},
+    {.number = 0x12, .value = 0x44},
+    {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
+    {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1, .pause = 80ms},
+    {.number = 0x08, .value = 0x09}};
+inline constexpr InertialWrite lsm6dso_setting_up[] = {
+    {.number = 0x12, .value = 0x01, .pause = 20ms},
+    {.number = 0x12, .value = 0x44},
+    {.number = 0x18, .value = 0xe2},  // without I3C
+    {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
+    {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1, .pause = 80ms},
+    {.number = 0x09, .by_rate = 1 << 4 | 1}};
 inline constexpr InertialWrite lsm6_sleeping[] = {{.number = 0x10}, {.number = 0x11}};
 constexpr InertialSelfTest lsm6_self_test(double least_acceleration) {
-  const double least = g(least_acceleration), most = g(1.7);
+  const InertialLimits acceleration{g(least_acceleration), g(1.7)}, angle{degrees(150), degrees(700)};
   return {.acceleration_register = 0x14,
           .acceleration_on = 0x01,
           .angle_register = 0x14,
@@ -148,10 +199,7 @@ constexpr InertialSelfTest lsm6_self_test(double least_acceleration) {
           .angle_output = 0x22,
           .acceleration_range = 4,
           .angle_range = 2000,
-          .least_acceleration = {least, least, least},
-          .most_acceleration = {most, most, most},
-          .least_angle = degrees(150),
-          .most_angle = degrees(700)};
+          .limits = {{acceleration, acceleration, acceleration, angle, angle, angle}}};
 }
 /// Angular velocity and acceleration as words of 16 bits, one after the other.
 constexpr InertialModel lsm6ds3(std::string_view name, std::uint8_t identity, std::size_t fifo_bytes,
@@ -224,11 +272,12 @@ inline constexpr InertialChoice lsm9ds1_accelerations[] = {
     {2, 0, g(0.061e-3)}, {4, 2, g(0.122e-3)}, {8, 3, g(0.244e-3)}, {16, 1, g(0.732e-3)}};
 inline constexpr InertialChoice lsm9ds1_angles[] = {
     {245, 0, degrees(8.75e-3)}, {500, 1, degrees(17.5e-3)}, {2000, 3, degrees(70e-3)}};
-inline constexpr InertialWrite lsm9ds1_setting_up[] = {{.number = 0x22, .value = 0x01, .pause = 20ms},
-                                                       {.number = 0x22, .value = 0x44},
-                                                       {.number = 0x10, .by_rate = 1 << 5, .by_angle = 1 << 3},
-                                                       {.number = 0x20, .by_rate = 1 << 5, .by_acceleration = 1 << 3},
-                                                       {.number = 0x23, .value = 0x02}};
+inline constexpr InertialWrite lsm9ds1_setting_up[] = {
+    {.number = 0x22, .value = 0x01, .pause = 20ms},
+    {.number = 0x22, .value = 0x44},
+    {.number = 0x10, .by_rate = 1 << 5, .by_angle = 1 << 3},
+    {.number = 0x20, .by_rate = 1 << 5, .by_acceleration = 1 << 3, .pause = 80ms},
+    {.number = 0x23, .value = 0x02}};
 inline constexpr InertialWrite lsm9ds1_sleeping[] = {{.number = 0x10}, {.number = 0x20}};
 inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
                                        .identity_register = 0x0f,
@@ -264,19 +313,22 @@ inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
                                                      .angle_output = 0x18,
                                                      .acceleration_range = 2,
                                                      .angle_range = 2000,
-                                                     .least_acceleration = {g(0.07), g(0.07), g(0.07)},
-                                                     .most_acceleration = {g(1.5), g(1.5), g(1.5)},
-                                                     .least_angle = degrees(150),
-                                                     .most_angle = degrees(1000)}};
+                                                     .limits = {{{g(0.07), g(1.5)},
+                                                                 {g(0.07), g(1.5)},
+                                                                 {g(0.07), g(1.5)},
+                                                                 {degrees(150), degrees(1000)},
+                                                                 {degrees(150), degrees(1000)},
+                                                                 {degrees(150), degrees(1000)}}}}};
 
-inline constexpr InertialModel all[] = {mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, 340, 36.53),
-                                        mpu("MPU-6500", 0x70, 512, mpu6500_setting_up, 333.87, 21),
-                                        mpu("MPU-9250", 0x71, 512, mpu6500_setting_up, 333.87, 21),
-                                        lsm6ds3("LSM6DS3", 0x69, 8192, 0x0fff, 16),
-                                        lsm6ds3("LSM6DS3TR-C", 0x6a, 4096, 0x07ff, 256),
-                                        lsm6dso("LSM6DSO"),
-                                        lsm6dso("LSM6DSOX"),
-                                        lsm9ds1};
+inline constexpr InertialModel all[] = {
+    mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53),
+    mpu("MPU-6500", 0x70, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    mpu("MPU-9250", 0x71, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    lsm6ds3("LSM6DS3", 0x69, 8192, 0x0fff, 16),
+    lsm6ds3("LSM6DS3TR-C", 0x6a, 4096, 0x07ff, 256),
+    lsm6dso("LSM6DSO"),
+    lsm6dso("LSM6DSOX"),
+    lsm9ds1};
 
 }  // namespace imu_models
 
@@ -287,17 +339,18 @@ class Imu {
       "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
       "I2C";
   static constexpr std::string_view notes =
-      R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b. Boards
-  with a pin CS have it on 3.3 V for I2C.
-- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is emptied.
-  Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 682 of an LSM6DS3 (TR-C:
-  341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
+      R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
+  Boards with a pin CS have it on 3.3 V for I2C.
+- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
+  emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 682 of an
+  LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
 - What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, within one with the others.
 - Times are right within a period: the chips' clocks are not read, their rates are learned.
 - An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
   chips of their own, and are not read.
 - `temperature` is with each sample of an MPU; with an LSM only with the newest sample of each read.
-- `"self_test": true` (LSM) takes 0.4 s at each start, in which the chip must lie still, and so needs a `timeout` of the bus above that.
+- `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
+  bus must be above that.
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
 )";
   struct Config {
@@ -306,7 +359,7 @@ class Imu {
     std::optional<double> acceleration_range{};  ///< g; unset: the widest
     std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
     std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42
-    bool self_test = false;                      ///< at each start, of an LSM
+    bool self_test = false;                      ///< at each start
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
@@ -329,8 +382,7 @@ class Imu {
           parameter("bandwidth", &Config::bandwidth,
                     "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42", unit("Hz"),
                     range(5, 188), only_with("model", "mpu6050", "mpu6500", "mpu9250")),
-          parameter("self_test", &Config::self_test, "tests the chip at each start, in which it must lie still",
-                    only_with("model", "lsm6ds3", "lsm6ds3trc", "lsm6dso", "lsm6dsox", "lsm9ds1")));
+          parameter("self_test", &Config::self_test, "tests the chip at each start, in which it must lie still"));
     }
     const InertialModel& chip() const noexcept { return imu_models::all[static_cast<std::size_t>(model)]; }
     InertialSettings settings() const { return {sample_rate, acceleration_range, angular_range, bandwidth, self_test}; }

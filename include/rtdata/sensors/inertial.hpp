@@ -78,14 +78,21 @@ struct InertialFifo {
   unsigned to_discard = 0;                       ///< samples after it is switched on
 };
 
-/// What the self-test changes.
+/// By how much the self-test must change an output, whatever the sign: m/s2 or rad/s.
+struct InertialLimits {
+  double least = 0, most = 0;
+};
+/// Of acceleration X, Y, Z, then angular velocity.
+using InertialSixLimits = std::array<InertialLimits, 6>;
+
+/// The self-test: bits that make the chip push its own masses, and what must come of it.
 struct InertialSelfTest {
   std::uint8_t acceleration_register = 0, acceleration_on = 0;  ///< 0: it has none here
   std::uint8_t angle_register = 0, angle_on = 0;
-  std::uint8_t acceleration_output = 0, angle_output = 0;           ///< registers
-  double acceleration_range = 0, angle_range = 0;                   ///< at which it is done
-  std::array<double, 3> least_acceleration{}, most_acceleration{};  ///< m/s2
-  double least_angle = 0, most_angle = 0;                           ///< rad/s
+  std::uint8_t acceleration_output = 0, angle_output = 0;  ///< registers
+  double acceleration_range = 0, angle_range = 0;          ///< at which it is done
+  InertialSixLimits limits{};
+  Result<InertialSixLimits> (*limits_of)(I2cDevice& chip) = nullptr;  ///< where each chip has its own
 };
 
 struct InertialModel {
@@ -568,10 +575,11 @@ class InertialChip {
     if (!after) return after.error();
     if (auto done = change(test.acceleration_register, test.acceleration_on); !done) return done;
     if (auto done = change(test.angle_register, test.angle_on); !done) return done;
+    const Result<InertialSixLimits> limits = test.limits_of != nullptr ? test.limits_of(chip) : test.limits;
+    if (!limits) return limits.error();
     for (std::size_t i = 0; i < (test.angle_on != 0 ? 6u : 3u); ++i) {
       const double by = std::abs((*after)[i] - (*before)[i]);
-      const double least = i < 3 ? test.least_acceleration[i] : test.least_angle;
-      const double most = i < 3 ? test.most_acceleration[i] : test.most_angle;
+      const auto [least, most] = (*limits)[i];
       if (by >= least && by <= most) continue;
       const char* unit = i < 3 ? " m/s2" : " rad/s";
       return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.name) + " failed",
