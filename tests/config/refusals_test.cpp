@@ -23,7 +23,9 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 /// An item of each type that is right; `FOLDER` stands for a directory of the test.
 const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
-    {"bmp280", R"({"name": "s", "type": "bmp280", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"accelerometer", R"({"name": "s", "type": "accelerometer", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"barometer", R"({"name": "s", "type": "barometer", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"bno055", R"({"name": "s", "type": "bno055", "rate": "10 Hz", "bus": "i2c1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
     {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},

@@ -233,7 +233,7 @@ const GoodChip good_chips[] = {
        wires.spi.on_transfer(3, [](auto, std::span<std::uint8_t> read) { std::fill(read.begin(), read.end(), 0x5a); });
      },
      [](const EventView& event) { return is_near(event, "number", neighbours_byte); }, true},
-    {"bmp280", "",
+    {"barometer", "",
      [](Wires& wires) {  // its data sheet's example
        FakeI2cChip& chip = wires.i2c.chip(0x76);
        chip.set(0xd0, {0x58});

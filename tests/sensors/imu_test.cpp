@@ -125,31 +125,31 @@ struct ImuBench {
   }
 };
 
-using Imu = DriverSensor<Mpu6050>;
+using ImuSensor = DriverSensor<Imu>;
 
 }  // namespace
 
 TEST_SUITE("sensors") {
   TEST_CASE("US-15 MPU-6050: counts become m/s2, rad/s and degrees") {
-    const Mpu6050::Config config{.acceleration_range = 2, .angular_range = 250};
+    const Imu::Config config{.acceleration_range = 2, .angular_range = 250};
     // 1 g, -1 g, 2 g less one count; -521: 35 degrees (register map 4.18); 131: 1 degree a second (4.19).
     const std::array<std::uint8_t, 14> bytes{0x40, 0, 0xc0, 0, 0x7f, 0xff, 0xfd, 0xf7, 0, 131, 0xff, 0x7d, 0x80, 0};
-    const ImuReading reading = Mpu6050::decode(bytes, config);
+    const ImuReading reading = Imu::decode(bytes, config);
     CHECK(reading.acceleration_x == doctest::Approx(9.80665));
     CHECK(reading.acceleration_y == doctest::Approx(-9.80665));
     CHECK(reading.acceleration_z == doctest::Approx(2 * 9.80665).epsilon(1e-4));
-    CHECK(reading.temperature == doctest::Approx(35).epsilon(0.0002));
+    CHECK(reading.temperature.value() == doctest::Approx(35).epsilon(0.0002));
     CHECK(reading.angular_velocity_x == doctest::Approx(std::numbers::pi / 180));
     CHECK(reading.angular_velocity_y == doctest::Approx(-std::numbers::pi / 180));
     CHECK(reading.angular_velocity_z == doctest::Approx(-32768 / 131.0 * std::numbers::pi / 180));
-    CHECK(Mpu6050::decode(bytes, {.model = ImuModel::mpu6500}).temperature == doctest::Approx(-521 / 333.87 + 21));
-    CHECK(Mpu6050::decode(bytes, {.acceleration_range = 16}).acceleration_x == doctest::Approx(8 * 9.80665));
+    CHECK(Imu::decode(bytes, {.model = ImuModel::mpu6500}).temperature.value() == doctest::Approx(-521 / 333.87 + 21));
+    CHECK(Imu::decode(bytes, {.acceleration_range = 16}).acceleration_x == doctest::Approx(8 * 9.80665));
   }
 
   TEST_CASE("US-15 each sample of the FIFO is an event, in order, with a time of its own") {
     ImuBench bench;
     {
-      Imu imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
+      ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
       bench.loop.advance(2001ms);
       CHECK(imu.health() == Health::ok);
       CHECK(imu.counts().lost == 0);
@@ -175,7 +175,8 @@ TEST_SUITE("sensors") {
 
   TEST_CASE("US-15 a FIFO that has run over is emptied; what was in it and what found no room is counted as lost") {
     ImuBench bench;
-    Imu imu(bench.loop, {.name = "imu", .rate = 50_Hz, .faulted_after = 1000}, bench.bus, {0x68}, {.sample_rate = 500});
+    ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz, .faulted_after = 1000}, bench.bus, {0x68},
+                  {.sample_rate = 500});
     bench.loop.advance(500ms);
     CHECK(imu.counts().lost == 0);
     bench.wires->chip(0x68).unplug();  // from the bus; it measures on
@@ -195,7 +196,7 @@ TEST_SUITE("sensors") {
   TEST_CASE(
       "US-15 a sensor that is read too seldom for its FIFO is faulted and says what to do; its ticks are failed") {
     ImuBench bench;
-    Imu imu(bench.loop, {.name = "imu", .rate = 2_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
+    ImuSensor imu(bench.loop, {.name = "imu", .rate = 2_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
     bench.loop.advance(10s);
     CHECK(bench.numbers.empty());
     CHECK(imu.counts().failed > 2);
@@ -207,7 +208,7 @@ TEST_SUITE("sensors") {
 
   TEST_CASE("US-15 a chip that has lost its settings is told of, set up again, and its samples are counted") {
     ImuBench bench;
-    Imu imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
+    ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
     bench.loop.advance(501ms);
     bench.mpu.lose_power();
     bench.loop.advance(500ms);
@@ -228,9 +229,9 @@ TEST_SUITE("sensors") {
         CAPTURE(count);
         ImuBench bench;
         bench.wires->chip(0x68).set_duration(1ms);
-        Imu imu(bench.loop,
-                {.name = "imu", .rate = 20_Hz, .faulted_after = 100, .retry_first = 10ms, .retry_longest = 10ms},
-                bench.bus, {0x68}, {.sample_rate = 500});
+        ImuSensor imu(bench.loop,
+                      {.name = "imu", .rate = 20_Hz, .faulted_after = 100, .retry_first = 10ms, .retry_longest = 10ms},
+                      bench.bus, {0x68}, {.sample_rate = 500});
         bench.loop.advance(400ms + at * 1ms);
         bench.wires->chip(0x68).fail(count, at % 2 == 0 ? ENXIO : EIO);
         bench.loop.advance(1s);
@@ -251,8 +252,8 @@ TEST_SUITE("sensors") {
       CAPTURE(period);
       ImuBench bench;
       bench.wires->chip(0x68).set_duration(1ms);
-      Imu imu(bench.loop, {.name = "imu", .rate = Rate::from_period(period * 1ms)}, bench.bus, {0x68},
-              {.sample_rate = 500});
+      ImuSensor imu(bench.loop, {.name = "imu", .rate = Rate::from_period(period * 1ms)}, bench.bus, {0x68},
+                    {.sample_rate = 500});
       bench.loop.advance(3s);
       CHECK(bench.are_whole);
       for (std::size_t i = 1; i < bench.numbers.size(); ++i) CHECK(bench.numbers[i] > bench.numbers[i - 1]);
@@ -267,7 +268,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-15 garbage from the bus is told, and never a sample") {
     for (const std::uint8_t garbage : {std::uint8_t{0x00}, std::uint8_t{0xff}}) {
       ImuBench bench;
-      Imu imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
+      ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus, {0x68}, {.sample_rate = 500});
       bench.loop.advance(300ms);
       const std::size_t before = bench.numbers.size();
       FakeI2cChip& chip = bench.wires->chip(0x68);
@@ -281,17 +282,71 @@ TEST_SUITE("sensors") {
     }
   }
 
+  TEST_CASE("US-15 the self-test of an MPU compares with what the factory has found") {
+    struct Change {
+      ImuModel model;
+      double acceleration, rate;  // g, degrees a second
+      const char* words;
+    };
+    // Codes of the MPU-6050: 16 and 8: 0.34 * (0.92 / 0.34)^(15 / 30) = 0.559 g, 25 * 1.046^7 = 34.25 degrees a second;
+    // of the MPU-6500: 100 and 50: 2620 / 16384 * 1.01^99 = 0.428 g, 20 * 1.01^49 = 32.57.
+    for (const Change& change : {Change{ImuModel::mpu6050, 0.559, 34.25, ""},
+                                 {ImuModel::mpu6050, 0.49, 34.25, ""},
+                                 {ImuModel::mpu6050, 0.46, 34.25, "its acceleration x changes by 4.5"},
+                                 {ImuModel::mpu6050, 0.66, 34.25, "its acceleration x changes by 6.4"},
+                                 {ImuModel::mpu6050, 0.559, -30.5, ""},
+                                 {ImuModel::mpu6050, 0.559, 40, "its angular velocity x changes by 0.69"},
+                                 {ImuModel::mpu6500, 0.3, 40, ""},
+                                 {ImuModel::mpu6500, 0.2, 40, "its acceleration x changes by 1.9"},
+                                 {ImuModel::mpu6500, 0.3, 15, "its angular velocity x changes by 0.26"}}) {
+      CAPTURE(change.acceleration);
+      CAPTURE(change.rate);
+      ImuBench bench;
+      I2cBus slow("i2c2", bench.wires, {.timeout = 1s});
+      FakeI2cChip& chip = bench.wires->chip(0x68);
+      const bool is_old = change.model == ImuModel::mpu6050;
+      if (is_old) {
+        chip.set(0x0d, {4 << 5 | 8, 4 << 5 | 8, 4 << 5 | 8, 0});
+      } else {
+        chip.set(0x75, {0x70});
+        chip.set(0x00, {50, 50, 50});
+        chip.set(0x0d, {100, 100, 100});
+      }
+      bool pushes = false, turns = false;
+      std::size_t at = 0;
+      chip.on_write(0x1c, [&](std::uint16_t value) { pushes = value >> 5 == 7; });
+      chip.on_write(0x1b, [&](std::uint16_t value) { turns = value >> 5 == 7; });
+      const auto byte_of = [&](double counts) {
+        const int number = static_cast<int>(std::lround(counts));
+        return static_cast<std::uint8_t>(at++ % 2 == 0 ? number >> 8 & 0xff : number & 0xff);
+      };
+      chip.on_read(0x3b, [&] { return byte_of(123 + (pushes ? change.acceleration * (is_old ? 4096 : 16384) : 0)); });
+      chip.on_read(0x43, [&] { return byte_of(-7 + (turns ? change.rate * 131 : 0)); });
+      ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, slow, {0x68},
+                    {.model = change.model, .sample_rate = 500, .self_test = true});
+      CHECK(!pushes);
+      if (std::string(change.words).empty()) {
+        CHECK_MESSAGE(imu.health() == Health::ok, imu.status().reason);
+        bench.loop.advance(1s);
+        CHECK(bench.numbers.size() > 400);
+        CHECK(bench.are_whole);
+      } else {
+        CHECK(imu.health() == Health::faulted);
+        CHECK_MESSAGE(imu.status().reason.find(change.words) != std::string::npos, imu.status().reason);
+      }
+    }
+  }
+
   TEST_CASE("US-15 another chip, and settings that it does not have, are told with what there is") {
     ImuBench bench;
     bench.wires->chip(0x68).set(0x75, {0x71});
-    Imu imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus);
+    ImuSensor imu(bench.loop, {.name = "imu", .rate = 50_Hz}, bench.bus);
     REQUIRE(bench.errors.size() == 1);
-    CHECK(
-        bench.errors[0] ==
-        "cannot use the chip as an MPU-6050: bus i2c1, 0x68: its identity is 0x71, that of an MPU-6050 is 0x68: it is "
-        "an MPU-9250: set `model`");
-    CHECK_THROWS_WITH_AS(Imu(bench.loop, {.name = "b", .rate = 50_Hz}, bench.bus, {0x69}, {.sample_rate = 300}),
-                         doctest::Contains("no whole number of milliseconds"), SetupError);
+    CHECK(bench.errors[0] ==
+          "cannot use the chip as an MPU-6050: bus i2c1, 0x68: its identity is 0x71, that of an MPU-6050 is 0x68: it "
+          "seems to be an MPU-9250: set `model`");
+    CHECK_THROWS_WITH_AS(ImuSensor(bench.loop, {.name = "b", .rate = 50_Hz}, bench.bus, {0x69}, {.sample_rate = 300}),
+                         doctest::Contains("300 is none of 4, 5, 8"), SetupError);
     const std::string
         problems = plan_system(
                        standard_registry(),
@@ -302,7 +357,7 @@ TEST_SUITE("sensors") {
                            "f.json"))
                        .problems.text();
     for (const char* part :
-         {"300 Hz is no whole number", "3 is none of 2, 4, 8, 16", "300 is none of 250", "50 is none of 188"})
+         {"300 is none of 4, 5, 8", "3 is none of 2, 4, 8, 16", "300 is none of 250", "50 is none of 188"})
       CHECK(problems.find(part) != std::string::npos);
   }
 }

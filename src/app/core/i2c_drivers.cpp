@@ -1,5 +1,7 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/bmp280.hpp"
+#include "rtdata/sensors/accelerometer.hpp"
+#include "rtdata/sensors/barometer.hpp"
+#include "rtdata/sensors/bno055.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
@@ -8,8 +10,10 @@
 namespace rtdata::app {
 
 void add_i2c_drivers(Registry& registry) {
-  registry.add_driver<Bmp280>();
-  registry.add_driver<Mpu6050>();
+  registry.add_driver<Barometer>();
+  registry.add_driver<Accelerometer>();
+  registry.add_driver<Imu>();
+  registry.add_driver<Bno055>();
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>();
   registry.add_driver<Ina>();

@@ -28,7 +28,7 @@ struct Identity {
   std::array<Driven, 2> drivers = {};
 };
 constexpr Identity identities[] = {
-    {{0x76, 0x77}, 0xd0, 0x58, "BMP280", {{{"bmp280"}, {"barometer", R"("model": "bmp280")"}}}},
+    {{0x76, 0x77}, 0xd0, 0x58, "BMP280", {{{"barometer", R"("model": "bmp280")"}}}},
     {{0x76, 0x77}, 0xd0, 0x60, "BME280", {{{"barometer", R"("model": "bme280")"}}}},
     {{0x76, 0x77}, 0x00, 0x50, "BMP388", {{{"barometer", R"("model": "bmp388")"}}}},
     {{0x76, 0x77}, 0x00, 0x60, "BMP390", {{{"barometer", R"("model": "bmp390")"}}}},
@@ -37,10 +37,11 @@ constexpr Identity identities[] = {
     {{0x68, 0x69}, 0x75, 0x71, "MPU-9250", {{{"imu", R"("model": "mpu9250")"}}}},
     {{0x6a, 0x6b}, 0x0f, 0x6c, "LSM6DSO or LSM6DSOX", {{{"imu", R"("model": "lsm6dso")"}}}},
     {{0x6a, 0x6b}, 0x0f, 0x69, "LSM6DS3", {{{"imu", R"("model": "lsm6ds3")"}}}},
+    {{0x6a, 0x6b}, 0x0f, 0x6a, "LSM6DS3TR-C", {{{"imu", R"("model": "lsm6ds3trc")"}}}},
     {{0x6a, 0x6b}, 0x0f, 0x68, "LSM9DS1, accelerometer and gyroscope", {{{"imu", R"("model": "lsm9ds1")"}}}},
     {{0x1c, 0x1e}, 0x0f, 0x3d, "LSM9DS1, magnetometer"},
-    {{0x1d, 0x53}, 0x00, 0xe5, "ADXL345", {{{"imu", R"("model": "adxl345")"}}}},
-    {{0x28, 0x29}, 0x00, 0xa0, "BNO055", {{{"imu", R"("model": "bno055")"}}}},
+    {{0x1d, 0x53}, 0x00, 0xe5, "ADXL345 or ADXL375", {{{"accelerometer", R"("model": "adxl345")"}}}},
+    {{0x28, 0x29}, 0x00, 0xa0, "BNO055", {{{"bno055"}}}},
 };
 
 /// Chips that are often at an address and say nothing of themselves.

@@ -1,0 +1,572 @@
+/// Barometer: pressure, temperature and altitude of a BMP280, BME280 (humidity too), BMP388, BMP390 or MS5611 on I2C.
+///
+///     rtdata::DriverSensor<rtdata::Barometer> air(loop, {.name = "air", .rate = 10_Hz}, bus, {.address = 0x76},
+///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
+///
+/// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
+/// both 76 ms); the bus is free for others meanwhile, and the event has the time of the start. An MS5611 measures its
+/// temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as `temperature_oversampling` says).
+///
+/// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that
+/// are all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
+/// settings, or gives the value of a measurement that was skipped, is told as unreadable; the next tick sets it again.
+///
+/// `altitude` is the pressure altitude of the ICAO standard atmosphere (`pressure_altitude`), less that of
+/// `reference_pressure`: what an altimeter that is set to this pressure shows. With the sea level's pressure it is the
+/// height above the sea, with that of the launch pad the height above it.
+///
+/// Sources: BMP280, BST-BMP280-DS001: 3.8.1 times, 3.11.3 and 8.1 compensation, 4.3 registers. BME280,
+/// BST-BME280-DS002: 4.2.3 and 8.1 compensation, 5.4 registers, 9.1 times. BMP388, BST-BMP388-DS001, and BMP390,
+/// BST-BMP390-DS002: 3.9.2 times, 4.3 registers, 9.1 to 9.3 compensation. MS5611-01BA03, TE data sheet of 2017:
+/// commands, conversion times, figures 2 and 3 compensation; checksum: AN520. Atmosphere: ICAO Doc 7488, the same as
+/// ISO 2533 and US Standard Atmosphere 1976 up to 80 km.
+///
+/// Driver (driver.hpp): used on the bus's lane.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/io/i2c.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+/// Geopotential height in m at which the standard atmosphere has this pressure in Pa: 0 at 101325 Pa, to 80 km (below 0
+/// Pa: NaN). Geometric heights are greater, by 35 m at 15 km. Layers: Doc 7488, table D; pressures at their bases
+/// follow from them.
+inline double pressure_altitude(double pressure) noexcept {
+  struct Layer {
+    double height, temperature, gradient;  // of its base: m, K; K/m
+  };
+  constexpr Layer layers[] = {{0, 288.15, -0.0065},    {11000, 216.65, 0}, {20000, 216.65, 0.001},
+                              {32000, 228.65, 0.0028}, {47000, 270.65, 0}, {51000, 270.65, -0.0028},
+                              {71000, 214.65, -0.002}};
+  constexpr double gravity_by_gas_constant = 9.80665 / 287.05287;
+  if (!(pressure > 0)) return std::numeric_limits<double>::quiet_NaN();
+  double base_pressure = 101325;
+  for (std::size_t i = 0;; ++i) {
+    const Layer& layer = layers[i];
+    const bool is_last = i + 1 == std::size(layers);
+    const double thickness = is_last ? 0 : layers[i + 1].height - layer.height;
+    const double top = layer.gradient == 0
+                           ? base_pressure * std::exp(-gravity_by_gas_constant * thickness / layer.temperature)
+                           : base_pressure * std::pow(1 + layer.gradient * thickness / layer.temperature,
+                                                      -gravity_by_gas_constant / layer.gradient);
+    if (is_last || pressure >= top) {
+      if (layer.gradient == 0)
+        return layer.height - std::log(pressure / base_pressure) * layer.temperature / gravity_by_gas_constant;
+      return layer.height + layer.temperature / layer.gradient *
+                                (std::pow(pressure / base_pressure, -layer.gradient / gravity_by_gas_constant) - 1);
+    }
+    base_pressure = top;
+  }
+}
+
+struct BarometerReading {
+  double pressure = 0;
+  double temperature = 0;            ///< of the chip
+  double altitude = 0;               ///< above where the pressure is `reference_pressure`
+  std::optional<double> humidity{};  ///< of a BME280
+  friend constexpr auto describe(type_tag<BarometerReading>) {
+    return record("barometer", field("pressure", &BarometerReading::pressure, "Pa"),
+                  field("temperature", &BarometerReading::temperature, "Cel"),
+                  field("altitude", &BarometerReading::altitude, "m"),
+                  field("humidity", &BarometerReading::humidity, "%RH"));
+  }
+};
+
+enum class BarometerModel { bmp280, bme280, bmp388, bmp390, ms5611 };
+
+/// What a chip has measured, in Pa, degrees Celsius and percent.
+struct AirMeasurement {
+  double pressure = 0, temperature = 0;
+  std::optional<double> humidity{};
+};
+
+/// Trimming parameters of BMP280 and BME280, and their compensation.
+struct Bmp280Trimming {
+  static constexpr std::uint8_t first_register = 0x88;
+  std::uint16_t t1 = 0;
+  std::int16_t t2 = 0, t3 = 0;
+  std::uint16_t p1 = 0;
+  std::int16_t p2 = 0, p3 = 0, p4 = 0, p5 = 0, p6 = 0, p7 = 0, p8 = 0, p9 = 0;
+  std::uint8_t h1 = 0, h3 = 0;
+  std::int16_t h2 = 0, h4 = 0, h5 = 0;
+  std::int8_t h6 = 0;
+
+  /// From registers 0x88 to 0x9f.
+  static Bmp280Trimming decode(std::span<const std::uint8_t, 24> bytes) noexcept {
+    const auto word = [&](std::size_t at) { return static_cast<std::uint16_t>(bytes[at] | bytes[at + 1] << 8); };
+    const auto signed_word = [&](std::size_t at) { return static_cast<std::int16_t>(word(at)); };
+    return {word(0),         signed_word(2),  signed_word(4),  word(6),         signed_word(8),  signed_word(10),
+            signed_word(12), signed_word(14), signed_word(16), signed_word(18), signed_word(20), signed_word(22)};
+  }
+  /// Humidity of a BME280: register 0xa1, and 0xe1 to 0xe7.
+  void decode_humidity(std::uint8_t first, std::span<const std::uint8_t, 7> bytes) noexcept {
+    h1 = first;
+    h2 = static_cast<std::int16_t>(static_cast<std::uint16_t>(bytes[0] | bytes[1] << 8));
+    h3 = bytes[2];
+    // 12 bits with a sign, of which 4 are in a register that they share.
+    h4 = static_cast<std::int16_t>(static_cast<std::int8_t>(bytes[3]) * 16 + (bytes[4] & 15));
+    h5 = static_cast<std::int16_t>(static_cast<std::int8_t>(bytes[5]) * 16 + (bytes[4] >> 4));
+    h6 = static_cast<std::int8_t>(bytes[6]);
+  }
+  bool is_usable() const noexcept { return t1 != 0 && p1 != 0; }
+
+  /// From registers 0xf7 to 0xfc, of a BME280 to 0xfe. Errors: bad-data (a measurement was skipped).
+  Result<AirMeasurement> measurement(std::span<const std::uint8_t> bytes) const {
+    const auto twenty_bits = [&](std::size_t at) {
+      return static_cast<std::uint32_t>(bytes[at]) << 12 | static_cast<std::uint32_t>(bytes[at + 1]) << 4 |
+             static_cast<std::uint32_t>(bytes[at + 2]) >> 4;
+    };
+    constexpr std::uint32_t skipped = 0x80000, skipped_humidity = 0x8000;  // as after a reset
+    const std::uint32_t pressure_code = twenty_bits(0), temperature_code = twenty_bits(3);
+    const auto failure = [](const char* why) {
+      return Error{Errc::bad_data, "cannot read the barometer", "", why, "it was reset, or is damaged"};
+    };
+    if (pressure_code == skipped || temperature_code == skipped) return failure("the measurement was skipped");
+    const double t = temperature_code;
+    const double fine = (t / 16384 - t1 / 1024.0) * t2 + (t / 131072 - t1 / 8192.0) * (t / 131072 - t1 / 8192.0) * t3;
+    const double half = fine / 2 - 64000;
+    const double curved = (half * half * p6 / 32768 + half * p5 * 2) / 4 + p4 * 65536.0;
+    const double slope = (1 + (p3 * half * half / 524288 + p2 * half) / 524288 / 32768) * p1;
+    if (slope == 0) return failure("its trimming parameters give no pressure");
+    const double raw = (1048576.0 - pressure_code - curved / 4096) * 6250 / slope;
+    AirMeasurement result{raw + (p9 * raw * raw / 2147483648.0 + raw * p8 / 32768 + p7) / 16, fine / 5120, {}};
+    if (bytes.size() < 8) return result;
+    const auto humidity_code = static_cast<std::uint32_t>(bytes[6] << 8 | bytes[7]);
+    if (humidity_code == skipped_humidity) return failure("the measurement of humidity was skipped");
+    const double off = fine - 76800;
+    const double dry = (humidity_code - (h4 * 64.0 + h5 / 16384.0 * off)) *
+                       (h2 / 65536.0 * (1 + h6 / 67108864.0 * off * (1 + h3 / 67108864.0 * off)));
+    result.humidity = std::clamp(dry * (1 - h1 * dry / 524288), 0.0, 100.0);
+    return result;
+  }
+};
+
+/// Trimming parameters of BMP388 and BMP390, and their compensation.
+struct Bmp388Trimming {
+  static constexpr std::uint8_t first_register = 0x31;
+  double t1 = 0, t2 = 0, t3 = 0;
+  double p1 = 0, p2 = 0, p3 = 0, p4 = 0, p5 = 0, p6 = 0, p7 = 0, p8 = 0, p9 = 0, p10 = 0, p11 = 0;
+
+  /// From registers 0x31 to 0x45; scales: 9.1.
+  static Bmp388Trimming decode(std::span<const std::uint8_t, 21> bytes) noexcept {
+    const auto word = [&](std::size_t at) { return static_cast<std::uint16_t>(bytes[at] | bytes[at + 1] << 8); };
+    const auto scaled = [](int number, int bits) { return std::ldexp(static_cast<double>(number), bits); };
+    const auto word_by = [&](std::size_t at, int bits) { return scaled(word(at), bits); };
+    const auto signed_by = [&](std::size_t at, int offset, int bits) {
+      return scaled(static_cast<std::int16_t>(word(at)) - offset, bits);
+    };
+    const auto byte_by = [&](std::size_t at, int bits) { return scaled(static_cast<std::int8_t>(bytes[at]), bits); };
+    return {
+        word_by(0, 8),    word_by(2, -30),       byte_by(4, -48),  signed_by(5, 16384, -20), signed_by(7, 16384, -29),
+        byte_by(9, -32),  byte_by(10, -37),      word_by(11, 3),   word_by(13, -6),          byte_by(15, -8),
+        byte_by(16, -15), signed_by(17, 0, -48), byte_by(19, -48), byte_by(20, -65)};
+  }
+  bool is_usable() const noexcept { return t1 != 0 && t2 != 0; }
+
+  /// From registers 0x04 to 0x09. Errors: bad-data (a measurement was skipped).
+  Result<AirMeasurement> measurement(std::span<const std::uint8_t> bytes) const {
+    const auto code = [&](std::size_t at) {
+      return static_cast<std::uint32_t>(bytes[at] | bytes[at + 1] << 8 | bytes[at + 2] << 16);
+    };
+    constexpr std::uint32_t skipped = 0x800000;
+    if (code(0) == skipped || code(3) == skipped)
+      return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
+                   "it was reset, or is damaged"};
+    const double p = code(0);
+    const double from_first = code(3) - t1;
+    const double t = from_first * t2 + from_first * from_first * t3;
+    const double offset = p5 + p6 * t + p7 * t * t + p8 * t * t * t;
+    const double slope = p1 + p2 * t + p3 * t * t + p4 * t * t * t;
+    return AirMeasurement{offset + p * slope + p * p * (p9 + p10 * t) + p * p * p * p11, t, {}};
+  }
+};
+
+/// The eight words of an MS5611's PROM, and its compensation.
+struct Ms5611Prom {
+  std::array<std::uint16_t, 8> words{};
+
+  /// AN520: of all words but the low byte of the last one, whose last four bits it is.
+  std::uint8_t checksum() const noexcept {
+    unsigned remainder = 0;
+    for (unsigned i = 0; i < 16; ++i) {
+      const unsigned word = i / 2 == 7 ? words[7] & 0xff00u : words[i / 2];
+      remainder ^= i % 2 == 1 ? word & 0xff : word >> 8;
+      for (int bit = 0; bit < 8; ++bit)
+        remainder = ((remainder & 0x8000) != 0 ? remainder << 1 ^ 0x3000 : remainder << 1) & 0xffff;
+    }
+    return static_cast<std::uint8_t>(remainder >> 12);
+  }
+  /// A PROM of zeros has a right checksum.
+  bool is_usable() const noexcept { return checksum() == (words[7] & 15) && words[1] != 0 && words[5] != 0; }
+
+  /// Of the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
+  Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
+    if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
+      return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};
+    const double difference = temperature_code - words[5] * 256.0;
+    double hundredths = 2000 + difference * words[6] / 8388608;
+    double offset = words[2] * 65536.0 + words[4] * difference / 128;
+    double slope = words[1] * 32768.0 + words[3] * difference / 256;
+    if (hundredths < 2000) {  // figure 3
+      const double cold = (hundredths - 2000) * (hundredths - 2000);
+      const double very = hundredths < -1500 ? (hundredths + 1500) * (hundredths + 1500) : 0;
+      offset -= 5 * cold / 2 + 7 * very;
+      slope -= 5 * cold / 4 + 11 * very / 2;
+      hundredths -= difference * difference / 2147483648.0;
+    }
+    return AirMeasurement{(pressure_code * slope / 2097152 - offset) / 32768, hundredths / 100, {}};
+  }
+};
+
+class Barometer {
+ public:
+  static constexpr std::string_view type = "barometer";
+  static constexpr std::string_view
+      description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
+  static constexpr std::string_view notes =
+      R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low,
+  0x77 when it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C.
+- Range: 300 to 1100 hPa (BMP390: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip goes on
+  beyond it, with a greater error.
+- `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
+  `reference_pressure` to today's pressure at sea level, or to that of the ground where heights are to begin.
+- Only a BME280 has `humidity`; of the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
+  identity; a wrong `model` is refused, and the error says which one it seems to be.
+- Oversampling averages: less noise, and a longer measurement, which must fit into the period of `rate`.
+)";
+  struct Config {
+    BarometerModel model = BarometerModel::bmp280;
+    std::optional<unsigned> pressure_oversampling{};     ///< unset: 1; of an MS5611 4096
+    std::optional<unsigned> temperature_oversampling{};  ///< unset: 1; of an MS5611 1024
+    std::optional<unsigned> humidity_oversampling{};     ///< of a BME280; unset: 1
+    double reference_pressure = 101325;                  ///< Pa: where the altitude is 0
+    friend constexpr auto parameters(type_tag<Config>) {
+      return parameter_list(
+          parameter("model", &Config::model, "which chip it is",
+                    choices(value("bmp280", BarometerModel::bmp280), value("bme280", BarometerModel::bme280),
+                            value("bmp388", BarometerModel::bmp388), value("bmp390", BarometerModel::bmp390),
+                            value("ms5611", BarometerModel::ms5611))),
+          parameter("pressure_oversampling", &Config::pressure_oversampling,
+                    "measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too); MS5611: 256, 512, "
+                    "1024, 2048 or 4096; default: 1, MS5611 4096",
+                    range(1, 4096)),
+          parameter("temperature_oversampling", &Config::temperature_oversampling,
+                    "as `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
+          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16; default: 1",
+                    only_with("model", "bme280"), range(1, 16)),
+          parameter("reference_pressure", &Config::reference_pressure,
+                    "where `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
+                    range(1000, 120000)));
+    }
+    friend void check_config(const Config& config, const ConfigItem& item, Problems& problems) {
+      config.check(item, problems);
+    }
+
+   private:
+    void check(const ConfigItem& item, Problems& problems) const {
+      for (const Setting& setting : settings_of(*this)) {
+        if (setting.mistake.empty()) continue;
+        const ConfigItem* at = item.find(setting.key);
+        problems.add((at != nullptr ? *at : item).problem("bad-value", setting.mistake));
+      }
+    }
+  };
+  using Value = BarometerReading;
+  using Device = I2cDevice;
+  static constexpr I2cDevice::Place place{0x76};
+
+  /// SetupError (bad-argument): an oversampling that the chip does not have.
+  explicit Barometer(const Config& config) : config_(config) {
+    const std::array<Setting, 3> settings = settings_of(config);
+    for (const Setting& setting : settings) {
+      if (!setting.mistake.empty())
+        throw SetupError(
+            {Errc::bad_argument, "cannot use this oversampling", std::string(setting.key), setting.mistake, ""});
+    }
+    pressure_ = settings[0].count;
+    temperature_ = settings[1].count;
+    humidity_ = settings[2].count;
+  }
+
+  /// Resets it, and reads identity and trimming parameters.
+  Result<void> open(I2cDevice& chip) {
+    switch (model().family) {
+      case Family::bmp2:
+        return open_bosch(chip, 0xe0, bmp2_);
+      case Family::bmp3:
+        return open_bosch(chip, 0x7e, bmp3_);
+      case Family::ms5:
+        return open_ms5611(chip);
+    }
+    return {};
+  }
+
+  Result<void> start(I2cDevice& chip) {
+    switch (model().family) {
+      case Family::bmp2:
+        // Humidity is used from the next writing of the other register on (BME280, 5.4.3).
+        if (model().has_humidity) {
+          if (auto done = chip.write_register(bmp2_humidity_register, humidity_bits()); !done) return done;
+        }
+        return chip.write_register(bmp2_control_register, static_cast<std::uint8_t>(bmp2_control() | forced));
+      case Family::bmp3:
+        if (auto done = chip.write_register(bmp3_oversampling_register, bmp3_oversampling()); !done) return done;
+        return chip.write_register(bmp3_power_register, bmp3_enabled | bmp3_forced);
+      case Family::ms5:
+        return command(chip, static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
+    }
+    return {};
+  }
+
+  Duration conversion_time() const noexcept {
+    const auto microseconds = [](unsigned count) { return Duration{std::chrono::microseconds{count}}; };
+    switch (model().family) {
+      case Family::bmp2:  // at most
+        return microseconds(1250 + 2300 * temperature_ + 2300 * pressure_ + 575 +
+                            (model().has_humidity ? 2300 * humidity_ + 575 : 0));
+      case Family::bmp3:  // typical; a fifth more
+        return microseconds((234 + 392 + 2020 * pressure_ + 163 + 2020 * temperature_) * 6 / 5);
+      case Family::ms5:
+        return ms5611_time(pressure_);
+    }
+    return {};
+  }
+
+  Reading<BarometerReading> read(I2cDevice& chip) {
+    switch (model().family) {
+      case Family::bmp2:
+        return read_bmp2(chip);
+      case Family::bmp3:
+        return read_bmp3(chip);
+      case Family::ms5:
+        return read_ms5611(chip);
+    }
+    return NothingNew{};
+  }
+
+  /// Reading of a measurement: with altitude. Errors: out-of-range (a pressure that no chip of these measures).
+  static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
+    constexpr double most = 200'000;
+    if (!(air.pressure > 0 && air.pressure <= most))
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is nothing that it measures",
+                   "look at its wires and its supply"};
+    return BarometerReading{air.pressure, air.temperature,
+                            pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};
+  }
+
+ private:
+  /// Chips whose registers and compensation are alike.
+  enum class Family { bmp2, bmp3, ms5 };
+  struct Model {
+    std::string_view name;
+    Family family;
+    std::uint8_t identity_register, identity;  // an MS5611 has none
+    bool has_humidity;
+    unsigned least_oversampling, most_oversampling;  // and the powers of 2 between
+    unsigned usual_pressure, usual_temperature;
+  };
+  static constexpr Model models[] = {{"BMP280", Family::bmp2, 0xd0, 0x58, false, 1, 16, 1, 1},
+                                     {"BME280", Family::bmp2, 0xd0, 0x60, true, 1, 16, 1, 1},
+                                     {"BMP388", Family::bmp3, 0x00, 0x50, false, 1, 32, 1, 1},
+                                     {"BMP390", Family::bmp3, 0x00, 0x60, false, 1, 32, 1, 1},
+                                     {"MS5611", Family::ms5, 0, 0, false, 256, 4096, 4096, 1024}};
+  static constexpr const char* what = "cannot read the barometer";
+  static constexpr std::uint8_t reset_command = 0xb6;
+  static constexpr std::uint8_t bmp2_humidity_register = 0xf2, bmp2_control_register = 0xf4, forced = 1;
+  static constexpr std::uint8_t bmp3_power_register = 0x1b, bmp3_oversampling_register = 0x1c;
+  static constexpr std::uint8_t bmp3_enabled = 0x03, bmp3_forced = 0x10;
+
+  struct Setting {
+    std::string_view key;
+    unsigned count;
+    std::string mistake;
+  };
+  static std::array<Setting, 3> settings_of(const Config& config) {
+    const Model& model = models[static_cast<std::size_t>(config.model)];
+    std::array<Setting, 3> all{
+        {{"pressure_oversampling", config.pressure_oversampling.value_or(model.usual_pressure), {}},
+         {"temperature_oversampling", config.temperature_oversampling.value_or(model.usual_temperature), {}},
+         {"humidity_oversampling", config.humidity_oversampling.value_or(1), {}}}};
+    std::string list;
+    for (unsigned count = model.least_oversampling; count <= model.most_oversampling; count *= 2)
+      list += (list.empty() ? "" : ", ") + std::to_string(count);
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      const unsigned count = all[i].count;
+      const bool is_of_humidity = i == 2;
+      if (is_of_humidity && !model.has_humidity) continue;
+      if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
+        all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.name) +
+                         " has";
+    }
+    return all;
+  }
+  const Model& model() const noexcept { return models[static_cast<std::size_t>(config_.model)]; }
+
+  /// Which of the chips with an identity is there, in words for an error; what the register had when it is none.
+  static std::string seems_to_be(I2cDevice& chip) {
+    for (const Model& other : models) {
+      if (other.family == Family::ms5) continue;
+      const Result<std::uint8_t> found = chip.read_register(other.identity_register);
+      if (found && *found == other.identity) return "it seems to be a " + std::string(other.name) + ": set `model`";
+    }
+    const Result<std::uint8_t> found = chip.read_register(0xd0);
+    if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
+    if (found && *found == 0x61) return "it seems to be a BME680, which has no driver here";
+    return "look at which chip is at this address, and at `model`";
+  }
+
+  template <class Trimming>
+  Result<void> open_bosch(I2cDevice& chip, std::uint8_t reset_register, Trimming& trimming) {
+    const Result<std::uint8_t> found = chip.read_register(model().identity_register);
+    if (!found) return found.error();
+    const std::string name(model().name);
+    if (*found != model().identity) {
+      return chip.error(Errc::bad_data, "cannot use the chip as a " + name,
+                        "its identity is " + to_string(I2cAddress(*found)) + ", that of a " + name + " is " +
+                            to_string(I2cAddress(model().identity)),
+                        seems_to_be(chip));
+    }
+    if (auto done = chip.write_register(reset_register, reset_command); !done) return done;
+    chip.wait(std::chrono::milliseconds{3});  // start-up: 2 ms
+    std::array<std::uint8_t, std::is_same_v<Trimming, Bmp280Trimming> ? 24 : 21> bytes{};
+    if (auto done = chip.read_registers(Trimming::first_register, bytes); !done) return done;
+    trimming = Trimming::decode(bytes);
+    const bool are_alike = std::all_of(bytes.begin(), bytes.end(), [&](std::uint8_t byte) { return byte == bytes[0]; });
+    if (are_alike || !trimming.is_usable()) {
+      return chip.error(Errc::bad_data, "cannot use the " + name,
+                        are_alike ? "its trimming parameters are all " + to_string(I2cAddress(bytes[0]))
+                                  : "there are zeros among its trimming parameters",
+                        "the chip is damaged, or its wires are bad");
+    }
+    if constexpr (std::is_same_v<Trimming, Bmp280Trimming>) {
+      if (model().has_humidity) {
+        const Result<std::uint8_t> first = chip.read_register(0xa1);
+        if (!first) return first.error();
+        std::array<std::uint8_t, 7> rest{};
+        if (auto done = chip.read_registers(0xe1, rest); !done) return done;
+        trimming.decode_humidity(*first, rest);
+        if (trimming.h2 == 0 || trimming.h2 == -1)
+          return chip.error(Errc::bad_data, "cannot use the " + name, "its trimming parameters of humidity are none",
+                            "the chip is damaged");
+      }
+    }
+    return {};
+  }
+
+  /// 1 for one measurement, 2 for two, 3 for four ...
+  static std::uint8_t one_and_log(unsigned count) { return static_cast<std::uint8_t>(std::bit_width(count)); }
+  static std::uint8_t log_of(unsigned count) { return static_cast<std::uint8_t>(std::bit_width(count) - 1); }
+  std::uint8_t humidity_bits() const { return one_and_log(humidity_); }
+  std::uint8_t bmp2_control() const {
+    return static_cast<std::uint8_t>(one_and_log(temperature_) << 5 | one_and_log(pressure_) << 2);
+  }
+  std::uint8_t bmp3_oversampling() const {
+    return static_cast<std::uint8_t>(log_of(temperature_) << 3 | log_of(pressure_));
+  }
+
+  static Unreadable lost_settings(I2cDevice& chip) {
+    return Unreadable{
+        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+  }
+  static Error measures_still(I2cDevice& chip) {
+    return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+  }
+  Reading<BarometerReading> reading_of(I2cDevice& chip, const Result<AirMeasurement>& air) const {
+    auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());
+    if (!made) {
+      const Error& error = made.error();
+      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
+    }
+    return *made;
+  }
+
+  Reading<BarometerReading> read_bmp2(I2cDevice& chip) {
+    // Humidity, status, control, configuration, one that is none, and the data.
+    constexpr std::size_t data = 0xf7 - bmp2_humidity_register;
+    constexpr std::uint8_t measuring = 0x08, mode = 0x03;
+    std::array<std::uint8_t, data + 8> bytes{};
+    const auto used = std::span(bytes).first(data + (model().has_humidity ? 8 : 6));
+    if (auto done = chip.read_registers(bmp2_humidity_register, used); !done) return std::move(done).error();
+    if ((bytes[1] & measuring) != 0) return measures_still(chip);
+    if ((bytes[2] & ~mode) != bmp2_control()) return lost_settings(chip);  // it returns to sleep by itself
+    if (model().has_humidity && bytes[0] != humidity_bits()) return lost_settings(chip);
+    return reading_of(chip, bmp2_.measurement(used.subspan(data)));
+  }
+
+  Reading<BarometerReading> read_bmp3(I2cDevice& chip) {
+    std::array<std::uint8_t, 2> settings{};
+    if (auto done = chip.read_registers(bmp3_power_register, settings); !done) return std::move(done).error();
+    if ((settings[0] & bmp3_enabled) != bmp3_enabled || settings[1] != bmp3_oversampling()) return lost_settings(chip);
+    constexpr std::uint8_t both_ready = 0x60;
+    std::array<std::uint8_t, 7> bytes{};  // status and data
+    if (auto done = chip.read_registers(0x03, bytes); !done) return std::move(done).error();
+    if ((bytes[0] & both_ready) != both_ready) return measures_still(chip);
+    return reading_of(chip, bmp3_.measurement(std::span(bytes).subspan(1)));
+  }
+
+  static Result<void> command(I2cDevice& chip, std::uint8_t code) { return chip.write({&code, 1}); }
+  /// 0 for 256, 1 for 512 ...
+  static unsigned ms5611_index(unsigned oversampling) {
+    return static_cast<unsigned>(std::bit_width(oversampling)) - 9;
+  }
+  /// At most.
+  static Duration ms5611_time(unsigned oversampling) {
+    constexpr int microseconds[] = {600, 1170, 2280, 4540, 9040};
+    return std::chrono::microseconds{microseconds[ms5611_index(oversampling)]};
+  }
+  static Result<std::uint32_t> ms5611_result(I2cDevice& chip) {
+    std::array<std::uint8_t, 3> bytes{};
+    if (auto done = chip.read_registers(0x00, bytes); !done) return std::move(done).error();
+    return static_cast<std::uint32_t>(bytes[0] << 16 | bytes[1] << 8 | bytes[2]);
+  }
+
+  Result<void> open_ms5611(I2cDevice& chip) {
+    if (auto done = command(chip, 0x1e); !done) return done;  // reset
+    chip.wait(std::chrono::milliseconds{3});                  // 2.8 ms
+    for (std::size_t i = 0; i < prom_.words.size(); ++i) {
+      const Result<std::uint16_t> word = chip.read_word(static_cast<std::uint8_t>(0xa0 + 2 * i));
+      if (!word) return word.error();
+      prom_.words[i] = *word;
+    }
+    if (prom_.is_usable()) return {};
+    const bool are_alike = std::all_of(prom_.words.begin(), prom_.words.end(),
+                                       [&](std::uint16_t word) { return word == prom_.words[0]; });
+    return chip.error(Errc::bad_data, "cannot use the chip as an MS5611",
+                      are_alike ? "its PROM has the same in all places" : "the checksum of its PROM is wrong",
+                      seems_to_be(chip));
+  }
+
+  Reading<BarometerReading> read_ms5611(I2cDevice& chip) {
+    const Result<std::uint32_t> pressure = ms5611_result(chip);
+    if (!pressure) return pressure.error();
+    if (auto done = command(chip, static_cast<std::uint8_t>(0x50 | ms5611_index(temperature_) << 1)); !done)
+      return std::move(done).error();
+    chip.wait(ms5611_time(temperature_));
+    const Result<std::uint32_t> temperature = ms5611_result(chip);
+    if (!temperature) return temperature.error();
+    return reading_of(chip, prom_.measurement(*pressure, *temperature));
+  }
+
+  Config config_;
+  unsigned pressure_ = 1, temperature_ = 1, humidity_ = 1;  // oversampling
+  Bmp280Trimming bmp2_;
+  Bmp388Trimming bmp3_;
+  Ms5611Prom prom_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,615 @@
+/// InertialChip: accelerometers and gyroscopes on I2C that measure by themselves and keep their samples in a FIFO. What
+/// differs between them is data, in an `InertialModel`: registers, codes, the shape of the FIFO, scales, self-test.
+///
+/// The types `imu` and `accelerometer` (imu.hpp, accelerometer.hpp) are made of it, and have the tables of models:
+///
+///     class Tilt {                                       // a driver
+///       rtdata::InertialChip chip_{model, settings};
+///       Result<void> read(I2cDevice& chip, Samples<Value>& out) {
+///         return chip_.read(chip, out, [](const InertialSample& sample) { return Value{sample.acceleration[0]}; });
+///       }
+///     };
+///
+/// Times: the chips have no clock that is read. The newest sample of a read is at most one period old; the others are
+/// spread evenly since the last one before. So they follow the chip's own rate, which is learned, and are right within
+/// a period.
+///
+/// Losses: a FIFO that ran over, settings that were lost (they are set again), a transfer that failed in the middle:
+/// how many samples the chip has taken meanwhile is known from the time and the learned rate, within one; where a
+/// sample carries a counter (LSM6DSO), exactly.
+///
+/// Used on the bus's lane, as drivers are.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <numbers>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/io/i2c.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+inline constexpr double standard_gravity = 9.80665;                   ///< m/s2
+inline constexpr double radians_a_degree = std::numbers::pi / 180.0;  ///< rad
+
+/// A number that a setting can have, in the words of the data sheet (Hz, g, degrees a second), and its code.
+struct InertialChoice {
+  double number;
+  std::uint8_t code;
+  double per_count = 0;  ///< of a range: m/s2 or rad/s
+};
+
+/// A register that is written, its value made of the codes of the settings: `value` plus each code times its factor.
+struct InertialWrite {
+  std::uint8_t number;
+  std::uint8_t value = 0;
+  std::uint8_t by_rate = 0, by_acceleration = 0, by_angle = 0, by_filter = 0;
+  Duration pause = Duration{0};  ///< that the chip needs afterwards
+};
+
+/// How the FIFO is asked and read.
+struct InertialFifo {
+  InertialWrite off, on;         ///< emptied by going off and on; `on` that does not read back: lost settings
+  std::uint8_t status = 0;       ///< register of the number of samples
+  std::size_t status_bytes = 1;  ///< the first one is the lowest, unless `big_endian`
+  std::uint32_t count_mask = 0;  ///< in the status
+  std::uint32_t over_mask = 0;   ///< it has run over
+  std::uint32_t torn_mask = 0;   ///< the next byte is not the first one of a sample
+  std::uint8_t over_register = 0, over_bit = 0;  ///< where that it ran over is asked for apart, and is cleared by it
+  std::size_t count_bytes = 1;                   ///< of what is counted
+  std::size_t capacity = 0;                      ///< bytes
+  bool keeps_whole_samples = false;              ///< when it runs over, the oldest is gone; else nobody knows
+  std::uint8_t data = 0;                         ///< register it is read from
+  bool is_stream = false;                        ///< the register is read on and on; else once for each sample
+  std::uint8_t second_data = 0;                  ///< of a second reading of 6 bytes for each sample; 0: none
+  bool is_tagged = false;                        ///< words of 7 bytes, of which one says what it is (LSM6DSO)
+  unsigned to_discard = 0;                       ///< samples after it is switched on
+};
+
+/// By how much the self-test must change an output, whatever the sign: m/s2 or rad/s.
+struct InertialLimits {
+  double least = 0, most = 0;
+};
+/// Of acceleration X, Y, Z, then angular velocity.
+using InertialSixLimits = std::array<InertialLimits, 6>;
+
+/// The self-test: bits that make the chip push its own masses, and what must come of it.
+struct InertialSelfTest {
+  std::uint8_t acceleration_register = 0, acceleration_on = 0;  ///< 0: it has none here
+  std::uint8_t angle_register = 0, angle_on = 0;
+  std::uint8_t acceleration_output = 0, angle_output = 0;  ///< registers
+  double acceleration_range = 0, angle_range = 0;          ///< at which it is done
+  InertialSixLimits limits{};
+  Result<InertialSixLimits> (*limits_of)(I2cDevice& chip) = nullptr;  ///< where each chip has its own
+};
+
+struct InertialModel {
+  std::string_view name;
+  std::uint8_t identity_register, identity;
+  std::span<const InertialChoice> rates, accelerations, angles, filters;  ///< empty: it has no such setting
+  std::span<const InertialWrite> setting_up, sleeping;
+  InertialFifo fifo;
+  bool big_endian = false;
+  std::size_t sample_bytes = 6;
+  int acceleration_at = 0, angle_at = -1, temperature_at = -1;  ///< in a sample; -1: it is not there
+  std::uint8_t temperature_register = 0;                        ///< 0: there is none, or it is in the samples
+  double counts_per_degree = 1, degrees_at_zero = 0;
+  InertialSelfTest self_test = {};
+};
+
+/// What a configuration has chosen; none: the default of the model.
+struct InertialSettings {
+  std::optional<double> rate{}, acceleration{}, angle{}, filter{};
+  bool self_test = false;
+};
+
+struct InertialSample {
+  std::array<double, 3> acceleration{}, angular_velocity{};  ///< m/s2, rad/s
+  std::optional<double> temperature{};                       ///< degrees Celsius
+};
+
+class InertialChip {
+ public:
+  /// What is wrong with a setting, and its key in the configuration.
+  struct Mistake {
+    std::string_view key;
+    std::string why;
+  };
+  static std::vector<Mistake> mistakes_in(const InertialModel& model, const InertialSettings& settings) {
+    std::vector<Mistake> mistakes;
+    const auto check = [&](std::string_view key, std::span<const InertialChoice> choices,
+                           std::optional<double> wanted) {
+      if (!wanted || find(choices, *wanted) != nullptr) return;
+      std::string list;
+      for (const InertialChoice& one : choices) list += (list.empty() ? "" : ", ") + text_of(one.number);
+      mistakes.push_back({key, choices.empty() ? "the " + std::string(model.name) + " has no such setting"
+                                               : text_of(*wanted) + " is none of " + list + ", which the " +
+                                                     std::string(model.name) + " has"});
+    };
+    check("sample_rate", model.rates, settings.rate);
+    check("acceleration_range", model.accelerations, settings.acceleration);
+    check("angular_range", model.angles, settings.angle);
+    check("bandwidth", model.filters, settings.filter);
+    if (settings.self_test && model.self_test.acceleration_on == 0)
+      mistakes.push_back({"self_test", "there are no limits for that of the " + std::string(model.name)});
+    return mistakes;
+  }
+  static void check(const InertialModel& model, const InertialSettings& settings, const ConfigItem& item,
+                    Problems& problems) {
+    for (Mistake& mistake : mistakes_in(model, settings)) {
+      const ConfigItem* at = item.find(mistake.key);
+      problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(mistake.why)));
+    }
+  }
+
+  /// `all`: the models of its kind, by which one that is not meant is recognised. SetupError (bad-argument): a setting
+  /// that the model does not have.
+  InertialChip(const InertialModel& model, std::span<const InertialModel> all, const InertialSettings& settings)
+      : model_(model), all_(all), is_tested_(settings.self_test) {
+    for (Mistake& mistake : mistakes_in(model, settings))
+      throw SetupError(
+          {Errc::bad_argument, "cannot use this setting", std::string(mistake.key), std::move(mistake.why), ""});
+    // By default the widest range, and the first rate from 100 Hz on.
+    rate_ = settings.rate ? find(model.rates, *settings.rate) : nullptr;
+    for (std::size_t i = 0; i < model.rates.size() && rate_ == nullptr; ++i)
+      if (model.rates[i].number >= 100) rate_ = &model.rates[i];
+    acceleration_ = chosen(model.accelerations, settings.acceleration);
+    angle_ = chosen(model.angles, settings.angle);
+    const InertialChoice* filter = settings.filter ? find(model.filters, *settings.filter) : nullptr;
+    filter_code_ = filter != nullptr ? filter->code : 3;  // 42 Hz of those that have one
+    nominal_period_ = period_ = Duration{std::llround(1e9 / rate_->number)};
+    bytes_.resize(model.fifo.capacity);
+    found_.reserve(model.fifo.capacity / model.sample_bytes + 1);
+    // Two words of 7 bytes a sample, and a half one from the read before.
+    if (model.fifo.is_tagged) joined_.resize(model.fifo.capacity / 14 * 12 + 12);
+  }
+
+  /// Identity, self-test, settings; it measures then.
+  Result<void> open(I2cDevice& chip) {
+    const Result<std::uint8_t> found = chip.read_register(model_.identity_register);
+    if (!found) return found.error();
+    if (*found != model_.identity) return another_chip(chip, *found);
+    if (is_tested_) {
+      if (auto passed = test(chip); !passed) return passed;
+    }
+    auto done = set_up(chip);
+    begin_at(Samples<int>::now());
+    is_new_ = true;
+    return done;
+  }
+
+  /// Empties the FIFO; `make` makes the payload of a sample.
+  template <class Value, class Make>
+  Result<void> read(I2cDevice& chip, Samples<Value>& out, const Make& make) {
+    const InertialFifo& fifo = model_.fifo;
+    // Settings that are lost would look like a chip without news.
+    const Result<std::uint8_t> mode = chip.read_register(fifo.on.number);
+    if (!mode) return mode.error();
+    if (*mode != value_of(fifo.on)) {
+      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply"));
+      auto done = set_up(chip);
+      if (done) give_up_samples(Samples<Value>::now(), out);
+      return done;
+    }
+    bool has_run_over = false;
+    if (fifo.over_register != 0 && fifo.keeps_whole_samples) {  // before the samples, whose reading clears it
+      const Result<std::uint8_t> over = chip.read_register(fifo.over_register);
+      if (!over) return over.error();
+      has_run_over = (*over & fifo.over_bit) != 0;
+    }
+    const Result<std::uint32_t> status = read_status(chip);
+    if (!status) return status.error();
+    const MonotonicTime now = Samples<Value>::now();
+    const std::size_t filled = (*status & fifo.count_mask) * fifo.count_bytes;
+    if (filled > fifo.capacity) {
+      return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
+                        "look at its wires");
+    }
+    has_run_over = has_run_over || (*status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
+    if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (*status & fifo.torn_mask) != 0))
+      return restart(chip, out);
+    if (filled == 0 && !has_run_over) return {};
+
+    std::size_t read = 0;
+    Result<void> result = read_fifo(chip, filled, read);
+    if (!fifo.keeps_whole_samples) {
+      is_torn_ = true;  // if this fails, nobody knows how much of it has come, and where a sample begins
+      if (!result) {
+        (void)restart(chip, out);
+        return result;
+      }
+      // Asked for afterwards: one that ran over meanwhile has dropped bytes of the samples that were being read.
+      const Result<bool> over = has_run_over_meanwhile(chip);
+      if (!over) return over.error();
+      if (*over) return restart(chip, out);
+      is_torn_ = false;
+    }
+    std::optional<double> temperature;
+    if (result && model_.temperature_register != 0) {
+      std::array<std::uint8_t, 2> bytes{};
+      result = chip.read_registers(model_.temperature_register, bytes);
+      if (result) temperature = degrees(bytes, 0);
+    }
+    const bool has_gap = has_run_over || is_uncertain_;
+    const bool has_samples = take(read, filled - read, has_gap, now, temperature, out, make);
+    is_uncertain_ = !result || (has_gap && !has_samples);
+    if (const auto bad = std::exchange(bad_words_, 0); bad > 0) {
+      out.unreadable(chip.error(Errc::bad_data, what, std::to_string(bad) + " words of its FIFO have a wrong parity",
+                                "look at its wires"));
+    }
+    return result;
+  }
+
+  /// Sleeps.
+  void close(I2cDevice& chip) {
+    for (const InertialWrite& write : model_.sleeping) (void)chip.write_register(write.number, write.value);
+  }
+
+  /// A sample as the chip's FIFO has it; one that is tagged: angular velocity, then acceleration.
+  InertialSample decode(std::span<const std::uint8_t> bytes) const noexcept {
+    InertialSample sample;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      sample.acceleration[axis] = word(bytes, static_cast<std::size_t>(model_.acceleration_at) + 2 * axis) *
+                                  acceleration_->per_count;
+      if (model_.angle_at >= 0)
+        sample.angular_velocity[axis] = word(bytes, static_cast<std::size_t>(model_.angle_at) + 2 * axis) *
+                                        angle_->per_count;
+    }
+    if (model_.temperature_at >= 0)
+      sample.temperature = degrees(bytes, static_cast<std::size_t>(model_.temperature_at));
+    return sample;
+  }
+
+ private:
+  static constexpr const char* what = "cannot read the inertial sensor";
+
+  static const InertialChoice* find(std::span<const InertialChoice> choices, double number) {
+    for (const InertialChoice& one : choices)
+      if (std::abs(one.number - number) < 1e-6) return &one;
+    return nullptr;
+  }
+  /// The widest one when none was chosen.
+  static const InertialChoice* chosen(std::span<const InertialChoice> choices, std::optional<double> number) {
+    if (number) return find(choices, *number);
+    const auto widest = std::max_element(choices.begin(), choices.end(),
+                                         [](const auto& a, const auto& b) { return a.number < b.number; });
+    return widest != choices.end() ? &*widest : nullptr;
+  }
+  static std::string text_of(double number) {
+    std::string text = std::to_string(number);
+    text.erase(text.find_last_not_of('0') + 1);
+    if (text.back() == '.') text.pop_back();
+    return text;
+  }
+
+  double word(std::span<const std::uint8_t> bytes, std::size_t at) const noexcept {
+    const unsigned low = bytes[at + (model_.big_endian ? 1 : 0)], high = bytes[at + (model_.big_endian ? 0 : 1)];
+    return static_cast<std::int16_t>(static_cast<std::uint16_t>(high << 8 | low));
+  }
+  double degrees(std::span<const std::uint8_t> bytes, std::size_t at) const noexcept {
+    return word(bytes, at) / model_.counts_per_degree + model_.degrees_at_zero;
+  }
+
+  std::uint8_t value_of(const InertialWrite& write) const noexcept {
+    return static_cast<std::uint8_t>(write.value + rate_->code * write.by_rate +
+                                     (acceleration_ != nullptr ? acceleration_->code * write.by_acceleration : 0) +
+                                     (angle_ != nullptr ? angle_->code * write.by_angle : 0) +
+                                     filter_code_ * write.by_filter);
+  }
+  Result<void> write(I2cDevice& chip, const InertialWrite& write) const {
+    auto done = chip.write_register(write.number, value_of(write));
+    if (done && write.pause > Duration{0}) chip.wait(write.pause);
+    return done;
+  }
+  /// All settings, then the FIFO.
+  Result<void> set_up(I2cDevice& chip) {
+    for (const InertialWrite& one : model_.setting_up)
+      if (auto done = write(chip, one); !done) return done;
+    return empty_fifo(chip);
+  }
+  Result<void> empty_fifo(I2cDevice& chip) {
+    const InertialFifo& fifo = model_.fifo;
+    if (auto done = write(chip, fifo.off); !done) return done;
+    if (fifo.over_register != 0) {
+      if (auto cleared = chip.read_register(fifo.over_register); !cleared) return cleared.error();
+    }
+    auto done = write(chip, fifo.on);
+    if (!done) return done;
+    is_torn_ = false;
+    is_uncertain_ = false;
+    to_discard_ = fifo.to_discard;
+    half_ = {};
+    counter_.reset();
+    return done;
+  }
+
+  Error another_chip(I2cDevice& chip, std::uint8_t found) const {
+    std::string advice = "look at which chip is at this address, and at `model`";
+    for (const InertialModel& other : all_) {
+      const Result<std::uint8_t> its = chip.read_register(other.identity_register);
+      if (!its || *its != other.identity) continue;
+      advice = "it seems to be an " + std::string(other.name) + ": set `model`";
+      break;
+    }
+    const std::string name(model_.name);
+    return chip.error(Errc::bad_data, "cannot use the chip as an " + name,
+                      "its identity is " + to_string(I2cAddress(found)) + ", that of an " + name + " is " +
+                          to_string(I2cAddress(model_.identity)),
+                      std::move(advice));
+  }
+
+  Result<std::uint32_t> read_status(I2cDevice& chip) const {
+    std::array<std::uint8_t, 4> bytes{};
+    const auto used = std::span(bytes).first(model_.fifo.status_bytes);
+    if (auto done = chip.read_registers(model_.fifo.status, used); !done) return std::move(done).error();
+    std::uint32_t status = 0;
+    for (std::size_t i = 0; i < used.size(); ++i)
+      status |= static_cast<std::uint32_t>(used[i]) << 8 * (model_.big_endian ? used.size() - 1 - i : i);
+    return status;
+  }
+  Result<bool> has_run_over_meanwhile(I2cDevice& chip) const {
+    if (model_.fifo.over_register != 0) {
+      const Result<std::uint8_t> over = chip.read_register(model_.fifo.over_register);
+      if (!over) return over.error();
+      return (*over & model_.fifo.over_bit) != 0;
+    }
+    const Result<std::uint32_t> status = read_status(chip);
+    if (!status) return status.error();
+    return (*status & model_.fifo.over_mask) != 0;
+  }
+
+  /// Whole samples (or words) into `bytes_`; `read`: so many bytes have come.
+  Result<void> read_fifo(I2cDevice& chip, std::size_t filled, std::size_t& read) {
+    const InertialFifo& fifo = model_.fifo;
+    constexpr std::size_t longest = 1024;  // of a transfer: what all adapters can do
+    const std::size_t unit = fifo.is_tagged ? fifo.count_bytes : model_.sample_bytes;
+    const std::size_t all = filled / unit * unit;
+    while (read < all) {
+      const auto rest = std::span(bytes_).subspan(read, all - read);
+      if (fifo.is_stream) {
+        const auto piece = rest.first(std::min(rest.size(), longest / unit * unit));
+        if (auto done = chip.read_registers(fifo.data, piece); !done) return done;
+        read += piece.size();
+        continue;
+      }
+      const auto sample = rest.first(unit);
+      if (auto done = chip.read_registers(fifo.data, sample.first(6)); !done) return done;
+      if (fifo.second_data != 0) {
+        if (auto done = chip.read_registers(fifo.second_data, sample.subspan(6)); !done) return done;
+      }
+      read += unit;
+    }
+    return {};
+  }
+
+  /// A sample in `bytes_`, or in `joined_` where they are tagged: how many were left out before it, where it is.
+  struct Found {
+    std::size_t left_out, at;
+  };
+  /// Both halves of a tagged sample, as they come.
+  struct Half {
+    std::optional<unsigned> counter;
+    bool has_angle = false, has_acceleration = false;
+    std::array<std::uint8_t, 12> bytes{};
+  };
+
+  /// Joins the words of a tagged FIFO to samples.
+  void join(std::size_t size) {
+    std::size_t to = 0;
+    for (std::size_t at = 0; at + 7 <= size; at += 7) {
+      const std::uint8_t tag = bytes_[at];
+      const unsigned kind = tag >> 3, counter = tag >> 1 & 3;
+      constexpr unsigned of_gyroscope = 1, of_accelerometer = 2;
+      if (std::popcount(tag) % 2 != 0) {
+        ++bad_words_;
+        continue;
+      }
+      if (kind != of_gyroscope && kind != of_accelerometer) continue;
+      if (half_.counter != counter) half_ = {counter, false, false, {}};
+      std::copy_n(bytes_.begin() + static_cast<std::ptrdiff_t>(at + 1), 6,
+                  half_.bytes.begin() + (kind == of_gyroscope ? 0 : 6));
+      (kind == of_gyroscope ? half_.has_angle : half_.has_acceleration) = true;
+      if (!half_.has_angle || !half_.has_acceleration) continue;
+      std::copy(half_.bytes.begin(), half_.bytes.end(), joined_.begin() + static_cast<std::ptrdiff_t>(to));
+      found_.push_back({counter_ ? (counter - *counter_ - 1) & 3 : 0, to});
+      counter_ = counter;
+      to += 12;
+      half_ = {};
+    }
+  }
+
+  /// Makes events of the `size` bytes that were read; `left` bytes are in the FIFO still. False: there was no sample.
+  template <class Value, class Make>
+  bool take(std::size_t size, std::size_t left, bool has_gap, MonotonicTime now, std::optional<double> temperature,
+            Samples<Value>& out, const Make& make) {
+    found_.clear();
+    const bool knows_counter = counter_.has_value();
+    if (model_.fifo.is_tagged) {
+      join(size);
+    } else {
+      for (std::size_t at = 0; at < size; at += model_.sample_bytes) found_.push_back({0, at});
+    }
+    std::size_t first = 0;
+    for (; to_discard_ > 0 && first < found_.size(); ++first, --to_discard_) {
+      last_ += period_;
+      if (!is_new_) out.lost(1);
+    }
+    if (to_discard_ == 0) is_new_ = false;
+    if (first == found_.size()) return false;
+    const std::size_t still = left / (model_.fifo.is_tagged ? std::size_t{14} : model_.sample_bytes);
+    const auto samples = std::span(found_).subspan(first);
+    if (has_gap) {  // as many as the chip has taken, less those that are here
+      std::int64_t taken = now > last_ ? (now - last_) / period_ : 0;
+      std::int64_t gone = std::max<std::int64_t>(taken - static_cast<std::int64_t>(samples.size() + still), 0);
+      if (model_.fifo.is_tagged && knows_counter) {  // the nearest number with these last two bits
+        const auto bits = static_cast<std::int64_t>(samples.front().left_out);
+        gone = std::max<std::int64_t>(gone - 1, 0);
+        gone += (bits - gone) & 3;
+      }
+      out.lost(static_cast<std::uint64_t>(gone));
+      last_ += gone * period_;
+      samples.front().left_out = 0;
+      anchor(last_);
+    }
+    std::size_t positions = 0;
+    for (const Found& one : samples) positions += one.left_out + 1;
+    const auto count = static_cast<std::int64_t>(positions + still);
+    // The newest one in the FIFO is between now and one period ago.
+    const MonotonicTime newest = std::clamp(last_ + count * period_, now - period_, now);
+    const Duration step = std::max(newest - last_, Duration{0}) / count;
+    MonotonicTime time = last_;
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      out.lost(samples[i].left_out);
+      time += static_cast<std::int64_t>(samples[i].left_out + 1) * step;
+      InertialSample sample = decode(
+          std::span(model_.fifo.is_tagged ? joined_ : bytes_).subspan(samples[i].at, model_.sample_bytes));
+      if (temperature && i + 1 == samples.size()) sample.temperature = temperature;
+      out.add(make(sample), time);
+    }
+    last_ = time;
+    learn(positions);
+    return true;
+  }
+
+  /// The chip's own period: over some seconds, since an end of it is known within a period only.
+  void learn(std::size_t positions) {
+    since_anchor_ += positions;
+    if (since_anchor_ < 500) return;
+    const Duration measured = (last_ - anchor_) / static_cast<std::int64_t>(since_anchor_);
+    period_ = std::clamp(measured, nominal_period_ * 8 / 10, nominal_period_ * 12 / 10);
+    if (since_anchor_ >= 10000) anchor(last_);
+  }
+  void anchor(MonotonicTime time) {
+    anchor_ = time;
+    since_anchor_ = 0;
+  }
+  void begin_at(MonotonicTime time) {
+    last_ = time;
+    anchor(time);
+  }
+
+  /// Those that it has taken since the last one that was read are lost. Whole periods are counted; what is left of one
+  /// goes on, so that no sample is counted twice or left out in the long run.
+  template <class Value>
+  void give_up_samples(MonotonicTime now, Samples<Value>& out) {
+    if (now <= last_) return;
+    const auto count = (now - last_) / period_;
+    out.lost(static_cast<std::uint64_t>(count));
+    last_ += count * period_;
+    anchor(last_);
+  }
+  /// Empties a FIFO of which nobody knows where a sample begins.
+  template <class Value>
+  Result<void> restart(I2cDevice& chip, Samples<Value>& out) {
+    auto begun = empty_fifo(chip);
+    if (begun) give_up_samples(Samples<Value>::now(), out);
+    return begun;  // otherwise the next read does it
+  }
+
+  using Six = std::array<double, 6>;
+  /// Acceleration and angular velocity, averaged over some samples.
+  Result<Six> average(I2cDevice& chip) {
+    constexpr int count = 5;
+    const InertialSelfTest& test = model_.self_test;
+    Six sum{};
+    for (int i = 0; i < count; ++i) {
+      chip.wait(period_ + Duration{std::chrono::milliseconds{1}});
+      std::array<std::uint8_t, 6> bytes{};
+      if (auto done = chip.read_registers(test.acceleration_output, bytes); !done) return std::move(done).error();
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        sum[axis] += word(bytes, 2 * axis) * acceleration_->per_count / count;
+      if (test.angle_on == 0) continue;
+      if (auto done = chip.read_registers(test.angle_output, bytes); !done) return std::move(done).error();
+      for (std::size_t axis = 0; axis < 3; ++axis) sum[3 + axis] += word(bytes, 2 * axis) * angle_->per_count / count;
+    }
+    return sum;
+  }
+  /// Outputs without and with the force that the chip puts on itself.
+  Result<void> test(I2cDevice& chip) {
+    const InertialSelfTest& test = model_.self_test;
+    // At the ranges of the data sheet's limits, and a rate that takes no long time.
+    const auto* acceleration = std::exchange(acceleration_, find(model_.accelerations, test.acceleration_range));
+    const auto* angle = std::exchange(angle_, find(model_.angles, test.angle_range));
+    const auto* rate = std::exchange(rate_, nullptr);
+    for (std::size_t i = 0; i < model_.rates.size() && rate_ == nullptr; ++i)
+      if (model_.rates[i].number >= 100) rate_ = &model_.rates[i];
+    const Duration period = std::exchange(period_, Duration{std::llround(1e9 / rate_->number)});
+    auto passed = test_at_these_ranges(chip);
+    acceleration_ = acceleration;
+    angle_ = angle;
+    rate_ = rate;
+    period_ = period;
+    return passed;
+  }
+  Result<void> test_at_these_ranges(I2cDevice& chip) {
+    constexpr auto settling = std::chrono::milliseconds{100};
+    const InertialSelfTest& test = model_.self_test;
+    for (const InertialWrite& one : model_.setting_up)
+      if (auto done = write(chip, one); !done) return done;
+    if (auto done = write(chip, model_.fifo.off); !done) return done;
+    chip.wait(settling);
+    const Result<Six> before = average(chip);
+    if (!before) return before.error();
+    const auto change = [&](std::uint8_t number, std::uint8_t bits) -> Result<void> {
+      if (bits == 0) return {};
+      const Result<std::uint8_t> value = chip.read_register(number);
+      if (!value) return value.error();
+      return chip.write_register(number, static_cast<std::uint8_t>(*value ^ bits));
+    };
+    if (auto done = change(test.acceleration_register, test.acceleration_on); !done) return done;
+    if (auto done = change(test.angle_register, test.angle_on); !done) return done;
+    chip.wait(settling);
+    const Result<Six> after = average(chip);
+    if (!after) return after.error();
+    if (auto done = change(test.acceleration_register, test.acceleration_on); !done) return done;
+    if (auto done = change(test.angle_register, test.angle_on); !done) return done;
+    const Result<InertialSixLimits> limits = test.limits_of != nullptr ? test.limits_of(chip) : test.limits;
+    if (!limits) return limits.error();
+    for (std::size_t i = 0; i < (test.angle_on != 0 ? 6u : 3u); ++i) {
+      const double by = std::abs((*after)[i] - (*before)[i]);
+      const auto [least, most] = (*limits)[i];
+      if (by >= least && by <= most) continue;
+      const char* unit = i < 3 ? " m/s2" : " rad/s";
+      return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.name) + " failed",
+                        std::string(i < 3 ? "its acceleration " : "its angular velocity ") + "xyz"[i % 3] +
+                            " changes by " + text_of(by) + unit + ", not by " + text_of(least) + " to " + text_of(most),
+                        "hold it still while it starts; else the chip is damaged");
+    }
+    return {};
+  }
+
+  const InertialModel& model_;
+  std::span<const InertialModel> all_;
+  bool is_tested_;
+  const InertialChoice* rate_ = nullptr;
+  const InertialChoice* acceleration_ = nullptr;
+  const InertialChoice* angle_ = nullptr;
+  std::uint8_t filter_code_ = 0;
+  Duration nominal_period_{0}, period_{0};
+  MonotonicTime last_{};    // of the last sample that was read, or of the start
+  MonotonicTime anchor_{};  // from which the period is measured
+  std::size_t since_anchor_ = 0;
+  bool is_torn_ = false;       // where a sample begins in the FIFO is not known
+  bool is_uncertain_ = false;  // a transfer failed in the middle
+  bool is_new_ = true;         // nothing was read yet
+  unsigned to_discard_ = 0;
+  std::vector<std::uint8_t> bytes_, joined_;
+  std::vector<Found> found_;
+  std::size_t bad_words_ = 0;
+  Half half_;
+  std::optional<unsigned> counter_;  // of the last tagged sample
+};
+
+}  // namespace rtdata

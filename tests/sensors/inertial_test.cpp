@@ -1,0 +1,488 @@
+// Accelerometers and gyroscopes with a FIFO, beside the MPU-6050: chips that take samples as virtual time passes.
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cmath>
+#include <deque>
+#include <numbers>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/io/fake_i2c.hpp"
+#include "rtdata/loop/lane.hpp"
+#include "rtdata/sensors/accelerometer.hpp"
+#include "rtdata/sensors/imu.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+namespace {
+
+constexpr double gravity = 9.80665, degree = std::numbers::pi / 180;
+
+enum class ChipKind { lsm6ds3, lsm6dso, lsm9ds1, adxl };
+
+/// A chip whose samples hold their number: X of the rate (of an ADXL: of the acceleration) its low 8 bits, Z the others
+/// above them.
+class FakeInertial {
+ public:
+  FakeInertial(FakeI2cChip& chip, ChipKind kind, Duration period) : chip_(chip), kind_(kind), period_(period) {
+    switch (kind) {
+      case ChipKind::lsm6ds3:
+        identity(0x0f, 0x69);
+        switched_by(0x0a, 7, 6);
+        chip.on_read(0x3a, [this] { return status_byte(4); });
+        chip.on_read(0x3e, [this] { return next(12); });
+        chip.set(0x20, {16, 0});
+        break;
+      case ChipKind::lsm6dso:
+        identity(0x0f, 0x6c);
+        switched_by(0x0a, 7, 6);
+        chip.on_read(0x3a, [this] { return status_byte(2); });
+        chip.on_read(0x78, [this] { return next(7); });
+        chip.set(0x20, {0, 1});
+        break;
+      case ChipKind::lsm9ds1:
+        identity(0x0f, 0x68);
+        switched_by(0x2e, 0xe0, 0xc0);
+        chip.on_read(0x2f, [this] { return status_byte(1); });
+        chip.on_read(0x18, [this] { return peek(0); });
+        chip.on_read(0x28, [this] { return peek(6); });
+        chip.set(0x15, {16, 0});
+        break;
+      case ChipKind::adxl:
+        identity(0x00, 0xe5);
+        switched_by(0x38, 0xc0, 0x80);
+        chip.on_read(0x39, [this] { return status_byte(1); });
+        chip.on_read(0x30, [this] {
+          take_samples();
+          return static_cast<std::uint8_t>(has_run_over_ ? 1 : 0);
+        });
+        chip.on_read(0x32, [this] { return peek(0); });
+        break;
+    }
+  }
+  void lose_power() {
+    is_on_ = false;
+    units_.clear();
+    chip_.set(kind_ == ChipKind::adxl ? 0x38 : kind_ == ChipKind::lsm9ds1 ? 0x2e : 0x0a, {0});
+  }
+  std::uint64_t taken() const { return number_; }
+  bool spoils_parity = false;
+
+ private:
+  void identity(std::uint8_t number, std::uint8_t value) { chip_.set(number, {value}); }
+  void switched_by(std::uint8_t number, unsigned mask, unsigned on) {
+    chip_.on_write(number, [this, mask, on](std::uint16_t value) {
+      take_samples();
+      is_on_ = (value & mask) == on;
+      if (!is_on_) units_.clear(), at_ = 0, has_run_over_ = false;
+    });
+  }
+  /// Those that are due. It takes them as long as it has power, whether anybody wants them or not.
+  void take_samples() {
+    const MonotonicTime now = detail::lane_now();
+    if (next_ == MonotonicTime{}) next_ = now;
+    for (; next_ <= now; next_ += period_, ++number_) {
+      if (!is_on_) continue;
+      const auto low = static_cast<std::uint8_t>(number_ & 0xff), high = static_cast<std::uint8_t>(number_ >> 8 & 0x3f);
+      const std::vector<std::uint8_t> numbered{low, 0, 0, 0, high, 0}, acceleration{0, 8, 0, 0, 0, 0xf8};
+      std::vector<std::uint8_t> both = numbered;
+      both.insert(both.end(), acceleration.begin(), acceleration.end());
+      if (kind_ == ChipKind::lsm6dso) {
+        push(tagged(1, numbered), 512);
+        push(tagged(2, acceleration), 512);
+      } else if (kind_ == ChipKind::lsm6ds3) {
+        push(both, 682);
+      } else {
+        push(kind_ == ChipKind::adxl ? numbered : both, 32);
+      }
+    }
+  }
+  std::vector<std::uint8_t> tagged(unsigned kind, std::vector<std::uint8_t> bytes) const {
+    auto tag = static_cast<std::uint8_t>(kind << 3 | (number_ & 3) << 1);
+    unsigned ones = 0;
+    for (int bit = 0; bit < 8; ++bit) ones += tag >> bit & 1;
+    tag = static_cast<std::uint8_t>(tag | ((ones & 1) ^ (spoils_parity ? 1 : 0)));
+    bytes.insert(bytes.begin(), tag);
+    return bytes;
+  }
+  void push(std::vector<std::uint8_t> unit, std::size_t most) {
+    if (units_.size() == most) {
+      units_.pop_front();
+      has_run_over_ = true;
+    }
+    units_.push_back(std::move(unit));
+  }
+  std::uint8_t status_byte(std::size_t bytes) {
+    take_samples();
+    const std::size_t count = units_.size();
+    std::uint32_t status = 0;
+    if (kind_ == ChipKind::lsm6ds3)
+      status = static_cast<std::uint32_t>(count * 6 & 0xfff) | (has_run_over_ ? 0x4000u : 0u);
+    else if (kind_ == ChipKind::lsm6dso)
+      status = static_cast<std::uint32_t>(count & 0x3ff) | (has_run_over_ ? 0x0800u : 0u);
+    else
+      status = static_cast<std::uint32_t>(count) | (has_run_over_ && kind_ == ChipKind::lsm9ds1 ? 0x40u : 0u);
+    const auto byte = static_cast<std::uint8_t>(status >> 8 * status_at_ & 0xff);
+    if (++status_at_ == bytes) {
+      status_at_ = 0;
+      if (kind_ != ChipKind::adxl) has_run_over_ = false;
+    }
+    return byte;
+  }
+  /// Of a FIFO that is read on and on.
+  std::uint8_t next(std::size_t size) {
+    take_samples();
+    if (units_.empty()) return 0xff;
+    const std::uint8_t byte = units_.front()[at_];
+    if (++at_ == size) {
+      at_ = 0;
+      units_.pop_front();
+    }
+    return byte;
+  }
+  /// Of a sample that goes when its last byte was read.
+  std::uint8_t peek(std::size_t from) {
+    take_samples();
+    if (units_.empty()) return 0xff;
+    const std::uint8_t byte = units_.front()[from + at_];
+    if (++at_ == 6) {
+      at_ = 0;
+      if (from + 6 == units_.front().size()) units_.pop_front(), has_run_over_ = false;
+    }
+    return byte;
+  }
+
+  FakeI2cChip& chip_;
+  ChipKind kind_;
+  Duration period_;
+  MonotonicTime next_{};
+  std::uint64_t number_ = 0;
+  std::deque<std::vector<std::uint8_t>> units_;
+  std::size_t at_ = 0, status_at_ = 0;
+  bool is_on_ = false, has_run_over_ = false;
+};
+
+struct Model {
+  ChipKind kind;
+  ImuModel imu;
+  double rate;
+  unsigned address;
+  int capacity;
+  const char* name;
+};
+constexpr Model models[] = {{ChipKind::lsm6ds3, ImuModel::lsm6ds3, 416, 0x6a, 682, "LSM6DS3"},
+                            {ChipKind::lsm6dso, ImuModel::lsm6dso, 416, 0x6a, 256, "LSM6DSO"},
+                            {ChipKind::lsm9ds1, ImuModel::lsm9ds1, 476, 0x6b, 32, "LSM9DS1"},
+                            {ChipKind::adxl, ImuModel::mpu6050, 400, 0x53, 32, "ADXL345"}};
+
+/// One of the models on a fake bus, with all that its samples say.
+struct Bench {
+  explicit Bench(const Model& model_, double chip_is_faster = 1)
+      : model(model_),
+        fake(wires->chip(model_.address), model_.kind, Duration{std::llround(1e9 / model_.rate / chip_is_faster)}) {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    if (model.kind == ChipKind::adxl) {
+      heard = loop.subscribe<AccelerometerReading>("s", [this](const Event<AccelerometerReading>& event) {
+        take(event->acceleration_x * 256 / gravity, event->acceleration_z * 256 / gravity, event.time);
+      });
+      return;
+    }
+    heard = loop.subscribe<ImuReading>("s", [this](const Event<ImuReading>& event) {
+      const double count = 70e-3 * degree;
+      take(event->angular_velocity_x / count, event->angular_velocity_z / count, event.time);
+      const double per_count = (model.kind == ChipKind::lsm9ds1 ? 0.732e-3 : 0.488e-3) * gravity;
+      are_whole = are_whole && std::lround(event->acceleration_x / per_count) == 0x800 &&
+                  std::lround(event->acceleration_z / per_count) == -0x800 && event->acceleration_y == 0;
+      if (event->temperature) temperatures.push_back(*event->temperature);
+    });
+  }
+  void take(double low, double high, Time time) {
+    numbers.push_back(static_cast<int>(std::lround(low) + (std::lround(high) << 8)));
+    times.push_back(time);
+  }
+  AnySensor make(SensorConfig config) {
+    if (model.kind == ChipKind::adxl)
+      return DriverSensor<Accelerometer>(loop, std::move(config), bus, {model.address}, {.sample_rate = model.rate});
+    return DriverSensor<Imu>(loop, std::move(config), bus, {model.address},
+                             {.model = model.imu, .sample_rate = model.rate});
+  }
+  /// Numbers left out between the first and the last.
+  int left_out() const {
+    return numbers.empty() ? 0 : numbers.back() - numbers.front() + 1 - static_cast<int>(numbers.size());
+  }
+  bool is_in_order() const {
+    for (std::size_t i = 1; i < numbers.size(); ++i)
+      if (numbers[i] <= numbers[i - 1] || times[i] <= times[i - 1]) return false;
+    return true;
+  }
+  /// Within which the account of what was lost is right.
+  int accuracy() const { return model.kind == ChipKind::lsm6dso ? 0 : 1; }
+
+  const Model& model;
+  std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
+  I2cBus bus{"i2c1", wires, {.timeout = 900ms}};
+  FakeInertial fake;
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> errors;
+  std::vector<int> numbers;
+  std::vector<Time> times;
+  std::vector<double> temperatures;
+  bool are_whole = true;
+  Subscription heard;
+};
+
+}  // namespace
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-15 LSM6DS3, LSM6DSO, LSM9DS1, ADXL345, ADXL375: counts become m/s2 and rad/s by the data sheets") {
+    // Angular velocity, then acceleration, low byte first: 1000, -1000, 2; 16384, -2, 1.
+    const std::array<std::uint8_t, 12> bytes{0xe8, 0x03, 0x18, 0xfc, 2, 0, 0, 0x40, 0xfe, 0xff, 1, 0};
+    const ImuReading dso = Imu::decode(bytes,
+                                       {.model = ImuModel::lsm6dso, .acceleration_range = 2, .angular_range = 250});
+    CHECK(dso.angular_velocity_x == doctest::Approx(8.75 * degree));  // 8.75 mdps a count
+    CHECK(dso.angular_velocity_y == doctest::Approx(-8.75 * degree));
+    CHECK(dso.angular_velocity_z == doctest::Approx(0.0175 * degree));
+    CHECK(dso.acceleration_x == doctest::Approx(16384 * 0.061e-3 * gravity));  // 0.061 mg a count
+    CHECK(dso.acceleration_y == doctest::Approx(-0.122e-3 * gravity));
+    CHECK(!dso.temperature);
+    CHECK(Imu::decode(bytes, {.model = ImuModel::lsm6ds3}).angular_velocity_x == doctest::Approx(70 * degree));
+    CHECK(Imu::decode(bytes, {.model = ImuModel::lsm6ds3}).acceleration_z == doctest::Approx(0.488e-3 * gravity));
+    const ImuReading dof = Imu::decode(bytes, {.model = ImuModel::lsm9ds1});
+    CHECK(dof.acceleration_z == doctest::Approx(0.732e-3 * gravity));
+    CHECK(dof.angular_velocity_z == doctest::Approx(0.14 * degree));
+    const std::array<std::uint8_t, 6> g{0x00, 0x01, 0x00, 0xff, 20, 0};
+    const AccelerometerReading small = Accelerometer::decode(g, {});
+    CHECK(small.acceleration_x == doctest::Approx(gravity));
+    CHECK(small.acceleration_y == doctest::Approx(-gravity));
+    CHECK(Accelerometer::decode(g, {.model = AccelerometerModel::adxl375}).acceleration_z ==
+          doctest::Approx(20 * 0.049 * gravity));
+  }
+
+  TEST_CASE("US-15 each sample in the FIFO of each model is an event, in order, whole, with a time of its own") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      for (const double faster : {1.0, 1.03, 0.97}) {
+        CAPTURE(faster);
+        Bench bench(model, faster);
+        AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
+        bench.loop.advance(4s);
+        CHECK(bench.errors.empty());
+        CHECK(sensor.counts().lost == 0);
+        CHECK(sensor.counts().published == bench.numbers.size());
+        CHECK(bench.left_out() == 0);
+        CHECK(bench.is_in_order());
+        CHECK(bench.are_whole);
+        REQUIRE(bench.numbers.size() > static_cast<std::size_t>(3.7 * model.rate * faster));
+        const double period = static_cast<double>((bench.times.back() - bench.times.front()) / 1ns) /
+                              static_cast<double>(bench.times.size() - 1);
+        CHECK(period == doctest::Approx(1e9 / model.rate / faster).epsilon(0.002));
+        if (model.kind != ChipKind::adxl) {
+          CHECK(bench.temperatures.size() > 150);
+          CHECK(bench.temperatures.size() < 202);
+          CHECK(bench.temperatures[0] == 26);
+        }
+        CHECK(bench.loop.runtime().balances());
+      }
+    }
+  }
+
+  TEST_CASE("US-15 a FIFO that ran over: each sample that is gone is counted, of an LSM6DSO exactly") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      for (const double faster : {1.0, 1.03, 0.97}) {
+        CAPTURE(faster);
+        for (int outage = 2000; outage < 2020; outage += 3) {
+          CAPTURE(outage);
+          Bench bench(model, faster);
+          AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz, .faulted_after = 10000});
+          bench.loop.advance(5s);
+          CHECK(sensor.counts().lost == 0);
+          const std::size_t before = bench.numbers.size();
+          bench.wires->chip(model.address).unplug();  // from the bus; it measures on
+          bench.loop.advance(outage * 1ms);
+          CHECK(bench.numbers.size() == before);
+          bench.wires->chip(model.address).plug_in();
+          bench.loop.advance(500ms);
+          CHECK(bench.left_out() > 100);
+          CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out()) <= bench.accuracy());
+          CHECK(bench.is_in_order());
+          CHECK(bench.are_whole);
+          CHECK(sensor.health() == Health::ok);
+          CHECK(bench.loop.runtime().balances());
+        }
+      }
+    }
+  }
+
+  TEST_CASE("US-15 a sensor that is read too seldom for its FIFO loses samples, and says how many and what to do") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      Bench bench(model);
+      AnySensor sensor = bench.make({.name = "s", .rate = Rate::from_period(model.capacity * 1ms * 4)});
+      bench.loop.advance(30s);
+      CHECK(sensor.counts().lost > 1000);
+      CHECK(sensor.counts().lost < bench.fake.taken());
+      CHECK(sensor.status().reason.find("read it more often, or let it measure more slowly") != std::string::npos);
+      // An LSM6DS3's FIFO cannot be used when it ran over.
+      CHECK(bench.numbers.empty() == (model.kind == ChipKind::lsm6ds3));
+      if (!bench.numbers.empty()) {
+        const int ticks = static_cast<int>(sensor.counts().taken + sensor.counts().failed);
+        CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out() - (bench.numbers[0] - 1)) <=
+              (model.kind == ChipKind::lsm6dso ? 60 : 60 + ticks));
+      }
+      CHECK(bench.is_in_order());
+      CHECK(bench.loop.runtime().balances());
+    }
+  }
+
+  TEST_CASE("US-15 settings that are lost are told and set again, and what was not sampled is counted") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      Bench bench(model);
+      AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
+      bench.loop.advance(2001ms);
+      bench.fake.lose_power();
+      bench.loop.advance(500ms);
+      CHECK(sensor.health() == Health::ok);
+      CHECK(sensor.counts().unreadable == 1);
+      REQUIRE(!bench.errors.empty());
+      CHECK(bench.errors[0].find("it has lost its settings") != std::string::npos);
+      CHECK(bench.left_out() > 5);
+      CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out()) <= 1);
+      CHECK(bench.is_in_order());
+      CHECK(bench.loop.runtime().balances());
+    }
+  }
+
+  TEST_CASE("US-15 whichever transfers of any model fail, what is published is whole, and the account balances") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      for (int at = 0; at < 40; ++at) {
+        CAPTURE(at);
+        for (const unsigned count : {1u, 4u}) {
+          Bench bench(model);
+          bench.wires->chip(model.address).set_duration(200us);
+          AnySensor sensor = bench.make(
+              {.name = "s", .rate = 50_Hz, .faulted_after = 100, .retry_first = 10ms, .retry_longest = 10ms});
+          bench.loop.advance(300ms + at * 500us);
+          bench.wires->chip(model.address).fail(count, at % 2 == 0 ? ENXIO : EIO);
+          bench.loop.advance(500ms);
+          CHECK(sensor.health() == Health::ok);
+          CHECK(bench.numbers.size() > 200);
+          CHECK(bench.are_whole);
+          CHECK(bench.is_in_order());
+          CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out()) <= 2);
+          CHECK(bench.loop.runtime().balances());
+        }
+      }
+    }
+  }
+
+  TEST_CASE("US-15 garbage, and tags with a wrong parity, are told, and never a sample") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      Bench bench(model);
+      AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
+      bench.loop.advance(1s);
+      const std::size_t before = bench.numbers.size();
+      FakeI2cChip& chip = bench.wires->chip(model.address);
+      for (const int number : {0x0a, 0x2e, 0x38, 0x2f, 0x39, 0x3a, 0x3e, 0x78, 0x18, 0x28, 0x32})
+        chip.on_read(static_cast<std::uint8_t>(number), [] { return std::uint8_t{0xff}; });
+      bench.loop.advance(500ms);
+      CHECK(bench.numbers.size() == before);
+      CHECK(!bench.errors.empty());
+      CHECK(bench.loop.runtime().balances());
+    }
+    Bench bench(models[1]);
+    AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
+    bench.loop.advance(1s);
+    const std::size_t before = bench.numbers.size();
+    bench.fake.spoils_parity = true;
+    bench.loop.advance(100ms);
+    CHECK(bench.numbers.size() <= before + 10);
+    CHECK(sensor.status().reason.find("words of its FIFO have a wrong parity") != std::string::npos);
+    bench.fake.spoils_parity = false;
+    bench.loop.advance(10s);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-15 a self-test at the start passes within the data sheet's limits, and tells the axis that does not") {
+    struct Change {
+      double acceleration, rate;  // g, degrees a second
+      const char* words;
+    };
+    for (const Change& change : {Change{0.3, 300, ""},
+                                 {0.01, 300, "its acceleration x changes by 0.09"},
+                                 {1.9, 300, "its acceleration x changes by 18.6"},
+                                 {0.3, 100, "its angular velocity x changes by 1.74"},
+                                 {0.3, 0, "its angular velocity x changes by 0 rad/s, not by 2.617994 to 12.217305"}}) {
+      CAPTURE(change.acceleration);
+      CAPTURE(change.rate);
+      Bench bench(models[1]);
+      FakeI2cChip& chip = bench.wires->chip(0x6a);
+      std::uint16_t test = 0, tests = 0;
+      std::size_t at = 0;
+      chip.on_write(0x14, [&](std::uint16_t value) { test = value, tests |= value; });
+      const auto byte_of = [&](double counts) {
+        const int number = static_cast<int>(std::lround(counts));
+        return static_cast<std::uint8_t>(at++ % 2 == 0 ? number & 0xff : number >> 8 & 0xff);
+      };
+      chip.on_read(0x28, [&] { return byte_of(100 + ((test & 1) != 0 ? change.acceleration / 0.122e-3 : 0)); });
+      chip.on_read(0x22, [&] { return byte_of(-50 - ((test & 4) != 0 ? change.rate / 70e-3 : 0)); });
+      DriverSensor<Imu> sensor(bench.loop, {.name = "s", .rate = 50_Hz}, bench.bus, {0x6a},
+                               {.model = ImuModel::lsm6dso, .sample_rate = 416, .self_test = true});
+      CHECK(tests == 5);
+      CHECK(chip.get(0x14) == 0);
+      if (std::string(change.words).empty()) {
+        CHECK(sensor.health() == Health::ok);
+        CHECK(chip.get(0x10) == (6 << 4 | 1 << 2));  // of the configuration again
+        bench.loop.advance(1s);
+        CHECK(bench.numbers.size() > 350);
+      } else {
+        CHECK(sensor.health() == Health::faulted);
+        CHECK(sensor.status().reason.find("the self-test of the LSM6DSO failed") != std::string::npos);
+        CHECK_MESSAGE(sensor.status().reason.find(change.words) != std::string::npos, sensor.status().reason);
+      }
+    }
+  }
+
+  TEST_CASE("US-15 NFR-6 other chips and settings that a model does not have are told with what there is") {
+    Bench bench(models[2]);
+    DriverSensor<Imu> imu(bench.loop, {.name = "a", .rate = 50_Hz}, bench.bus, {0x6b}, {.model = ImuModel::lsm6dso});
+    REQUIRE(!bench.errors.empty());
+    CHECK(bench.errors[0].find("its identity is 0x68, that of an LSM6DSO is 0x6c: it seems to be an LSM9DS1: set "
+                               "`model`") != std::string::npos);
+    const auto problems = [&](const std::string& sensor) {
+      return plan_system(standard_registry(),
+                         parse_config(R"({"buses": {"i2c1": {"type": "i2c", "device": "/dev/i2c-9"}}, "sensors": [
+            {"name": "b", "rate": "50 Hz", "bus": "i2c1", )" +
+                                          sensor + "}]}",
+                                      "f.json"))
+          .problems.text();
+    };
+    CHECK(problems(R"("type": "imu", "model": "lsm6dsox", "sample_rate": 104, "angular_range": 125)") == "");
+    CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "sample_rate": 59.5)") == "");
+    CHECK(problems(R"("type": "accelerometer", "sample_rate": 12.5, "self_test": true)") == "");
+    CHECK(problems(R"("type": "accelerometer", "model": "adxl375")") == "");
+    CHECK(problems(R"("type": "imu", "model": "lsm6dso", "sample_rate": 100)")
+              .find("100 is none of 26, 52, 104, 208, 416, 833, 1660, which the LSM6DSO has") != std::string::npos);
+    CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "angular_range": 1000)")
+              .find("1000 is none of 245, 500, 2000") != std::string::npos);
+    CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "bandwidth": 42)").find("the LSM9DS1 has no such setting") !=
+          std::string::npos);
+    CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "acceleration_range": 16)")
+              .find("16 is none of 200") != std::string::npos);
+    CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "self_test": true)")
+              .find("there are no limits for that of the ADXL375") != std::string::npos);
+  }
+}
