@@ -86,6 +86,7 @@ inline void keep(const T& value) {
 // One a subject; each adds those of its figures that are wanted.
 void bench_loop(Report& report);
 void bench_publish(Report& report);
+void bench_filter(Report& report);
 void bench_sinks(Report& report);
 void bench_disk(Report& report);
 void bench_export(Report& report);

@@ -15,6 +15,13 @@ PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem
     return kind.types.create(item, name);
   } catch (const ConfigError& error) {
     problems.append(error.problems());
+  } catch (const ProcessingError& error) {  // the fields of the sensor are known only now
+    const ConfigItem& process = child_or_self(item, "process");
+    for (const ProcessingMistake& mistake : error.mistakes()) {
+      const ConfigItem& field = child_or_self(process, mistake.field);
+      const ConfigItem& at = mistake.key.empty() ? field : child_or_self(field, mistake.key);
+      problems.add(at.problem("bad-value", mistake.why + "; " + mistake.advice));
+    }
   } catch (const SetupError& error) {  // it cannot say what it will publish
     const Error& e = error.error();
     Error rest{e.code, e.what, "", e.why, e.advice};
