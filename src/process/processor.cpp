@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "data/field_layout.hpp"
 #include "loop/support/deadline.hpp"
 #include "process/published.hpp"
 #include "rtdata/data/value.hpp"
@@ -143,6 +144,14 @@ void Processor::add_group(const std::vector<Item>& items) {
       lane.rate = rate.offset;
     }
   }
+  const auto are_row = [&](Kind kind, std::size_t Lane::*offset) {
+    bool is_row = kind == Kind::f64;
+    for (std::size_t i = 1; i < lanes; ++i)
+      is_row = is_row && lanes_[group.first + i].*offset == lanes_[group.first].*offset + i * sizeof(double);
+    return is_row;
+  };
+  group.from_is_row = are_row(group.from, &Lane::from);
+  group.to_is_row = are_row(group.to, &Lane::to);
   // A number of each value, one row after the other.
   const auto row = [&](const Op& op, std::size_t number, const auto& of) {
     for (std::size_t i = 0; i < lanes; ++i) numbers_[op.first + number * lanes + i] = of(*items[i].what);
@@ -232,6 +241,13 @@ Processor::Fate Processor::take(void*& payload, Time time, std::uint64_t breaks)
     if (group.from_optional != nullptr && !group.from_optional->has_value(from + lanes_[group.first].from)) {
       pass_absent(group, is_wanted);
     } else if (!run(group, from, time, is_wanted)) {
+      const std::byte* const raw = from + source_->leaves()[failed_leaf_].offset;
+      with_type(group.from, [&]<class T>(T value) {
+        std::memcpy(&value, raw, sizeof value);
+        if (std::isfinite(static_cast<double>(value))) return;
+        failure_ = Failure::raw_not_finite;
+        failed_value_ = static_cast<double>(value);
+      });
       return Fate::unusable;
     }
   }
@@ -260,7 +276,7 @@ bool Processor::fail(const Group& group, std::size_t lane, Failure failure, doub
   return false;
 }
 
-bool Processor::check_finite(const Group& group, Failure failure) noexcept {
+bool Processor::check_finite(const Group& group) noexcept {
   const double* const x = x_.data();
   bool are_finite = true;
   for (std::size_t i = 0; i < group.count; ++i) are_finite &= std::abs(x[i]) <= std::numeric_limits<double>::max();
@@ -268,23 +284,26 @@ bool Processor::check_finite(const Group& group, Failure failure) noexcept {
     return true;
   std::size_t lane = 0;
   while (std::isfinite(x[lane])) ++lane;
-  return fail(group, lane, failure, x[lane]);
+  return fail(group, lane, Failure::not_finite, x[lane]);
 }
 
 bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_wanted) noexcept {
   const std::size_t lanes = group.count;
   const Lane* const lane = lanes_.data() + group.first;
   double* const x = x_.data();
-  with_type(group.from, [&]<class T>(T value) {
-    for (std::size_t i = 0; i < lanes; ++i) {
-      std::memcpy(&value, payload + lane[i].from, sizeof value);
-      x[i] = static_cast<double>(value);
-    }
-  });
-  if (!check_finite(group, Failure::raw_not_finite)) return false;
+  if (group.from_is_row) {
+    std::memcpy(x, payload + lane->from, lanes * sizeof *x);
+  } else {
+    with_type(group.from, [&]<class T>(T value) {
+      for (std::size_t i = 0; i < lanes; ++i) {
+        std::memcpy(&value, payload + lane[i].from, sizeof value);
+        x[i] = static_cast<double>(value);
+      }
+    });
+  }
   if (group.decides) std::fill_n(passes_.begin(), lanes, std::uint8_t{1});
-  bool is_finite = true;  // none of them has become anything else since it was looked at
-  const auto look = [&] { return std::exchange(is_finite, true) || check_finite(group, Failure::not_finite); };
+  bool is_finite = is_integer_kind(group.from);  // none of them can have become anything else
+  const auto look = [&] { return std::exchange(is_finite, true) || check_finite(group); };
   const Op* const end = ops_.data() + group.end_op;
   for (Op* op = ops_.data() + group.first_op; op != end; ++op) {
     double* const a = numbers_.data() + op->first;
@@ -358,6 +377,8 @@ bool Processor::put(const Group& group) noexcept {
       if (!std::isfinite(value)) return fail(group, i, Failure::not_finite, x[i]);
       std::memcpy(out_ + lane[i].to, &value, sizeof value);
     }
+  } else if (group.to_is_row) {
+    std::memcpy(out_ + lane->to, x, group.count * sizeof *x);
   } else {
     for (std::size_t i = 0; i < group.count; ++i) std::memcpy(out_ + lane[i].to, x + i, sizeof *x);
   }

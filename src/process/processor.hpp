@@ -64,6 +64,8 @@ class Processor {
     Kind to = Kind::f64;
     bool is_written = false;
     bool decides = false;
+    bool from_is_row = false;  // doubles one behind the other
+    bool to_is_row = false;
     const OptionalAccess* from_optional = nullptr;
     const OptionalAccess* to_optional = nullptr;
     const OptionalAccess* rate_optional = nullptr;  // null: it has none
@@ -96,7 +98,7 @@ class Processor {
   bool run(Group& group, const std::byte* payload, Time time, bool& is_wanted) noexcept;
   void pass_absent(Group& group, bool& is_wanted) noexcept;
   bool fail(const Group& group, std::size_t lane, Failure failure, double value, double bound = 0) noexcept;
-  bool check_finite(const Group& group, Failure failure) noexcept;
+  bool check_finite(const Group& group) noexcept;
   bool look_up(const Group& group, Op& op) noexcept;
   bool check_bounds(const Group& group, const Op& op) noexcept;
   void take_medians(std::size_t lanes, Op& op) noexcept;

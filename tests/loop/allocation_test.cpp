@@ -109,11 +109,11 @@ const std::vector<Stage>& stages() {
        }},
       {"sample, calibrate, filter and publish",
        [](Loop& loop) {
-         const FieldProcessing all{.calibration = Calibration{.scale = 2, .table = {{-9, 0}, {9, 1}}},
-                                   .filters = {Filter::median(5), Filter::mean(7), Filter::exponential(0.5),
-                                               Filter::rate_of_change(), Filter::throttle(1ns)}};
+         const FieldProcessing steps{.calibration = Calibration{.scale = 2, .table = {{-9, 0}, {9, 1}}},
+                                     .filters = {Filter::median(5), Filter::mean(7), Filter::exponential(0.5),
+                                                 Filter::rate_of_change(), Filter::throttle(1ns)}};
          auto sensor = keep(
-             Sensor<Number>(loop, {.name = "processed", .rate = 100_Hz, .process = {{"value", all}}}, [] {
+             Sensor<Number>(loop, {.name = "processed", .rate = 100_Hz, .process = {{"value", steps}}}, [] {
                return Number{1, 2};
              }));
          return std::function<std::uint64_t()>([sensor] { return sensor->counts().published; });

@@ -38,7 +38,7 @@ TEST_SUITE("process") {
   TEST_CASE("US-17 every setting of a processing is read from a file") {
     Problems problems;
     SensorConfig config;
-    const ConfigItem item = parse_config(R"({"process": {"a": {
+    const ConfigItem item = parse_config(R"({"name": "x", "rate": "1 Hz", "process": {"a": {
         "calibration": {"version": "7", "scale": 2, "offset": -1, "polynomial": [0, 1.5], "least": 0, "most": 9},
         "filters": [{"type": "median", "of": 5}, {"type": "mean", "of": 4}, {"type": "exponential", "weight": 0.5},
                     {"type": "clamp", "least": 1, "most": 8}, {"type": "throttle", "time": "1 s"},
@@ -88,12 +88,12 @@ TEST_SUITE("process") {
   TEST_CASE("US-17 each mistake in a processing is told at its place") {
     CHECK(planned(R"("number": {"calibration": {}})").good());
     CHECK(has(problem(R"("numbr": {"calibration": {}})"),
-              "f.json:2:23: sensors[0].process.numbr: there is no such field; did you mean number?"));
+              "f.json:2:15: sensors[0].process.numbr: there is no such field; did you mean number?"));
     CHECK(has(problem(R"("number": {})"), "sensors[0].process.number: there is nothing to do"));
     CHECK(has(problem(R"("number": {"calibration": {"scael": 2}})"), "(did you mean \"scale\"?)"));
     CHECK(has(problem(R"("number": {"calibration": {"scale": 0}})"), "process.number.calibration.scale: "));
     CHECK(has(problem(R"("number": {"calibration": {"table": [[0, 0], [1, 5], [1, 6]]}})"),
-              "f.json:2:72: sensors[0].process.number.calibration.table[2]: the table does not ascend here"));
+              "f.json:2:68: sensors[0].process.number.calibration.table[2]: the table does not ascend here"));
     CHECK(has(problem(R"("number": {"calibration": {"table": [[0, 0], [1]]}})"), "calibration.table[1]"));
     CHECK(has(problem(R"("number": {"calibration": {"polynomial": [1,2,3,4,5,6,7,8,9,10,11]}})"),
               "calibration.polynomial: it has 11 coefficients; give it 2 to 10"));

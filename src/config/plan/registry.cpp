@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
+#include "config/plan/misfit.hpp"
 #include "rtdata/config/settings.hpp"
 
 namespace rtdata {
@@ -34,7 +35,11 @@ PublishedTopic config_detail::published_topic(const std::string& name, const std
                                               Result<std::shared_ptr<const Description>> description,
                                               const Processing& processing) {
   std::shared_ptr<const Description> published = std::move(description).or_throw();
-  if (published != nullptr && !processing.empty()) published = processed(published, processing, name);
+  try {
+    if (published != nullptr && !processing.empty()) published = processed(published, processing, name);
+  } catch (const ProcessingError& error) {
+    throw MisfitError(error);
+  }
   return {topic.empty() ? name : topic, std::move(published), std::nullopt};
 }
 
