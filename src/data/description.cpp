@@ -69,6 +69,12 @@ std::string list(const std::vector<EnumValue>& values) {
   return text;
 }
 
+/// "pressure.raw": what was added to the value "pressure", beside which no record of that name can be.
+bool is_added_name(std::string_view name, const std::vector<Field>& fields) {
+  const auto dot = name.rfind('.');
+  return dot != std::string_view::npos && is_name(name.substr(dot + 1)) && field_at(fields, name.substr(0, dot));
+}
+
 /// Everything of one record: names, shapes, sizes; then its records. `where` ends in a dot unless empty.
 Result<void> check(const std::vector<Field>& fields, std::size_t size, const std::string& where, int depth) {
   if (depth > deepest_record) {
@@ -79,7 +85,7 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
   for (const Field& field : fields) {
     const std::string path = where + field.name;
     const std::string place = "field " + path;
-    if (!is_name(field.name)) {
+    if (!is_name(field.name) && !(where.empty() && is_added_name(field.name, fields))) {
       return not_usable("field \"" + path + "\"",
                         "a field name has letters, digits and underscores and starts with no digit", "rename it");
     }

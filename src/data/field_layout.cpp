@@ -1,6 +1,7 @@
 #include "data/field_layout.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <cstdint>
 
 #include "rtdata/data/text.hpp"
@@ -124,6 +125,28 @@ Result<Layout> lay_out(std::vector<Field>& fields, const std::string& name) {
   }
   layout.size = std::max<std::size_t>(1, round_up(layout.size, layout.alignment));
   return layout;
+}
+
+const Field* field_at(const std::vector<Field>& fields, std::string_view path) noexcept {
+  const std::size_t name_end = std::min(path.find_first_of(".["), path.size());
+  const auto field = std::find_if(fields.begin(), fields.end(),
+                                  [&](const Field& one) { return one.name == path.substr(0, name_end); });
+  if (field == fields.end()) return nullptr;
+  path.remove_prefix(name_end);
+  bool is_element = !field->is_array;
+  if (path.starts_with('[')) {
+    std::size_t index = 0;
+    const auto parsed = std::from_chars(path.data() + 1, path.data() + path.size(), index);
+    const auto digits = static_cast<std::size_t>(parsed.ptr - path.data());
+    if (parsed.ec != std::errc() || !field->is_array || index >= field->count || digits >= path.size() ||
+        path[digits] != ']' || (path[1] == '0' && digits != 2))
+      return nullptr;
+    path.remove_prefix(digits + 1);
+    is_element = true;
+  }
+  if (path.empty()) return field->kind != Kind::record ? &*field : nullptr;
+  return path.front() == '.' && field->kind == Kind::record && is_element ? field_at(field->fields, path.substr(1))
+                                                                          : nullptr;
 }
 
 }  // namespace rtdata::detail

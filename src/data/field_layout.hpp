@@ -41,4 +41,8 @@ struct Layout {
 /// Puts the fields one after the other as a C++ compiler does. `name`: of their record.
 Result<Layout> lay_out(std::vector<Field>& fields, const std::string& name);
 
+/// The value, or array of values, with this path: "position.x", "accel", "accel[1]", "cells[0].voltage". Null: there is
+/// none, or it is a record.
+const Field* field_at(const std::vector<Field>& fields, std::string_view path) noexcept;
+
 }  // namespace rtdata::detail

@@ -87,6 +87,7 @@ inline void keep(const T& value) {
 void bench_loop(Report& report);
 void bench_publish(Report& report);
 void bench_iio(Report& report);
+void bench_filter(Report& report);
 void bench_sinks(Report& report);
 void bench_disk(Report& report);
 void bench_export(Report& report);

@@ -16,10 +16,11 @@ below = {
     "data": set(),
     "loop": {"data"},
     "io": {"data", "loop"},
-    "sensors": {"data", "loop", "io"},
+    "process": {"data", "loop"},
+    "sensors": {"data", "loop", "io", "process"},  # every sensor processes its samples before it publishes them
     "sinks": {"data", "loop", "io"},
-    "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp"},
-    "app": {"data", "loop", "io", "sensors", "sinks", "config"},
+    "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
+    "app": {"data", "loop", "io", "process", "sensors", "sinks", "config"},
 }
 # Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call
 # upwards, since objects of a loop register with its runtime; elsewhere they may not either.

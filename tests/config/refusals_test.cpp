@@ -86,7 +86,8 @@ std::vector<ConfigItem> odd_values() {
       "csv", "json", "nmea", "raw", "two_point", "disk", "network", "temperature", "fifo", [], [""], ["x"], ["a b"], ["a/#/b"], {},
       {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}, {"file": "/no/such/file"}, {"env": 3}, {"env": "A", "file": "B"},
       [{"name": ""}], [{"name": "time"}], [{"name": "x"}, {"name": "X"}], [{"name": "x", "type": "record"}],
-      [{"name": "x", "type": "text", "length": 0}], [{"name": "x", "scale": 2, "type": "int8"}], [{"key": "x"}]])",
+      [{"name": "x", "type": "text", "length": 0}], [{"name": "x", "scale": 2, "type": "int8"}], [{"key": "x"}],
+      {"x": {"calibration": {}}}])",
              "values.json")
       .or_throw()
       .get<std::vector<ConfigItem>>();
@@ -145,6 +146,10 @@ TEST_SUITE("config") {
     const auto serial = [](const std::string& more) {
       return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "int32"}])" +
              more + "}]}";
+    };
+    const auto process = [](const std::string& fields) {
+      return R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "process": {)" + fields +
+             "}}]}";
     };
     const auto sinks = [&](const std::string& list) {
       return R"({"sensors": [)" + load + R"(], "sinks": [)" + list + "]}";
@@ -265,6 +270,11 @@ TEST_SUITE("config") {
          "scale: it must not be 0"},
         {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "scale": 0}]})",
          "scale: it must not be 0"},
+        {process(R"("minuts_1": {"calibration": {"scale": 2}})"), "no such field; did you mean minutes_1?"},
+        {process(R"("minutes_1": {"filters": [{"type": "median", "of": 4}]})"),
+         "4 samples are not possible, for a median"},
+        {process(R"("minutes_1": {"calibration": {"table": [[1, 0], [0, 1]]}})"), "the table does not ascend here"},
+        {process(R"("minutes_1": {"filters": [{"type": "throtle"}]})"), "(did you mean \"throttle\"?)"},
         {R"({"log": {"file": "bad.json"}, "sensors": [)" + load + "]}", "this is the configuration"},
         {sinks(R"({"type": "sqlite", "path": {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}})"),
          "there is no variable RTDATA_TEST_NO_SUCH_VARIABLE in the environment"},

@@ -177,7 +177,7 @@ def check_types(source, program, elsewhere):
             key, default = match[2], line[columns["default"]:columns["meaning"]].strip()
             is_member = len(match[1]) > 2  # of the parameter before it
             parent = parent if is_member else key
-            places = [f"{name}`: `{parent}"] if is_member else [name, group]
+            places = [f"{name}`: `{parent}", f"{group}`: `{parent}"] if is_member else [name, group]
             wanted = next((sections[s][key] for s in places if key in sections.get(s, {})), None)
             if wanted is None:
                 problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")

@@ -107,6 +107,17 @@ const std::vector<Stage>& stages() {
          auto sensor = keep(Sensor<Number>(loop, {.name = "sensor", .rate = 100_Hz}, [] { return Number{1, 2}; }));
          return std::function<std::uint64_t()>([sensor] { return sensor->counts().published; });
        }},
+      {"sample, calibrate, filter and publish",
+       [](Loop& loop) {
+         const FieldProcessing steps{.calibration = Calibration{.scale = 2, .table = {{-9, 0}, {9, 1}}},
+                                     .filters = {Filter::median(5), Filter::mean(7), Filter::exponential(0.5),
+                                                 Filter::rate_of_change(), Filter::throttle(1ns)}};
+         auto sensor = keep(
+             Sensor<Number>(loop, {.name = "processed", .rate = 100_Hz, .process = {{"value", steps}}}, [] {
+               return Number{1, 2};
+             }));
+         return std::function<std::uint64_t()>([sensor] { return sensor->counts().published; });
+       }},
       {"publish by the program and by a feed",
        [](Loop& loop) {
          auto feed = keep(Feed<Number>(loop, {.name = "feed"}));

@@ -117,7 +117,7 @@ std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
 
 /// What the sensor publishes; an empty topic is as its name.
 PublishedTopic published_topic(const std::string& name, const std::string& topic,
-                               Result<std::shared_ptr<const Description>> description);
+                               Result<std::shared_ptr<const Description>> description, const Processing& processing);
 /// The name of a sink: as it is given, or its path, or its type.
 std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
 
@@ -184,8 +184,12 @@ class Registry {
     const auto plan_part = [describe, make, complete](PartPlan& plan, const All& all) {
       complete(plan, all.own);
       plan.name = all.common.name;
-      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own));
+      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own),
+                                                      all.common.process);
       plan.publishes->load = config_detail::load_of(all.common, all.own);
+      plan.live["process"] = [process = all.common.process](const PartObject& part) {
+        part.as<AnySensor>()->set_processing(process);
+      };
       if constexpr (is_scheduled) {
         plan.live["rate"] = [rate = all.common.rate](const PartObject& part) { part.as<AnySensor>()->set_rate(rate); };
       }

@@ -99,7 +99,8 @@ struct Leaf {
 class Description {
  public:
   /// Checks names (see `is_name`), that no path is there twice (also differing in case only), and sizes; the paths
-  /// time, origin, sequence and run are refused. Errors: bad_description.
+  /// time, origin, sequence and run are refused. A field of the record itself may be called PATH.name, where PATH is
+  /// that of a value or an array of values in it: it was added to that ("pressure.raw"). Errors: bad_description.
   static Result<std::shared_ptr<const Description>> make(std::string name, std::vector<Field> fields, std::size_t size,
                                                          std::size_t alignment);
 

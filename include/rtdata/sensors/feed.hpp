@@ -16,8 +16,9 @@
 namespace rtdata {
 
 struct FeedConfig {
-  std::string name;        ///< unique in the runtime, and not of one that had a schedule; the origin of its events
-  std::string topic = {};  ///< empty: as the name
+  std::string name;         ///< unique in the runtime, and not of one that had a schedule; the origin of its events
+  std::string topic = {};   ///< empty: as the name
+  Processing process = {};  ///< calibration and filters of its fields
 };
 
 namespace detail {

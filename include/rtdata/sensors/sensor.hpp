@@ -40,6 +40,7 @@
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/process/processing.hpp"
 
 namespace rtdata {
 
@@ -95,8 +96,9 @@ struct SensorConfig {
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
   OnOverrun on_overrun = OnOverrun::warn;                 ///< when its read holds the loop longer than its limit
-  bool required = false;  ///< a device that cannot be opened at the start throws instead of being retried
-  bool start = true;      ///< start when made
+  bool required = false;    ///< a device that cannot be opened at the start throws instead of being retried
+  bool start = true;        ///< start when made
+  Processing process = {};  ///< calibration and filters of its fields
 };
 
 namespace detail {
@@ -237,6 +239,9 @@ class AnySensor : public Handle {
   /// (bad-argument) when it is not possible.
   void set_rate(Rate rate);
   Rate rate() const noexcept;
+  /// From the next sample on. What is published keeps its fields, their types and units: SetupError
+  /// (description-differs) when they would become others, ProcessingError.
+  void set_processing(const Processing& processing);
 
   /// Zeros once it is closed.
   SensorCounts counts() const noexcept;

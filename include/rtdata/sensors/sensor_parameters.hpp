@@ -7,6 +7,7 @@
 #pragma once
 
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/process/processing_parameters.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
@@ -36,13 +37,15 @@ constexpr auto parameters(type_tag<SensorConfig>) {
                 choices(value("warn", OnOverrun::warn), value("slow down", OnOverrun::slow_down),
                         value("stop", OnOverrun::stop))),
       parameter("required", &SensorConfig::required, "a device that cannot be opened at the start ends the program"),
-      parameter("start", &SensorConfig::start, "start it with the system"));
+      parameter("start", &SensorConfig::start, "start it with the system"),
+      parameter("process", &SensorConfig::process, "calibration and filters, by field"));
 }
 
 constexpr auto parameters(type_tag<FeedConfig>) {
   return parameter_list(
       parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
-      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic));
+      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
+      parameter("process", &FeedConfig::process, "calibration and filters, by field"));
 }
 
 }  // namespace rtdata

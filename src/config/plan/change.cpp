@@ -110,7 +110,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
         change.why = "it uses " + use.kind + " " + use.name;
       }
     }
-    if (change.fate == Fate::restarted || change.fate == Fate::added) {
+    if (change.fate == Fate::restarted || change.fate == Fate::added || change.fate == Fate::live) {
       if (std::string why = obstacle(planned, run); !why.empty()) {
         change.fate = Fate::refused;
         change.why = std::move(why);

@@ -1,5 +1,6 @@
 #include "config/plan/part_reader.hpp"
 
+#include "config/plan/misfit.hpp"
 #include "config/plan/warnings.hpp"
 #include "config/read/mistakes.hpp"
 #include "loop/support/name.hpp"
@@ -13,6 +14,14 @@ namespace {
 PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem& item, Problems& problems) {
   try {
     return kind.types.create(item, name);
+  } catch (const MisfitError& error) {  // the fields of the sensor are known only now
+    const ConfigItem& process = child_or_self(item, "process");
+    for (const ProcessingMistake& mistake : error.mistakes) {
+      const ConfigItem& field = child_or_self(process, mistake.field);
+      const std::string why = mistake.why + "; " + mistake.advice;
+      problems.add(mistake.key.empty() ? problem_at_key(field, "bad-value", why)
+                                       : child_or_self(field, mistake.key).problem("bad-value", why));
+    }
   } catch (const ConfigError& error) {
     problems.append(error.problems());
   } catch (const SetupError& error) {  // it cannot say what it will publish

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
+#include "config/plan/misfit.hpp"
 #include "rtdata/config/settings.hpp"
 
 namespace rtdata {
@@ -31,8 +32,15 @@ Json schema_of_kind(const PartKind& kind) {
 }  // namespace
 
 PublishedTopic config_detail::published_topic(const std::string& name, const std::string& topic,
-                                              Result<std::shared_ptr<const Description>> description) {
-  return {topic.empty() ? name : topic, std::move(description).or_throw(), std::nullopt};
+                                              Result<std::shared_ptr<const Description>> description,
+                                              const Processing& processing) {
+  std::shared_ptr<const Description> published = std::move(description).or_throw();
+  try {
+    if (published != nullptr && !processing.empty()) published = processed(published, processing, name);
+  } catch (const ProcessingError& error) {
+    throw MisfitError(error);
+  }
+  return {topic.empty() ? name : topic, std::move(published), std::nullopt};
 }
 
 std::string config_detail::sink_name(const std::string& type, const std::string& path, const SinkConfig& config) {

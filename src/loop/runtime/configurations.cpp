@@ -34,6 +34,22 @@ void Configurations::remove(std::string object) {
   note(change);
 }
 
+void Configurations::set_process(const std::string& sensor, std::string text) {
+  if (text.empty() && !processes_.contains(sensor)) return;
+  ConfigurationChange change{runtime_.event_now(), "process of sensor " + sensor, std::move(text)};
+  if (change.text.empty()) {
+    processes_.erase(sensor);
+  } else {
+    processes_.insert_or_assign(sensor, change);
+  }
+  if (runtime_.hub == nullptr) return note(change);
+  runtime_.reports.post_to_main([hub = runtime_.hub, sensor, change = std::move(change)] {
+    if (!change.text.empty()) hub->configurations.processes_.insert_or_assign(sensor, change);
+    if (change.text.empty()) hub->configurations.processes_.erase(sensor);
+    hub->configurations.note(change);
+  });
+}
+
 void Configurations::restore(State state) {
   state_ = std::move(state);
   const Time now = runtime_.event_now();

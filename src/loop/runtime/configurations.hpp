@@ -22,10 +22,14 @@ class Configurations {
   /// From now on there is this part ("sensor chamber"), of this item.
   void add(std::string object, std::string text);
   void remove(std::string object);
+  /// From now on the samples of this sensor are processed so; empty: not at all. Of a tier, the main loop keeps it.
+  void set_process(const std::string& sensor, std::string text);
 
   /// The text of all, and the changes since that still hold, in the order of their times: for a recording that begins.
   const std::string& whole() const noexcept { return state_.whole; }
   std::vector<ConfigurationChange> changes() const;
+  /// How sensors are processed now, by their names.
+  const std::map<std::string, ConfigurationChange>& processes() const noexcept { return processes_; }
 
   struct Entry {
     ConfigurationChange change;
@@ -44,6 +48,7 @@ class Configurations {
 
   RuntimeCore& runtime_;
   State state_;
+  std::map<std::string, ConfigurationChange> processes_;
 };
 
 }  // namespace rtdata::detail

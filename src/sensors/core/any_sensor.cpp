@@ -50,6 +50,9 @@ bool AnySensor::is_running() const noexcept {
 void AnySensor::set_rate(Rate rate) {
   change(node(), "cannot change sensor", [&](auto& source) { source.set_rate(rate); });
 }
+void AnySensor::set_processing(const Processing& processing) {
+  change(node(), "cannot change sensor", [&](auto& source) { source.set_processing(processing); });
+}
 Rate AnySensor::rate() const noexcept {
   return with(node(), Rate{}, [](const auto& source) { return source.rate(); });
 }

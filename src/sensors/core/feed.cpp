@@ -10,9 +10,12 @@ namespace detail {
 class FeedNode final : public SourceNode {
  public:
   FeedNode(LoopCore& loop, const FeedConfig& config, PayloadType type)
-      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed) {}
+      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed, config.process) {}
 
-  void start() override { is_running_ = is_open(); }
+  void start() override {
+    restart_filters();
+    is_running_ = is_open();
+  }
   void stop() override {
     is_running_ = false;
     origin_.end_absence(loop()->now());
@@ -34,12 +37,16 @@ class FeedNode final : public SourceNode {
   void publish(void* payload) { publish(payload, loop()->runtime.event_time(loop()->now())); }
   void publish(void* payload, Time time) {
     if (health() != Health::ok) return publish_after_failure(payload, time);
-    count_and_publish(payload, time);
+    if (take_sample(payload, time) == Fate::unusable) [[unlikely]]
+      complain_of_input(unusable_error());
   }
   void fail(const Error& error) {
     if (!is_running_) return;
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
+    complain_of_input(error);
+  }
+  void complain_of_input(const Error& error) {
     complain(error, health() == Health::faulted ? Health::faulted : Health::degraded);
   }
   void fail_size(std::size_t given) {
@@ -69,15 +76,10 @@ class FeedNode final : public SourceNode {
   std::size_t payload_size() const noexcept { return origin_.topic.type.size; }
 
  private:
-  void count_and_publish(void* payload, Time time) {
-    ++origin_.counts.received;
-    ++origin_.counts.published;
-    origin_.topic.publish(origin_, time, payload);
-  }
   /// Apart, so that the usual way needs no call.
   [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
     origin_.end_absence(loop()->now());
-    count_and_publish(payload, time);
+    if (take_sample(payload, time) == Fate::unusable) return complain_of_input(unusable_error());
     set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
   }
   void on_close() noexcept override {

@@ -7,11 +7,16 @@ namespace rtdata::detail {
 
 void SamplePort::publish(void* payload, Time time) {
   if (sensor_ == nullptr) return;  // stopped by its own sampling function
-  is_usable_ = true;
+  const bool was_usable = std::exchange(is_usable_, true);
   if (std::exchange(has_sample_, true) || time != time_) sensor_->is_not_one_a_read();
   const bool is_of_read = sensor_->origin().counts.is_one_a_read;
-  const Time row = sensor_->publish(payload, time, due_);
-  if (is_of_read) pushed_ = span_between(time, row);
+  const auto [fate, row] = sensor_->take(payload, time, due_);
+  if (fate == Processor::Fate::unusable) {
+    is_usable_ = was_usable;
+    error_ = sensor_->unusable_error();
+  } else if (fate == Processor::Fate::published && is_of_read) {
+    pushed_ = span_between(time, row);
+  }
 }
 
 void SamplePort::publish_at(void* payload, MonotonicTime time) {
@@ -41,17 +46,17 @@ Sampled SamplePort::unreadable(Error error) {
   return fail(std::move(error));
 }
 
-Time SensorNode::publish(void* payload, Time time, MonotonicTime due) {
-  ++origin_.counts.received;
-  ++origin_.counts.published;
+SensorNode::Taken SensorNode::take(void* payload, Time time, MonotonicTime due) {
+  Fate fate = Fate::published;
   try {
-    origin_.topic.publish(origin_, time, payload);
-    origin_.count_lateness(due);
+    fate = take_sample(payload, time);
+    if (fate == Fate::published) origin_.count_lateness(due);
+    if (fate == Fate::unusable) is_unusable_ = true;
   } catch (...) {  // published, and dropped for those who subscribe
     origin_.count_lateness(due);
     report(thrown("moving its payload threw"));
   }
-  return origin_.last_time;
+  return {fate, origin_.last_time};
 }
 
 }  // namespace rtdata::detail

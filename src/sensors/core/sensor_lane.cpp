@@ -232,13 +232,18 @@ void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome out
   transaction.is_resumed_ = false;
   SamplePort port(*this, due, loop()->runtime.event_time(transaction.began_), nullptr);
   Sampled sampled;
+  is_unusable_ = false;
   try {
     sampled = device.decode(transaction, port);
   } catch (...) {
     sampled = port.fail(thrown("decoding threw"));
   }
   if (lane_side()->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
-  if (has_failed(sampled, port)) return fail_in_flight(*port.error_);
+  if (has_failed(sampled, port)) {
+    if (!is_unusable(sampled)) return fail_in_flight(*port.error_);
+    origin_.fail_read(port.error_->id(), due);
+    return complain(*port.error_);
+  }
   origin_.end_read(transaction.began_ - due + port.pushed_ > late_after);
   took(sampled, port);
 }

@@ -19,14 +19,14 @@ void check_rate(Rate rate, const std::string& name) {
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type,
                        std::unique_ptr<SensorDevice> device)
-    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process),
       RateMember(config.rate.period()),
       device_(std::move(device)) {
   set_settings(config);
 }
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
-    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule),
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process),
       RateMember(config.rate.period()) {
   extra().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
   loop.deadlines.reserve_one();
@@ -61,6 +61,7 @@ const SensorNode::Extra& SensorNode::settings() const noexcept {
 void SensorNode::start() {
   if (!is_open() || is_running()) return;
   Call call(*this);
+  restart_filters();
   if (Extra* state = extra_if_any()) {
     state->failures = 0;
     state->backoff.reset();
@@ -299,6 +300,7 @@ void SensorNode::read_inline(const Tick& tick) {
   SamplePort port(*this, tick.due, loop()->runtime.event_time(tick.now), &tick);
   port_ = &port;
   Sampled sampled;
+  is_unusable_ = false;
   try {
     sampled = device_->sample(port);
   } catch (...) {
@@ -306,8 +308,11 @@ void SensorNode::read_inline(const Tick& tick) {
   }
   if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
   port_ = nullptr;
-  if (has_failed(sampled, port)) [[unlikely]]
-    return fail(port, *port.error_, tick);
+  if (has_failed(sampled, port)) [[unlikely]] {
+    if (!is_unusable(sampled)) return fail(port, *port.error_, tick);
+    count_failed(port, *port.error_, tick);
+    return complain(*port.error_);
+  }
   if (port.is_begun_) [[unlikely]] {
     origin_.end_read(is_late(port));
   } else {
@@ -316,12 +321,16 @@ void SensorNode::read_inline(const Tick& tick) {
   took(sampled, port);
 }
 
-void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
+void SensorNode::count_failed(const SamplePort& port, const Error& error, const Tick& tick) noexcept {
   if (port.is_begun_) {
     origin_.fail_read(error.id(), tick.due);
   } else {
     origin_.fail_tick(error.id(), tick.due);
   }
+}
+
+void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
+  count_failed(port, error, tick);
   failed(error, tick.now);  // only now, since who is told may stop the sensor
 }
 

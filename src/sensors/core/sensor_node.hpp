@@ -40,8 +40,12 @@ class SensorNode final : public SourceNode, public RateMember {
   void held(Duration took) override;
   void transaction_done(Transaction& transaction, LaneJob::Outcome outcome);
   void opening_done(Transaction& opening, LaneJob::Outcome outcome);
-  /// Returns the time of its row.
-  Time publish(void* payload, Time time, MonotonicTime due);
+  struct Taken {
+    Fate fate;
+    Time row;  // of what was published
+  };
+  Taken take(void* payload, Time time, MonotonicTime due);
+  using SourceNode::unusable_error;
   void is_not_one_a_read() noexcept { origin_.counts.is_one_a_read = false; }
   void count_repeated() noexcept {
     ++origin_.counts.received;
@@ -116,7 +120,10 @@ class SensorNode final : public SourceNode, public RateMember {
   void recovered();
   /// A read on the loop, or the opening before it, has failed.
   void fail(const SamplePort& port, const Error& error, const Tick& tick);
+  void count_failed(const SamplePort& port, const Error& error, const Tick& tick) noexcept;
   void failed(const Error& error, MonotonicTime now);
+  /// Whether a read has failed only because its processing found no sample usable: opening the device again is no help.
+  bool is_unusable(Sampled sampled) const noexcept { return is_unusable_ && sampled != Sampled::failed; }
   /// A part of what was read was no use.
   void complain(const Error& error);
   void cancel_transaction() noexcept;
@@ -172,6 +179,7 @@ class SensorNode final : public SourceNode, public RateMember {
   }
 
   bool device_is_open_ = false;
+  bool is_unusable_ = false;              // a sample of the read under way
   std::unique_ptr<SensorDevice> device_;  // null: it is on a lane, or closed
   SamplePort* port_ = nullptr;            // of the read on the stack
 };

@@ -17,18 +17,72 @@ PayloadType described_type(std::shared_ptr<const Description> description) {
   return type;
 }
 
+namespace {
+
+/// Null: there is nothing to do.
+std::unique_ptr<Processor> make_processor(const std::shared_ptr<const Description>& source,
+                                          const Processing& processing, const std::string& sensor) {
+  if (processing.empty()) return nullptr;
+  if (source == nullptr) {
+    throw SetupError({Errc::bad_description, "cannot process", "sensor " + sensor, "its payload has no description",
+                      "give its type a `describe`"});
+  }
+  return std::make_unique<Processor>(source, processing, sensor);
+}
+
+PayloadType published_type(PayloadType type, const Processor* processor) {
+  if (processor == nullptr || processor->published() == type.description) return type;
+  return described_type(processor->published());
+}
+
+}  // namespace
+
 SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
-                       OriginCore::Supply supply)
+                       OriginCore::Supply supply, const Processing& processing)
     : SensorEntry(loop),
-      origin_(
-          loop.runtime.names.claim(name, loop.runtime.topic(topic.empty() ? name : topic, std::move(type)), supply)) {
+      processor_(make_processor(type.description, processing, std::string(name))),
+      origin_(loop.runtime.names.claim(
+          name, loop.runtime.topic(topic.empty() ? name : topic, published_type(std::move(type), processor_.get())),
+          supply)) {
   try {
+    note_processing(processing);
     loop.runtime.sensors.add(*this);
   } catch (...) {
     loop.runtime.names.release(origin_);
     throw;
   }
   origin_.sensor = this;
+}
+
+void SourceNode::note_processing(const Processing& processing) {
+  loop()->runtime.configurations.set_process(
+      origin_.name, processing.empty() ? std::string() : text_of(processing, origin_.topic.name));
+}
+
+void SourceNode::set_processing(const Processing& processing) {
+  if (!is_open()) return;
+  const auto& published = origin_.topic.type.description;
+  const auto& source = processor_ != nullptr ? processor_->source() : published;
+  auto next = make_processor(source, processing, origin_.name);
+  const auto& wanted = next != nullptr ? next->published() : source;
+  if (wanted != published && !wanted->same_meaning(*published)) {
+    std::string why;
+    for (const std::string& difference : published->differences(*wanted)) why += (why.empty() ? "" : "; ") + difference;
+    throw SetupError({Errc::description_differs, "cannot change the processing", object_name(),
+                      "its topic carries other values until the end of the run: " + why,
+                      "give the sensor another topic, or start the program again"});
+  }
+  processor_ = std::move(next);
+  note_processing(processing);
+}
+
+SourceNode::Fate SourceNode::process(void*& payload, Time time) noexcept {
+  SensorCounts& counts = origin_.counts;
+  const Fate fate = processor_->take(
+      payload, time, counts.missed + counts.failed + counts.lost + counts.unreadable + origin_.ended_outages().number);
+  if (fate == Fate::filtered) ++counts.filtered;
+  if (fate == Fate::unusable) ++counts.unreadable;
+  return fate;
 }
 
 void SourceNode::leave() noexcept {

@@ -7,6 +7,7 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/handler.hpp"
+#include "process/processor.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/transaction.hpp"
 
@@ -14,12 +15,13 @@ namespace rtdata::detail {
 
 class SourceNode : public SensorEntry {
  public:
-  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
-             OriginCore::Supply supply);
+  SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type, OriginCore::Supply supply,
+             const Processing& processing);
 
   virtual void start() = 0;
   virtual void set_rate(Rate rate) = 0;
   virtual Rate rate() const noexcept = 0;
+  void set_processing(const Processing& processing);
   virtual bool is_running() const noexcept = 0;
   virtual CallbackTimes callback_times() const noexcept { return {}; }
   const OriginCore& origin() const noexcept override { return origin_; }
@@ -36,6 +38,23 @@ class SourceNode : public SensorEntry {
  protected:
   ~SourceNode() override = default;
   std::string object_name() const { return "sensor " + origin_.name; }
+  using Fate = Processor::Fate;
+  /// A sample that came: counts it as received and as what becomes of it, and publishes it, processed, if that is to
+  /// be. Moving its payload may throw: then it is published, and dropped for those who subscribe.
+  Fate take_sample(void* payload, Time time) {
+    ++origin_.counts.received;
+    if (processor_ != nullptr) [[unlikely]] {
+      if (const Fate fate = process(payload, time); fate != Fate::published) return fate;
+    }
+    ++origin_.counts.published;
+    origin_.topic.publish(origin_, time, payload);
+    return Fate::published;
+  }
+  /// Why the last one was unusable.
+  Error unusable_error() const { return processor_->error(origin_.name); }
+  void restart_filters() noexcept {
+    if (processor_ != nullptr) processor_->restart();
+  }
   /// Hands the error to the sensor's own handler, or to the loop's.
   void report(const Error& error) noexcept;
   void set_health(Health health, const Error* reason);
@@ -61,7 +80,11 @@ class SourceNode : public SensorEntry {
   }
 
  private:
+  Fate process(void*& payload, Time time) noexcept;
+  void note_processing(const Processing& processing);
+
   Health health_ = Health::ok;
+  std::unique_ptr<Processor> processor_;  // null: samples are published as they come
 
  protected:
   OriginCore& origin_;

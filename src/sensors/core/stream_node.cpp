@@ -6,7 +6,7 @@
 namespace rtdata::detail {
 
 StreamNode::StreamNode(LoopCore& loop, const FeedConfig& feed, PayloadType type, Waits waits)
-    : SourceNode(loop, feed.name, feed.topic, std::move(type), OriginCore::Supply::feed),
+    : SourceNode(loop, feed.name, feed.topic, std::move(type), OriginCore::Supply::feed, feed.process),
       waits_(waits),
       retry_(loop.face, [this] { open_stream(); }),
       silence_(loop.face, [this] { look_for_silence(); }) {}
@@ -26,6 +26,7 @@ void StreamNode::set_rate(Rate) {
 }
 
 void StreamNode::begin() noexcept {
+  restart_filters();
   is_running_ = true;
   backoff_.reset();
 }
@@ -79,6 +80,12 @@ void StreamNode::look_for_silence() {
 void StreamNode::succeed() {
   backoff_.reset();
   if (health() != Health::ok) set_health(Health::ok, nullptr);
+}
+
+bool StreamNode::take_or_fail(void* payload, Time time) {
+  if (take_sample(payload, time) != Fate::unusable) return true;
+  degrade(unusable_error());
+  return false;
 }
 
 void StreamNode::fail(const Error& error) {

@@ -49,6 +49,8 @@ class StreamNode : public SourceNode {
   void heard();
   /// A sample that could be used.
   void succeed();
+  /// A sample that came and was decoded. False: its processing found it unusable, which is told.
+  bool take_or_fail(void* payload, Time time);
   /// One that came and could not be.
   void fail(const Error& error);
   /// Tells of the error; degraded because of it.

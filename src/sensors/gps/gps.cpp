@@ -223,14 +223,13 @@ class GpsNode final : public StreamNode {
     from.has_reported = true;
     fix.satellites_used = from.used;
     fix.satellites_visible = from.visible;
-    ++origin_.counts.received;
     if (fix.gps_time && from.last == line) {
+      ++origin_.counts.received;
       ++origin_.counts.repeated;
     } else {
       from.last.assign(fix.gps_time ? line : std::string_view());
       offer_time(fix, from);
-      ++origin_.counts.published;
-      origin_.topic.publish(origin_, time_, &fix);
+      if (!take_or_fail(&fix, time_)) return;
     }
     if (!is_open() || !is_running()) return;
     if (!is_several_) {

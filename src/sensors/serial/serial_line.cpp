@@ -183,15 +183,14 @@ class SerialLineNode final : public StreamNode {
     if (decoder_->is_skipped(line)) return;
     const Result<void> decoded = decoder_->decode(line);
     if (!decoded) return fail_line(decoded.error());
-    ++origin_.counts.received;
     const LineDecoder::Step step = decoder_->step();
     // Of the numbers that are left out, those of lines which came and could not be used are not lost.
     origin_.counts.lost += step.lost - std::min(step.lost, std::exchange(unusable_lines_, 0));
     if (step.is_repeated) {
+      ++origin_.counts.received;
       ++origin_.counts.repeated;
-    } else {
-      ++origin_.counts.published;
-      origin_.topic.publish(origin_, time_, decoder_->payload());
+    } else if (!take_or_fail(decoder_->payload(), time_)) {
+      return;
     }
     succeed();
   }

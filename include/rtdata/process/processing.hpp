@@ -1,0 +1,121 @@
+/// Processing: calibration and filters of the numeric fields of any sensor, between its reading and its topic.
+///
+///     rtdata::Sensor<Reading> tank(loop, {.name = "tank", .rate = 10_Hz, .process = {
+///         {"pressure", {.calibration = rtdata::Calibration{.version = "2026-03", .scale = 2.5, .offset = -0.1},
+///                       .filters = {rtdata::Filter::median(5)},
+///                       .unit = "bar"}}}}, read);
+///
+/// A field is named by its path ("temperature", "position.x", "accel[0]"), an array also by its name, which stands for
+/// all its elements. Each sample goes through the calibration and then through the filters in their order. What is
+/// published has, behind the fields of the sensor:
+///   - `NAME.raw`, as the sensor gave it, of each field whose value is changed: by a calibration, median, mean,
+///     exponential or clamp;
+///   - `NAME.rate`, optional, of each field with a rate of change.
+/// An integer whose value is changed becomes a double, beside the exact integer in `NAME.raw`; float stays float; all
+/// else stays as it is. Calculations are in double: `delta` and rates of 64-bit integers beyond 2^53 are rounded.
+///
+/// A value that is not finite, before or afterwards, or outside its table or bounds, makes the sample unreadable
+/// (ledger.hpp); it is never published. A sample that `throttle` or `delta` hold back is `filtered`; it has been seen
+/// by all the other filters. With these on several fields, it is held back when all of these fields hold it back.
+///
+/// Filters begin anew, as if the next sample were the first, after a start, a gap, a fault, a sample that was lost or
+/// unreadable, a time that goes back, and `AnySensor::set_processing`; those of an optional field also after it was
+/// absent. Memory is taken when the sensor is made, none later.
+///
+/// Recordings keep what holds from when on, with the version, in rtdata_configuration: docs/process.md.
+///
+/// Values; any thread.
+#pragma once
+
+#include <array>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata {
+
+enum class OutsideTable : std::uint8_t {
+  refuse,  ///< the sample is unreadable
+  clamp,   ///< the value of the nearest end
+};
+
+/// x = raw * scale + offset; of that the polynomial, or the table, if there is one.
+struct Calibration {
+  std::string version = {};                       ///< in recordings; empty: made from the numbers, eight hex digits
+  double scale = 1;                               ///< not 0
+  double offset = 0;                              ///< in the unit of the scaled value
+  std::vector<double> polynomial = {};            ///< c0 + c1 x + c2 x^2 ...: 2 to 10 coefficients
+  std::vector<std::array<double, 2>> table = {};  ///< pairs of x, which ascend, and value: 2 to 1000, straight between
+  OutsideTable outside = OutsideTable::refuse;    ///< of a table
+  std::optional<double> least = {};               ///< a value below it is unreadable
+  std::optional<double> most = {};                ///< a value above it is unreadable
+};
+
+enum class FilterType : std::uint8_t { median, mean, exponential, clamp, throttle, delta, rate_of_change };
+
+struct Filter {
+  FilterType type = FilterType::median;
+  std::optional<unsigned> of = {};    ///< samples: of a median odd, 3 to 255; of a mean 2 to 1000
+  std::optional<double> weight = {};  ///< of the new value in an exponential one: above 0, up to 1
+  std::optional<double> least = {};   ///< of a clamp
+  std::optional<double> most = {};    ///< of a clamp
+  std::optional<Duration> time = {};  ///< of a throttle
+  std::optional<double> by = {};      ///< of a delta
+
+  /// The middle one of the last values; while there are fewer, of those, of an even number the mean of the middle two.
+  static Filter median(unsigned of) { return {.type = FilterType::median, .of = of}; }
+  /// Of the last values; while there are fewer, of those.
+  static Filter mean(unsigned of) { return {.type = FilterType::mean, .of = of}; }
+  /// y += weight * (x - y), beginning with the first value.
+  static Filter exponential(double weight) { return {.type = FilterType::exponential, .weight = weight}; }
+  /// What is below becomes `least`, what is above `most`.
+  static Filter clamp(std::optional<double> least, std::optional<double> most) {
+    return {.type = FilterType::clamp, .least = least, .most = most};
+  }
+  /// Publishes at most one sample in a time, by the times of the samples.
+  static Filter throttle(Duration time) { return {.type = FilterType::throttle, .time = time}; }
+  /// Publishes only what differs by so much or more from what was published last.
+  static Filter delta(double by) { return {.type = FilterType::delta, .by = by}; }
+  /// Of the value at this place among the filters, a second: in `NAME.rate`, which is absent for the first sample, and
+  /// where no time has passed since the last one.
+  static Filter rate_of_change() { return {.type = FilterType::rate_of_change}; }
+};
+
+struct FieldProcessing {
+  std::optional<Calibration> calibration = {};
+  std::vector<Filter> filters = {};      ///< at most 8
+  std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: as that of the raw one
+};
+
+/// By the path of the field.
+using Processing = std::map<std::string, FieldProcessing>;
+
+/// What is wrong with a part of a Processing.
+struct ProcessingMistake {
+  std::string field;  ///< path of the field
+  std::string key;    ///< of the part that it is found in, such as "table"; empty: the field itself
+  std::string why;
+  std::string advice;
+};
+
+/// Thrown where a Processing does not fit a sensor.
+class ProcessingError : public SetupError {
+ public:
+  ProcessingError(const std::string& sensor, std::vector<ProcessingMistake> mistakes);
+  const std::vector<ProcessingMistake>& mistakes() const noexcept { return mistakes_; }
+
+ private:
+  std::vector<ProcessingMistake> mistakes_;
+};
+
+/// The description of what a sensor publishes, of that of its own; the same when nothing is added or changed.
+/// ProcessingError: a field that is not there, or no number; a part that is wrong in itself; a payload above 4 KiB.
+std::shared_ptr<const Description> processed(const std::shared_ptr<const Description>& description,
+                                             const Processing& processing, const std::string& sensor);
+
+}  // namespace rtdata
