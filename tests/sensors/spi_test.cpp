@@ -150,7 +150,7 @@ TEST_SUITE("sensors") {
              {.chip_select = 1});
     bench.loop.advance(1s);
     CHECK(none.counts().published == 0);
-    CHECK(none.counts().unreadable > 2);
+    CHECK(none.counts().failed > 2);
     CHECK(none.status().reason.find("nothing answers") != std::string::npos);
     CHECK(none.health() == Health::faulted);
     CHECK(good.counts().missed + good.counts().failed + good.counts().late == 0);
