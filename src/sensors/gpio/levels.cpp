@@ -9,7 +9,9 @@
 namespace rtdata {
 namespace {
 
-std::string written(const GpioLevel& level) { return level.chip.empty() ? level.line.text : level.chip + ":" + level.line.text; }
+std::string written(const GpioLevel& level) {
+  return level.chip.empty() ? level.line.text : level.chip + ":" + level.line.text;
+}
 
 /// The first that is there twice; null: none is.
 const GpioLevel* twice(const std::vector<GpioLevel>& lines) {
