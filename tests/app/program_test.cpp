@@ -26,7 +26,7 @@ const std::string program = rtdata::test::built("rtdata_test_program");
 const std::string shipped = rtdata::test::built("rtdata");
 
 constexpr const char* bench = R"({
-  "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"} ],
+  "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a"} ],
   "sinks": [ {"type": "file", "path": "bench.jsonl"}, {"type": "discard"} ]
 })";
 
@@ -111,7 +111,7 @@ TEST_SUITE("app") {
   TEST_CASE("US-9 a second signal ends at once and says what was lost") {
     const Folder folder;
     folder.write("bench.json", R"({
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "1 h"} ] })");
     Process run(folder, program, {"run", "bench.json"});
     REQUIRE(run.wait_for("it stalls on purpose"));
@@ -128,7 +128,7 @@ TEST_SUITE("app") {
   TEST_CASE("US-9 a second signal ends a run whose loop is held, and does not pretend to know what was lost") {
     const Folder folder;
     folder.write("bench.json", R"({
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "hang_at": 3} ], "sinks": [ {"type": "discard"} ] })");
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "hang_at": 3} ], "sinks": [ {"type": "discard"} ] })");
     Process run(folder, program, {"run", "bench.json"});
     REQUIRE(run.wait_for("it hangs now"));
     run.signal(SIGINT);
@@ -164,12 +164,12 @@ TEST_SUITE("app") {
   TEST_CASE("US-17 check prints every problem with its place, and exits 2") {
     const Folder folder;
     folder.write("bad.json",
-                 "{\n  \"sensors\": [ {\"name\": \"a\", \"type\": \"countr\"},\n    {\"name\": \"b\", \"type\": "
-                 "\"counter\", \"rtae\": \"1 Hz\"} ]\n}\n");
+                 "{\n  \"sensors\": [ {\"name\": \"a\", \"type\": \"tallie\"},\n    {\"name\": \"b\", \"type\": "
+                 "\"tallied\", \"rtae\": \"1 Hz\"} ]\n}\n");
     Process check(folder, program, {"check", "bad.json"});
     CHECK(check.end() == 2);
     CHECK(has(check.out,
-              "bad.json:2:38: sensors[0].type: there is no sensor type \"countr\" (did you mean \"counter\"?)\n"));
+              "bad.json:2:38: sensors[0].type: there is no sensor type \"tallie\" (did you mean \"tallied\"?)\n"));
     CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?)\n"));
     CHECK(has(check.out, "^\n"));
     CHECK(has(check.out, "2 problems"));
@@ -186,8 +186,8 @@ TEST_SUITE("app") {
   TEST_CASE("NFR-4 check and run say how loaded each tier is, and warn of one that is overloaded") {
     const Folder folder;
     folder.write("bench.json", R"({"tiers": {"fast": {}},
-      "sensors": [ {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "1 ms"},
-                   {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "800 us"},
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "500 Hz", "tier": "fast", "read_time": "1 ms"},
+                   {"name": "b", "type": "tallied", "rate": "500 Hz", "tier": "fast", "read_time": "800 us"},
                    {"name": "c", "type": "analog", "file": "/tmp/no converter", "rate": "10 Hz", "read_time": "5 ms"} ],
       "sinks": [ {"type": "discard"} ] })");
     Process check(folder, program, {"check", "bench.json"});
@@ -207,7 +207,7 @@ TEST_SUITE("app") {
 
   TEST_CASE("NFR-7 a run of a wrong configuration exits 2 with every problem in the log file") {
     const Folder folder;
-    folder.write("bad.json", R"({"sensors": [{"name": "a", "type": "countr"}, {"name": "b", "type": "counter"}]})");
+    folder.write("bad.json", R"({"sensors": [{"name": "a", "type": "tallie"}, {"name": "b", "type": "tallied"}]})");
     Process run(folder, program, {"run", "bad.json"});
     CHECK(run.end() == 2);
     CHECK(has(run.err, "nothing was started: 2 mistakes in bad.json"));
@@ -251,7 +251,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write(
         "bench.json",
-        R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
+        R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "fail_every": 3} ], "sinks": [{"type": "discard"}]})");
     Process strict(folder, program, {"run", "bench.json", "--for", "1s", "--fail-on-loss"});
     CHECK(strict.end() == 3);
     CHECK(has(strict.out, "\nLOST: "));
@@ -267,7 +267,7 @@ TEST_SUITE("app") {
     // Its own topics are no sensor's, so that `check` cannot know of them; this one comes with the first change of
     // health.
     folder.write("bench.json", R"({
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a"},
                    {"name": "gone", "type": "absent", "rate": "10 Hz", "topic": "gone"} ],
       "sinks": [ {"type": "file", "path": "run.csv", "format": "csv", "topics": ["count/a", "$rtdata/health"]} ] })");
     Process check(folder, program, {"check", "bench.json"});
@@ -287,7 +287,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("u.json", R"({
       "sensors": [ {"name": "board", "type": "serial", "device": "nothing_here", "fields": [{"name": "value"}], "topic": "lab/board"},
-                   {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+                   {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "u.db"} ] })");
     Process strict(folder, program, {"run", "u.json", "--for", "1s", "--fail-on-loss"});
     CHECK(strict.end() == 3);
@@ -316,14 +316,14 @@ TEST_SUITE("app") {
     const Folder folder;
     const std::string sinks = R"("sinks": [ {"type": "sqlite", "path": "run.db"}, {"type": "discard"} ] })";
     folder.write("rig.json", R"({
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic/of/a/sensor/a"},
-                   {"name": "failing", "type": "counter", "rate": "100 Hz", "fail_every": 3},
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic/of/a/sensor/a"},
+                   {"name": "failing", "type": "tallied", "rate": "100 Hz", "fail_every": 3},
                    {"name": "away", "type": "absent", "rate": "10 Hz", "device": "/dev/a_device_that_is_not_there"},
                    {"name": "board", "type": "serial", "device": "/dev/nor_is_this_device", "fields": [{"name": "value"}]} ],)" +
                                  sinks);
     folder.write(
         "wrong.json",
-        R"({"colour": "red", "sensors": [ {"name": "a", "type": "countr", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic", "tier": "nowhere"},
+        R"({"colour": "red", "sensors": [ {"name": "a", "type": "tallie", "rate": "100 Hz", "topic": "a/rather/long/name/for/a/topic", "tier": "nowhere"},
       {"name": "b", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "value"}], "baudrate": 9600, "sixth": "a long line"} ],)" +
             sinks);
     const auto check = [&](std::vector<std::string> arguments, int status) {
@@ -375,7 +375,7 @@ TEST_SUITE("app") {
       "NFR-5 Ctrl-C on a terminal is answered at once, before the tables; a run whose time is over says what it does") {
     const Folder folder;
     folder.write("bench.json", R"({
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "2 s"} ] })");
     Process run(folder, program, {"run", "bench.json"}, Process::Output::one_terminal);
     REQUIRE(run.wait_for("queued; "));
@@ -491,8 +491,8 @@ TEST_SUITE("app") {
   TEST_CASE("NFR-1 a run whose tier hangs ends by its deadline, names the callback, and verify says what is known") {
     const Folder folder;
     folder.write("bench.json", R"({"tiers": {"fast": {}},
-      "sensors": [ {"name": "a", "type": "counter", "rate": "200 Hz", "hang_at": 20, "tier": "fast"},
-                   {"name": "b", "type": "counter", "rate": "100 Hz"} ],
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "200 Hz", "hang_at": 20, "tier": "fast"},
+                   {"name": "b", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "run.db", "close_deadline": "1 s"} ] })");
     Process run(folder, program, {"run", "bench.json"});
     REQUIRE(run.wait_for("it hangs now"));
@@ -512,7 +512,7 @@ TEST_SUITE("app") {
     CHECK(has(verify.out, "sealed"));
     CHECK(has(verify.out, "tier fast did not come out of sensor a"));
     // The recording goes on in the next run, which does not seal it again.
-    folder.write("next.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "100 Hz"} ],
+    folder.write("next.json", R"({"sensors": [ {"name": "b", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
     Process next(folder, program, {"run", "next.json", "--for", "50ms"});
     CHECK(next.end() == 0);
@@ -537,7 +537,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write(
         "bench.json",
-        R"({"sensors": [ {"name": "slow", "type": "counter", "rate": "100 Hz", "hold": "35 ms"} ], "sinks": [{"type": "discard"}]})");
+        R"({"sensors": [ {"name": "slow", "type": "tallied", "rate": "100 Hz", "hold": "35 ms"} ], "sinks": [{"type": "discard"}]})");
     Process run(folder, program, {"run", "bench.json", "--for", "400ms", "--fail-on-loss"});
     CHECK(run.end() == 3);
     CHECK(has(run.err, "held the loop"));
@@ -548,15 +548,15 @@ TEST_SUITE("app") {
     const Folder folder;
     Process all(folder, program, {"types"});
     CHECK(all.end() == 0);
-    for (const char* type : {"\nanalog  ", "\nhost  ", "\nserial  ", "\ncounter  ", "\nfile  ", "\nconsole  ",
+    for (const char* type : {"\nanalog  ", "\nhost  ", "\nserial  ", "\ntallied  ", "\nfile  ", "\nconsole  ",
                              "quantization_bits", "batch_rows"})
       CHECK_MESSAGE(has(all.out, type), type);
-    Process one(folder, program, {"types", "counter"});
+    Process one(folder, program, {"types", "tallied"});
     CHECK(one.end() == 0);
-    CHECK(one.out.starts_with("counter  counts its readings\n"));
-    Process wrong(folder, program, {"types", "countr"});
+    CHECK(one.out.starts_with("tallied  counts its readings\n"));
+    Process wrong(folder, program, {"types", "tallie"});
     CHECK(wrong.end() == 1);
-    CHECK(has(wrong.err, "did you mean \"counter\"?"));
+    CHECK(has(wrong.err, "did you mean \"tallied\"?"));
     Process schema(folder, program, {"types", "--schema"});
     CHECK(schema.end() == 0);
     CHECK(nlohmann::json::parse(schema.out)["properties"].contains("sinks"));
@@ -613,7 +613,7 @@ TEST_SUITE("app") {
 
   TEST_CASE("check counts its warnings, and says what grows without limit") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"}],
+    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a"}],
       "sinks": [{"type": "file", "path": "run.jsonl", "topics": ["count/b", "#"]}]})");
     Process check(folder, program, {"check", "bench.json"});
     CHECK(check.end() == 0);
@@ -625,7 +625,7 @@ TEST_SUITE("app") {
   TEST_CASE("output that is lost is told, and is exit status 1; a reader that goes away is not") {
     const RuntimeFolder runtime;
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
     Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
     CHECK(record.end() == 0);
@@ -648,7 +648,7 @@ TEST_SUITE("app") {
 
   TEST_CASE("counts of the command line that are below what there is are mistakes") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
     Process record(folder, program, {"run", "bench.json", "--for", "100ms"});
     CHECK(record.end() == 0);
@@ -763,14 +763,14 @@ TEST_SUITE("app") {
 
   TEST_CASE("NFR-5 a time without its zone, and a size with a unit, are answered with what to write") {
     const Folder folder;
-    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+    folder.write("bench.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz"}],
       "sinks": [{"type": "file", "path": "a.jsonl", "rotate": {"bytes": "2 MB"}},
                 {"type": "file", "path": "b.jsonl", "rotate": {"bytes": "much"}}]})");
     Process check(folder, program, {"check", "bench.json"});
     CHECK(check.end() == 2);
     CHECK(has(check.out, "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000\n"));
     CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\"\n"));
-    folder.write("good.json", R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz"}],
+    folder.write("good.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz"}],
       "sinks": [{"type": "sqlite", "path": "run.db"}]})");
     Process run(folder, program, {"run", "good.json", "--for", "100ms"});
     REQUIRE(run.end() == 0);

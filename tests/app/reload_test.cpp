@@ -15,7 +15,7 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 
 std::string rig(const std::string& rate, const std::string& more) {
   return R"({"buses": {"wire": {"type": "loopback"}}, "sensors": [
-    {"name": "a", "type": "counter", "rate": ")" +
+    {"name": "a", "type": "tallied", "rate": ")" +
          rate + R"("}, {"name": "w", "type": "wired", "bus": "wire", "rate": "10 Hz"})" + more +
          R"(], "sinks": [{"type": "discard"}]})";
 }
@@ -28,17 +28,17 @@ TEST_SUITE("app") {
     folder.write("rig.json", rig("100 Hz", ""));
     Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig: 2 sensors, 1 sink"));
-    folder.write("rig.json", rig("50 Hz", R"(, {"name": "new", "type": "counter", "rate": "10 Hz"})"));
+    folder.write("rig.json", rig("50 Hz", R"(, {"name": "new", "type": "tallied", "rate": "10 Hz"})"));
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("rig.json is applied"));
     CHECK(has(run.err, "configuration: sensor a: changed while it runs (rate)"));
     CHECK(has(run.err, "configuration: sensor new: added"));
     CHECK_FALSE(has(run.err, "sensor w:"));
 
-    folder.write("rig.json", rig("50 Hz", R"(, {"name": "new", "type": "countr", "rate": "10 Hz"})"));
+    folder.write("rig.json", rig("50 Hz", R"(, {"name": "new", "type": "tallie", "rate": "10 Hz"})"));
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("nothing was changed: 1 mistake in rig.json"));
-    CHECK(has(run.err, "did you mean \"counter\"?"));
+    CHECK(has(run.err, "did you mean \"tallied\"?"));
 
     folder.write("rig.json", R"({"name": "other", )" + rig("20 Hz", "").substr(1));
     run.signal(SIGHUP);
@@ -86,7 +86,7 @@ TEST_SUITE("app") {
   TEST_CASE("US-5 events of a recording that a reload closes before it could store them are not forgotten at the end") {
     const Folder folder;
     const auto text = [](const std::string& rate, const std::string& sinks) {
-      return R"({"sensors": [{"name": "a", "type": "counter", "rate": ")" + rate + R"("}], "sinks": [)" + sinks + "]}";
+      return R"({"sensors": [{"name": "a", "type": "tallied", "rate": ")" + rate + R"("}], "sinks": [)" + sinks + "]}";
     };
     const std::string recording = R"({"type": "sqlite", "path": "run.db", "close_deadline": "100 ms"})";
     folder.write("rig.json", text("100 Hz", recording));

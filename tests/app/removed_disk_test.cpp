@@ -92,7 +92,7 @@ TEST_SUITE("app") {
         return;
       }
       folder.write("bench.json", R"({ "loop": {"hold_limit": "1 min"},
-        "sensors": [ {"name": "a", "type": "counter", "rate": "200 Hz", "topic": "count/a"} ],
+        "sensors": [ {"name": "a", "type": "tallied", "rate": "200 Hz", "topic": "count/a"} ],
         "sinks": [ {"type": "sqlite", "path": "stick/run.db", "batch_time": "20 ms", "profile": "safe", "close_deadline": "1 s"},
                    {"type": "file", "path": "stick/run.jsonl", "batch_time": "20 ms", "close_deadline": "1 s"},
                    {"type": "sqlite", "path": "good.db"} ] })");

@@ -183,7 +183,7 @@ TEST_CASE("NFR-2 a run tells that it is ready, feeds the watchdog, and tells tha
   FakeManager fake(folder.path() + "/notify", "200000");
   folder.write(
       "bench.json",
-      R"({"sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ], "sinks": [ {"type": "discard"} ]})");
+      R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ], "sinks": [ {"type": "discard"} ]})");
   Process run(folder, program, {"run", "bench.json"});
   CHECK(fake.wait_for("READY=1\n"));
   CHECK(fake.wait_for("WATCHDOG=1"));
@@ -200,7 +200,7 @@ TEST_CASE(
   const Folder folder;
   FakeManager fake(folder.path() + "/notify");
   folder.write("bench.json", R"({
-    "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz"} ],
+    "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
     "sinks": [ {"type": "discard", "stalls": true, "batch_time": "10 ms", "close_deadline": "4 s"} ] })");
   Process run(folder, program, {"run", "bench.json", "--for", "300ms"});
   CHECK(fake.wait_for("STOPPING=1"));
@@ -218,8 +218,8 @@ TEST_CASE("NFR-1 a run names the tier that does not turn, and the sensor that he
   folder.write("bench.json", R"({
   "tiers": { "fast": { "hold_limit": "100 ms" } },
   "sensors": [
-    {"name": "slow", "type": "counter", "rate": "0.001 Hz", "hold": "900 ms", "tier": "fast"},
-    {"name": "quick", "type": "counter", "rate": "100 Hz"}
+    {"name": "slow", "type": "tallied", "rate": "0.001 Hz", "hold": "900 ms", "tier": "fast"},
+    {"name": "quick", "type": "tallied", "rate": "100 Hz"}
   ],
   "sinks": [ {"type": "discard"} ]
 })");
@@ -249,8 +249,8 @@ TEST_CASE("US-5 a sensor that holds the loop is named with its place in the file
   const Folder folder;
   folder.write("bench.json", R"({
   "sensors": [
-    {"name": "slow", "type": "counter", "rate": "100 Hz", "hold": "35 ms", "on_overrun": "stop"},
-    {"name": "quick", "type": "counter", "rate": "100 Hz"}
+    {"name": "slow", "type": "tallied", "rate": "100 Hz", "hold": "35 ms", "on_overrun": "stop"},
+    {"name": "quick", "type": "tallied", "rate": "100 Hz"}
   ],
   "sinks": [ {"type": "discard"} ]
 })");
@@ -263,7 +263,7 @@ TEST_CASE("US-5 a sensor that holds the loop is named with its place in the file
   CHECK(run.out.find("faulted") != std::string::npos);
   folder.write(
       "wrong.json",
-      R"({"sensors": [ {"name": "a", "type": "counter", "rate": "1 Hz", "on_overrun": "slower"} ], "sinks": []})");
+      R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "1 Hz", "on_overrun": "slower"} ], "sinks": []})");
   Process check(folder, program, {"check", "wrong.json"});
   CHECK(check.end() == 2);
 }

@@ -21,7 +21,7 @@ const std::string program = rtdata::test::built("rtdata_test_program");
 
 constexpr const char* rig = R"({
   "name": "rig",
-  "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
+  "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a"},
                {"name": "gone", "type": "absent", "rate": "10 Hz", "device": "/dev/missing_thing"} ],
   "sinks": [ {"type": "discard"} ]
 })";
@@ -125,9 +125,9 @@ TEST_SUITE("app") {
     const RuntimeFolder runtime;
     const Folder folder;
     folder.write("rig.json", R"({ "name": "rig", "tiers": { "fast": {}, "slow": {} },
-      "sensors": [ {"name": "a", "type": "counter", "rate": "100 Hz", "tier": "fast", "hold": "1 ms"},
-                   {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow", "hang_at": 200},
-                   {"name": "c", "type": "counter", "rate": "100 Hz"} ],
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "tier": "fast", "hold": "1 ms"},
+                   {"name": "b", "type": "tallied", "rate": "100 Hz", "tier": "slow", "hang_at": 200},
+                   {"name": "c", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "discard", "close_deadline": "100 ms"} ] })");
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
@@ -205,7 +205,7 @@ TEST_SUITE("app") {
     CHECK(has(none.err, "no instance is running"));
 
     folder.write("rig.json", rig);
-    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "tallied", "rate": "10 Hz"} ]})");
     Process first(folder, program, {"run", "rig.json"});
     Process second(folder, program, {"run", "other.json"});
     REQUIRE(first.wait_for("running rig"));
@@ -232,7 +232,7 @@ TEST_SUITE("app") {
     const RuntimeFolder runtime;
     const Folder folder;
     folder.write("rig.json", rig);
-    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "tallied", "rate": "10 Hz"} ]})");
     Process rig_run(folder, program, {"run", "rig.json"});
     REQUIRE(rig_run.wait_for("running rig"));
     const Instance stopped = running_instances().at(0);
@@ -287,7 +287,7 @@ TEST_SUITE("app") {
     const RuntimeFolder runtime;
     const Folder folder;
     folder.write("rig.json", rig);
-    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "counter", "rate": "10 Hz"} ]})");
+    folder.write("other.json", R"({"sensors": [ {"name": "b", "type": "tallied", "rate": "10 Hz"} ]})");
     Process other(folder, program, {"run", "other.json"});
     REQUIRE(other.wait_for("running other"));
     const std::string own = runtime.path() + "/bench";

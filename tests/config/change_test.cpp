@@ -95,21 +95,21 @@ struct Running {
 
 bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
-const std::string counter = R"({"name": "a", "type": "counter", "rate": "100 Hz"})";
+const std::string counter = R"({"name": "a", "type": "tallied", "rate": "100 Hz"})";
 
 }  // namespace
 
 TEST_SUITE("config") {
   TEST_CASE("NFR-6 each item of another configuration is unchanged, changed live, restarted, added or removed") {
     CHECK(change(sensors(counter), sensors(counter)) == "");
-    CHECK(change(sensors(counter), sensors(R"({"rate": "100 Hz", "type": "counter", "name": "a"})")) == "");
-    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "counter", "rate": "50 Hz"})")) ==
+    CHECK(change(sensors(counter), sensors(R"({"rate": "100 Hz", "type": "tallied", "name": "a"})")) == "");
+    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "tallied", "rate": "50 Hz"})")) ==
           "sensor a: changed while it runs (rate)\n");
-    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "counter", "rate": "50 Hz", "first": 7})")) ==
+    CHECK(change(sensors(counter), sensors(R"({"name": "a", "type": "tallied", "rate": "50 Hz", "first": 7})")) ==
           "sensor a: restarted (rate, first)\n");
-    CHECK(change(sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "first": 7})"), sensors(counter)) ==
+    CHECK(change(sensors(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "first": 7})"), sensors(counter)) ==
           "sensor a: restarted (first)\n");
-    CHECK(change(sensors(counter), sensors(R"({"name": "b", "type": "counter", "rate": "100 Hz"})")) ==
+    CHECK(change(sensors(counter), sensors(R"({"name": "b", "type": "tallied", "rate": "100 Hz"})")) ==
           "sensor b: added\nsensor a: removed\n");
   }
 
@@ -137,7 +137,7 @@ TEST_SUITE("config") {
     CHECK(has(change(sensors(counter, R"(, "tiers": {"fast": {}})"), plain), "tier fast: refused"));
     CHECK(change(plain, sensors(counter, R"(, "notes": "second")")) ==
           "notes: changed while it runs (kept with the text)\n");
-    CHECK(has(change(plain, sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "b"})")),
+    CHECK(has(change(plain, sensors(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "b"})")),
               "sensor a: refused: earlier in this run it published on topic a"));
     CHECK(has(change(plain, sensors(R"({"name": "a", "type": "absent", "rate": "100 Hz"})")),
               "sensor a: refused: the topic a carries other values"));
@@ -152,11 +152,11 @@ TEST_SUITE("config") {
     const auto text = [&](const std::string& list) {
       return R"({"sensors": [)" + list + R"(], "sinks": [{"type": "sqlite", "path": ")" + path + R"("}]})";
     };
-    const std::string first = text(counter + R"(, {"name": "b", "type": "counter", "rate": "10 Hz"},
-                                                  {"name": "c", "type": "counter", "rate": "10 Hz"})");
-    const std::string second = text(R"({"name": "a", "type": "counter", "rate": "50 Hz"},
-                                       {"name": "b", "type": "counter", "rate": "10 Hz", "first": 1000},
-                                       {"name": "d", "type": "counter", "rate": "10 Hz"})");
+    const std::string first = text(counter + R"(, {"name": "b", "type": "tallied", "rate": "10 Hz"},
+                                                  {"name": "c", "type": "tallied", "rate": "10 Hz"})");
+    const std::string second = text(R"({"name": "a", "type": "tallied", "rate": "50 Hz"},
+                                       {"name": "b", "type": "tallied", "rate": "10 Hz", "first": 1000},
+                                       {"name": "d", "type": "tallied", "rate": "10 Hz"})");
     {
       Running run(first);
       Loop& loop = run.loop;
@@ -203,10 +203,10 @@ TEST_SUITE("config") {
     System& system = run.system;
     loop.advance(105ms);
     const AnySensor* before = &system.sensor("a");
-    CHECK(has(refusal([&] { system.apply(run.next(sensors(R"({"name": "a", "type": "countr", "rate": "1 Hz"})"))); }),
-              "did you mean \"counter\"?"));
+    CHECK(has(refusal([&] { system.apply(run.next(sensors(R"({"name": "a", "type": "tallie", "rate": "1 Hz"})"))); }),
+              "did you mean \"tallied\"?"));
     CHECK(has(refusal([&] {
-                system.apply(run.next(sensors(R"({"name": "a", "type": "counter", "rate": "1 Hz"})",
+                system.apply(run.next(sensors(R"({"name": "a", "type": "tallied", "rate": "1 Hz"})",
                                               R"(, "loop": {"hold_limit": "1 s"})")));
               }),
               "cannot apply the configuration: loop: the program is started with it"));
@@ -218,9 +218,9 @@ TEST_SUITE("config") {
 
   TEST_CASE("US-5 what cannot be made brings back all that was before") {
     const std::string two = sensors(counter + R"(, {"name": "b", "type": "brittle", "rate": "10 Hz"})");
-    const std::string broken = sensors(R"({"name": "a", "type": "counter", "rate": "100 Hz", "first": 5},
+    const std::string broken = sensors(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "first": 5},
                                           {"name": "b", "type": "brittle", "rate": "10 Hz", "breaks": true},
-                                          {"name": "c", "type": "counter", "rate": "10 Hz"})");
+                                          {"name": "c", "type": "tallied", "rate": "10 Hz"})");
     Running run(two);
     Loop& loop = run.loop;
     System& system = run.system;
@@ -243,7 +243,7 @@ TEST_SUITE("config") {
       "US-5 ticks that the closing of a slow recording costs are missed, of a sensor that is restarted with it too") {
     const Folder folder;
     const auto text = [&](const char* first, const char* deadline) {
-      return R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz", "first": )" + std::string(first) +
+      return R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz", "first": )" + std::string(first) +
              R"(}], "sinks": [{"type": "sqlite", "name": "db", "path": ")" + folder.path() +
              R"(/run.db", "close_deadline": ")" + deadline + R"("}]})";
     };
@@ -303,7 +303,7 @@ TEST_SUITE("config") {
     const std::string path = folder.path() + "/run.db", later = folder.path() + "/later.db";
     const auto sink = [](const std::string& file) { return R"({"type": "sqlite", "path": ")" + file + R"("})"; };
     const std::string text = R"({"sensors": [)" + counter + R"(], "sinks": [)" + sink(path) + "]}";
-    const std::string added = R"({"name": "late", "type": "counter", "rate": "10 Hz"})";
+    const std::string added = R"({"name": "late", "type": "tallied", "rate": "10 Hz"})";
     {
       Running run(text);
       Loop& loop = run.loop;
@@ -311,7 +311,7 @@ TEST_SUITE("config") {
       loop.advance(500ms);
       CHECK(system.add("sensor", parse_config(added, "x").or_throw()) == "late");
       loop.advance(500ms);
-      system.add("sensor", parse_config(R"({"name": "brief", "type": "counter", "rate": "10 Hz"})", "x").or_throw());
+      system.add("sensor", parse_config(R"({"name": "brief", "type": "tallied", "rate": "10 Hz"})", "x").or_throw());
       system.remove("sensor", "brief");
       system.add_sink(parse_config(sink(later), "x").or_throw());
       loop.advance(500ms);
@@ -350,7 +350,7 @@ TEST_SUITE("config") {
     {
       Running run(R"({"sensors": [)" + counter + R"(], "sinks": [{"type": "sqlite", "path": ")" + path + R"("}]})");
       run.loop.advance(100ms);
-      run.system.add_sensor(parse_config(R"({"name": "late", "type": "counter", "rate": "10 Hz"})", "x").or_throw());
+      run.system.add_sensor(parse_config(R"({"name": "late", "type": "tallied", "rate": "10 Hz"})", "x").or_throw());
       run.loop.advance(100ms);
       run.loop.close(1s);
     }

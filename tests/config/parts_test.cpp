@@ -159,7 +159,7 @@ TEST_SUITE("config") {
   {"name": "b", "type": "probe", "rate": "1 Hz", "bus": "o"},
   {"name": "c", "type": "probe", "rate": "1 Hz", "bus": "t", "tier": "t"},
   {"name": "d", "type": "probe", "rate": "1 Hz"},
-  {"name": "e", "type": "counter", "rate": "1 Hz", "bus": "w1"},
+  {"name": "e", "type": "tallied", "rate": "1 Hz", "bus": "w1"},
   {"name": "f", "type": "probe", "rate": "2 MHz", "bus": "gone"},
   {"name": "g", "type": "probe", "rate": "1 Hz", "bus": "l"}]})") ==
           "f.json:2:27: buses.w1: this key is already at f.json:1:32\n"
@@ -270,7 +270,7 @@ TEST_SUITE("config") {
     const std::string file = folder.path() + "/x.out";
     const SystemPlan plan = types.planned(R"({"log": {"file": ")" + folder.path() +
                                           R"(/the.log"}, "buses": {"w1": {"type": "wire", "device": "x"}},
- "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x/a"}],
+ "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "x/a"}],
  "sinks": [{"type": "discard", "path": ")" +
                                           file + R"("}]})");
     REQUIRE(plan.problems.text() == "");
@@ -289,9 +289,9 @@ TEST_SUITE("config") {
     CHECK(add_sensor(R"({"name": "a", "type": "absent", "rate": "1 Hz", "topic": "x/a", "tier": "t"})")
               .find("item.json:1:58: topic: the topic \"x/a\" carries \"count\" of sensor a, at f.json:2:72, and "
                     "\"level\"") != std::string::npos);
-    CHECK(add_sensor(R"({"name": "b", "type": "counter", "rate": "1 Hz", "tier": "t"})") ==
+    CHECK(add_sensor(R"({"name": "b", "type": "tallied", "rate": "1 Hz", "tier": "t"})") ==
           "item.json:1:58: tier: there is no tier \"t\" in `tiers`\n");
-    CHECK(add_sensor(R"({"name": "X/a", "type": "counter", "rate": "1 Hz"})") ==
+    CHECK(add_sensor(R"({"name": "X/a", "type": "tallied", "rate": "1 Hz"})") ==
           "item.json:1:10: name: the topic \"X/a\" differs in case only from \"x/a\", at f.json:2:72\n");
     CHECK(add_sensor(R"({"name": "p", "type": "probe", "rate": "1 Hz", "bus": "w2"})") ==
           "item.json:1:55: bus: there is no bus \"w2\" in `buses` (did you mean \"w1\"?)\n");
@@ -313,7 +313,7 @@ TEST_SUITE("config") {
     system.remove_sink(file);
     CHECK(add_sink(R"({"type": "discard", "path": ")" + file + "\"}") == "");
     system.remove_sensor("a");
-    CHECK(add_sensor(R"({"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x/a"})") == "");
+    CHECK(add_sensor(R"({"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "x/a"})") == "");
   }
 
   TEST_CASE("US-7 a sensor that is added must go into a file together with those that are in it") {
@@ -335,7 +335,7 @@ TEST_SUITE("config") {
     Types types;
     Loop loop{Loop::Manual{}};
     System system(loop, types.registry, parse_config("{}", "f.json"));
-    system.add_sensor(item(R"({"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x"})"));
+    system.add_sensor(item(R"({"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "x"})"));
     CHECK(
         refusal([&] {
           system.add_sensor(item(R"({"name": "b", "type": "absent", "rate": "1 Hz", "topic": "x"})"));

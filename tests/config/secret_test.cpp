@@ -58,7 +58,7 @@ Registry registry(std::vector<LoginConfig>* made = nullptr) {
 }
 
 std::string with_sink(const std::string& more) {
-  return R"({"sensors": [{"name": "a", "type": "counter", "rate": "10 Hz"}], "sinks": [{"type": "login")" + more +
+  return R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz"}], "sinks": [{"type": "login")" + more +
          "}]}";
 }
 

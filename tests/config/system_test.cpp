@@ -45,8 +45,8 @@ constexpr const char* bench = R"({
   "name": "bench", "notes": "first run",
   "loop": {"hold_limit": "20 ms", "phase_grid": "0 s"},
   "sensors": [
-    {"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a"},
-    {"name": "b", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 100, "start": false},
+    {"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a"},
+    {"name": "b", "type": "tallied", "rate": "10 Hz", "topic": "count/b", "first": 100, "start": false},
     {"name": "c", "type": "fed", "topic": "count/c"}
   ],
   "sinks": [ {"type": "discard", "path": "x.out", "topics": ["count/#"], "queue_bytes": 1048576} ]
@@ -114,7 +114,7 @@ TEST_SUITE("config") {
     Running run;
     run.loop.advance(1s);
     run.system.add_sensor(
-        item(R"({"name": "d", "type": "counter", "rate": "10 Hz", "topic": "count/b", "first": 500})"));
+        item(R"({"name": "d", "type": "tallied", "rate": "10 Hz", "topic": "count/b", "first": 500})"));
     CHECK(run.system.sensor("d").is_running());
     run.loop.advance(150ms);
     CHECK(run.seen_b == std::vector<std::uint64_t>{500, 501});
@@ -130,8 +130,8 @@ TEST_SUITE("config") {
       }
       return "";
     };
-    CHECK(message(R"({"name": "d", "type": "countr", "rate": "10 Hz"})").find("\"counter\"") != std::string::npos);
-    CHECK(message(R"({"name": "a", "type": "counter", "rate": "10 Hz", "topic": "count/a"})")
+    CHECK(message(R"({"name": "d", "type": "tallie", "rate": "10 Hz"})").find("\"tallied\"") != std::string::npos);
+    CHECK(message(R"({"name": "a", "type": "tallied", "rate": "10 Hz", "topic": "count/a"})")
               .find("there is a sensor \"a\" already, at f.json:5:14") != std::string::npos);
     CHECK(message(R"({"name": "d", "type": "absent", "rate": "10 Hz", "topic": "count/a"})").find("\"level\"") !=
           std::string::npos);
@@ -150,7 +150,7 @@ TEST_SUITE("config") {
     CHECK(run.seen_a.size() == 10);
     CHECK_THROWS_WITH_AS((void)run.system.sensor("a"), doctest::Contains("no such sensor"), SetupError);
     run.system.add_sensor(
-        item(R"({"name": "a", "type": "counter", "rate": "100 Hz", "topic": "count/a", "first": 70})"));
+        item(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "topic": "count/a", "first": 70})"));
     run.loop.advance(5ms);
     CHECK(run.seen_a.back() == 70);
     run.loop.close();
@@ -185,13 +185,13 @@ TEST_SUITE("config") {
   "nam": "bench",
   "log": {"levle": "info", "file": 3},
   "sensors": [
-    {"name": "a", "type": "counter", "rtae": "100 Hz"},
-    {"name": "b", "type": "countr", "rate": "1 Hz"},
-    {"name": "c", "type": "counter", "rate": "100"},
-    {"name": "d", "type": "counter", "rate": "1 Hz", "first": -1},
-    {"name": "e e", "type": "counter", "rate": "1 Hz"},
-    {"name": "f", "type": "counter", "rate": "1 Hz", "topic": "a//b"},
-    {"name": "g", "type": "counter", "rate": "1 Hz", "topic": "$rtdata/x"}
+    {"name": "a", "type": "tallied", "rtae": "100 Hz"},
+    {"name": "b", "type": "tallie", "rate": "1 Hz"},
+    {"name": "c", "type": "tallied", "rate": "100"},
+    {"name": "d", "type": "tallied", "rate": "1 Hz", "first": -1},
+    {"name": "e e", "type": "tallied", "rate": "1 Hz"},
+    {"name": "f", "type": "tallied", "rate": "1 Hz", "topic": "a//b"},
+    {"name": "g", "type": "tallied", "rate": "1 Hz", "topic": "$rtdata/x"}
   ],
   "sinks": [
     {"type": "discard", "topics": ["a/#/b", "x y"]},
@@ -222,13 +222,13 @@ f.json:16:38: sinks[2].when_full
                   text);
     CHECK(text.find("(did you mean \"name\"?)") != std::string::npos);
     CHECK(text.find("(did you mean \"rate\"?)") != std::string::npos);
-    CHECK(text.find("(did you mean \"counter\"?)") != std::string::npos);
+    CHECK(text.find("(did you mean \"tallied\"?)") != std::string::npos);
   }
 
   TEST_CASE("US-17 names used twice are told with both places") {
     const std::string text = problems_of(R"({"sensors": [
-  {"name": "a", "type": "counter", "rate": "1 Hz"},
-  {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "b"}],
+  {"name": "a", "type": "tallied", "rate": "1 Hz"},
+  {"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "b"}],
  "sinks": [
   {"type": "discard", "path": "out"},
   {"type": "discard", "path": "./out"},
@@ -243,11 +243,11 @@ f.json:16:38: sinks[2].when_full
 
   TEST_CASE("US-17 what is wrong between items is told though one of them has a mistake of its own") {
     const std::string text = problems_of(R"({"sensors": [
-  {"name": "a", "type": "counter", "rate": "2 MHz", "tier": "fast"},
-  {"name": "a", "type": "counter", "rate": "1 Hz"},
-  {"name": "A", "type": "counter", "rate": "1 Hz"},
-  {"name": "b", "type": "counter", "rate": "1 Hz", "topic": "x"},
-  {"name": "c", "type": "countr", "rate": "1 Hz", "topic": "x"},
+  {"name": "a", "type": "tallied", "rate": "2 MHz", "tier": "fast"},
+  {"name": "a", "type": "tallied", "rate": "1 Hz"},
+  {"name": "A", "type": "tallied", "rate": "1 Hz"},
+  {"name": "b", "type": "tallied", "rate": "1 Hz", "topic": "x"},
+  {"name": "c", "type": "tallie", "rate": "1 Hz", "topic": "x"},
   {"name": "d", "type": "absent", "rate": "1 Hz", "topic": "x"}],
  "sinks": [
   {"type": "discard", "path": "out", "queue_bytes": 3},
@@ -259,7 +259,7 @@ f.json:16:38: sinks[2].when_full
              "f.json:2:61: sensors[0].tier: there is no tier \"fast\"",
              "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12",
              "f.json:4:12: sensors[2].name: the topic \"A\" differs in case only from \"a\", at f.json:2:12",
-             "f.json:6:25: sensors[4].type: there is no sensor type \"countr\"",
+             "f.json:6:25: sensors[4].type: there is no sensor type \"tallie\"",
              "f.json:7:60: sensors[5].topic: the topic \"x\" carries \"count\" of sensor b, at f.json:5:61",
              "f.json:9:53: sinks[0].queue_bytes: 3 By is out of range",
              "f.json:10:31: sinks[1].path: the sink at f.json:9:3 writes \"out\" already",
@@ -272,8 +272,8 @@ f.json:16:38: sinks[2].when_full
 
   TEST_CASE("US-17 a topic that an item with mistakes shares is compared among the others") {
     CHECK(problems_of(R"({"sensors": [
-  {"name": "a", "type": "countr", "rate": "1 Hz", "topic": "x"},
-  {"name": "b", "type": "counter", "rate": "1 Hz", "topic": "x"},
+  {"name": "a", "type": "tallie", "rate": "1 Hz", "topic": "x"},
+  {"name": "b", "type": "tallied", "rate": "1 Hz", "topic": "x"},
   {"name": "c", "type": "absent", "rate": "1 Hz", "topic": "x"}]})")
               .find("f.json:4:60: sensors[2].topic: the topic \"x\" carries \"count\" of sensor b, at f.json:3:61") !=
           std::string::npos);
@@ -300,9 +300,9 @@ f.json:16:38: sinks[2].when_full
 
   TEST_CASE("US-17 two payloads on one topic are told with both places before anything starts") {
     const std::string text = problems_of(R"({"sensors": [
-  {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "x"},
+  {"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "x"},
   {"name": "b", "type": "absent", "rate": "1 Hz", "topic": "x"},
-  {"name": "c", "type": "counter", "rate": "1 Hz", "topic": "X"},
+  {"name": "c", "type": "tallied", "rate": "1 Hz", "topic": "X"},
   {"name": "d", "type": "fed", "topic": "x"}]})");
     CHECK(text.starts_with(
         "f.json:3:60: sensors[1].topic: the topic \"x\" carries \"count\" of sensor a, at f.json:2:61, and "
@@ -317,9 +317,9 @@ f.json:16:38: sinks[2].when_full
     Loop loop;
     const SystemPlan plan = planned(
         R"({"tiers": {"fast": {"policy": "fifo", "priority": 10, "cpu": 0, "spin": "50 us"}, "slow": {}},
-      "sensors": [{"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast"},
-                  {"name": "b", "type": "counter", "rate": "100 Hz", "tier": "slow"},
-                  {"name": "c", "type": "counter", "rate": "100 Hz"}],
+      "sensors": [{"name": "a", "type": "tallied", "rate": "500 Hz", "tier": "fast"},
+                  {"name": "b", "type": "tallied", "rate": "100 Hz", "tier": "slow"},
+                  {"name": "c", "type": "tallied", "rate": "100 Hz"}],
       "sinks": [{"type": "discard"}]})");
     CHECK(plan.problems.text() == "");
     CHECK(plan.warnings.text() == "");
@@ -347,14 +347,14 @@ f.json:16:38: sinks[2].when_full
   TEST_CASE("US-33 mistakes of tiers are told with their places") {
     CHECK(problems_of(R"({"tiers": {"fast": {"policy": "fifo"}, "slow": {"priority": 3}, "odd": {"cpu": 1, "cpus": [0]},
  "wrong": {"policy": "realtime"}},
- "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "fsat"}]})") ==
+ "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "tier": "fsat"}]})") ==
           "f.json:1:31: tiers.fast.policy: policy \"fifo\" needs a `priority` from 1 to 99\n"
           "f.json:1:61: tiers.slow.priority: a priority goes with the policies \"fifo\" and \"rr\" only\n"
           "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
           "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
     CHECK(problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
- "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "tier": "c\nd"}]})") ==
+ "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "tier": "c\nd"}]})") ==
           "f.json:1:12: tiers.main: the main loop has that name; give the tier another\n"
           "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
           "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?)\n"
@@ -362,7 +362,7 @@ f.json:16:38: sinks[2].when_full
           "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers`\n");
     CHECK(
         planned(
-            R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"}], "sinks": [{"type": "discard"}]})")
+            R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz"}], "sinks": [{"type": "discard"}]})")
             .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
   }
 
@@ -370,10 +370,10 @@ f.json:16:38: sinks[2].when_full
       "NFR-4 the load of each loop is known from the file, and too much of it is a warning at the sensor that takes "
       "most") {
     const SystemPlan good = planned(R"({"tiers": {"fast": {}, "idle": {}}, "sensors": [
- {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "read_time": "1.4 ms"},
- {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "100 us"},
- {"name": "c", "type": "counter", "rate": "1 Hz", "tier": "fast"},
- {"name": "d", "type": "counter", "rate": "100 Hz", "hold": "5 ms"},
+ {"name": "a", "type": "tallied", "rate": "500 Hz", "tier": "fast", "read_time": "1.4 ms"},
+ {"name": "b", "type": "tallied", "rate": "500 Hz", "tier": "fast", "hold": "100 us"},
+ {"name": "c", "type": "tallied", "rate": "1 Hz", "tier": "fast"},
+ {"name": "d", "type": "tallied", "rate": "100 Hz", "hold": "5 ms"},
  {"name": "e", "type": "fed"}], "sinks": [{"type": "discard"}]})");
     REQUIRE(good.loads().size() == 2);
     CHECK(good.loads()[0].text() == "main: 1 sensor, worst 5 ms of 10 ms, 50 %");
@@ -381,10 +381,10 @@ f.json:16:38: sinks[2].when_full
     CHECK(good.warnings.size() == 1);  // of the idle tier
 
     const SystemPlan bad = planned(R"({"tiers": {"fast": {}}, "sensors": [
- {"name": "a", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "200 us"},
- {"name": "b", "type": "counter", "rate": "500 Hz", "tier": "fast", "hold": "1.6 ms"},
- {"name": "d", "type": "counter", "rate": "100 Hz", "phase": "5 ms", "read_time": "5 ms"},
- {"name": "e", "type": "counter", "rate": "100 Hz", "read_time": "4 ms"}], "sinks": [{"type": "discard"}]})");
+ {"name": "a", "type": "tallied", "rate": "500 Hz", "tier": "fast", "hold": "200 us"},
+ {"name": "b", "type": "tallied", "rate": "500 Hz", "tier": "fast", "hold": "1.6 ms"},
+ {"name": "d", "type": "tallied", "rate": "100 Hz", "phase": "5 ms", "read_time": "5 ms"},
+ {"name": "e", "type": "tallied", "rate": "100 Hz", "read_time": "4 ms"}], "sinks": [{"type": "discard"}]})");
     CHECK(bad.good());
     REQUIRE(bad.warnings.size() == 2);
     const std::string warnings = bad.warnings.text();
@@ -398,8 +398,8 @@ f.json:16:38: sinks[2].when_full
                       "of 10 ms, 90 %)") != std::string::npos);
     CHECK(bad.warnings.begin()->id == "overloaded-loop");
 
-    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "read_time": "0 s"}]})") != "");
-    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz", "read_time": 3}]})") != "");
+    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "read_time": "0 s"}]})") != "");
+    CHECK(problems_of(R"({"sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "read_time": 3}]})") != "");
   }
 
   TEST_CASE("NFR-4 a device whose lane cannot be as fast as its sensors is a warning") {
@@ -421,13 +421,13 @@ f.json:16:38: sinks[2].when_full
   }
 
   TEST_CASE("US-17 what is probably not meant is a warning") {
-    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "counter", "rate": "1 Hz"}],
+    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "tallied", "rate": "1 Hz"}],
   "sinks": [{"type": "discard", "topics": ["presure", "pressure"]}]})")
               .warnings.text() ==
           "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean "
           "\"pressure\"?)\n");
     // All that a sink takes is mistyped: nothing would be kept.
-    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "counter", "rate": "1 Hz"}],
+    CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "tallied", "rate": "1 Hz"}],
   "sinks": [{"type": "discard", "topics": ["presure"]}]})")
               .warnings.text() ==
           "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\", and nothing goes to this "
@@ -451,14 +451,14 @@ f.json:16:38: sinks[2].when_full
   TEST_CASE("US-17 a plan with problems makes nothing") {
     const Registry types = registry();
     Loop loop{Loop::Manual{}};
-    CHECK_THROWS_AS(System(loop, types, planned(R"({"sensors": [{"name": "a", "type": "counter"}]})")), ConfigError);
+    CHECK_THROWS_AS(System(loop, types, planned(R"({"sensors": [{"name": "a", "type": "tallied"}]})")), ConfigError);
     CHECK(loop.runtime().sensors().empty());
   }
 
   TEST_CASE("US-17 an error of making a sensor says where it is configured, and leaves nothing behind") {
     const Registry types = registry();
     Loop loop{Loop::Manual{}};
-    const SystemPlan plan = planned(R"({"sensors": [{"name": "a", "type": "counter", "rate": "1 Hz"},
+    const SystemPlan plan = planned(R"({"sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz"},
   {"name": "b", "type": "absent", "rate": "1 Hz", "required": true}], "sinks": [{"type": "discard"}]})");
     CHECK_THROWS_WITH_AS(
         System(loop, types, plan),
@@ -470,7 +470,7 @@ f.json:16:38: sinks[2].when_full
     const auto schema = nlohmann::json::parse(registry().schema());
     CHECK(schema["properties"]["log"]["properties"].contains("level"));
     CHECK(schema["properties"]["sensors"]["items"]["properties"]["type"]["enum"] ==
-          nlohmann::json{"counter", "absent", "fed", "wired"});
+          nlohmann::json{"tallied", "absent", "fed", "wired"});
     CHECK(schema["properties"]["sinks"]["items"]["allOf"][0]["then"]["properties"].contains("queue_bytes"));
     CHECK_FALSE(schema["properties"]["sensors"]["items"]["allOf"][2]["then"]["properties"].contains("rate"));
     CHECK(schema["additionalProperties"] == false);

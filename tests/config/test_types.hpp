@@ -130,7 +130,7 @@ struct WiredConfig {
 
 inline void add_test_types(Registry& registry) {
   registry.add_sensor<CounterConfig>(
-      "counter", "counts its readings", [](const CounterConfig&) { return description_of<Count>(); },
+      "tallied", "counts its readings", [](const CounterConfig&) { return description_of<Count>(); },
       [](Loop& loop, const SensorConfig& common, const CounterConfig& config) {
         return Sensor<Count>(loop, common, Counter{config});
       });
