@@ -1,4 +1,5 @@
-// IIO, 1-Wire and PPS on the kernel's own drivers: the dummy device with a timer, inv_mpu6050, bmp280, mcp320x, w1_therm.
+// IIO, 1-Wire and PPS on the kernel's own drivers: the dummy device with a timer, inv_mpu6050, bmp280, mcp320x,
+// w1_therm.
 #include <doctest/doctest.h>
 #include <signal.h>
 #include <sys/timex.h>
@@ -177,7 +178,9 @@ TEST_CASE("FW-2 NFR-3 the dummy device's scans, at the rate of a timer, in SI un
   check_verifies(path);
 }
 
-TEST_CASE("FW-2 NFR-3 an IIO device that another program has is an error that names it, until it is free; a kill is no harm") {
+TEST_CASE(
+    "FW-2 NFR-3 an IIO device that another program has is an error that names it, until it is free; a kill is no "
+    "harm") {
   const IioDevice dummy = IioDevice::find(device("IIO")).or_throw();
   Stage stage("dummy");
   put(dummy.folder() + "/trigger/current_trigger", device("IIO_TRIGGER"));
@@ -201,7 +204,8 @@ TEST_CASE("FW-2 NFR-3 an IIO device that another program has is an error that na
   CHECK(stage.loop.close() == 0);
 }
 
-TEST_CASE("FW-2 NFR-3 an IIO device without a trigger, a rate that it cannot do, a channel that it lacks: each is told") {
+TEST_CASE(
+    "FW-2 NFR-3 an IIO device without a trigger, a rate that it cannot do, a channel that it lacks: each is told") {
   const auto refusal = [](IioBufferConfig config) {
     Loop loop;
     be_quiet(loop);
@@ -246,12 +250,9 @@ TEST_CASE("US-15 NFR-3 an IMU of the kernel's: no sample is lost unseen, by the 
       }
       last = code;
     };
-    IioBufferSensor sensor(stage.loop, {.name = "imu"},
-                           {.device = "mpu6050",
-                            .channels = {"accel_z", "anglvel_z"},
-                            .rate = 100_Hz,
-                            .length = 16,
-                            .required = true});
+    IioBufferSensor sensor(
+        stage.loop, {.name = "imu"},
+        {.device = "mpu6050", .channels = {"accel_z", "anglvel_z"}, .rate = 100_Hz, .length = 16, .required = true});
     stage.until([&] { return stage.events >= 300; });
     CHECK(missing == 0);
     CHECK_FALSE(stage.has_error(Errc::backlog, ""));
@@ -348,7 +349,8 @@ TEST_CASE("US-10 NFR-3 an analog sensor names its converter by device and channe
   close_balanced(stage.loop);
 }
 
-TEST_CASE("FW-2 NFR-3 a DS18B20 through w1_therm: degrees, what is none, absent and back; no other sensor misses a tick") {
+TEST_CASE(
+    "FW-2 NFR-3 a DS18B20 through w1_therm: degrees, what is none, absent and back; no other sensor misses a tick") {
   const std::string sim = device("SIM");
   put(sim + "/w1_temp16", std::to_string(25 * 16 + 1));
   Stage stage("boiler");
@@ -376,7 +378,9 @@ TEST_CASE("FW-2 NFR-3 a DS18B20 through w1_therm: degrees, what is none, absent 
   close_balanced(stage.loop);
 }
 
-TEST_CASE("FW-2 NFR-3 pulses of the kernel are events of which none is lost, and tell the time of day once they begin seconds") {
+TEST_CASE(
+    "FW-2 NFR-3 pulses of the kernel are events of which none is lost, and tell the time of day once they begin "
+    "seconds") {
   Stage stage("pps");
   std::vector<Time> times;
   PpsPulse last;
@@ -386,7 +390,8 @@ TEST_CASE("FW-2 NFR-3 pulses of the kernel are events of which none is lost, and
   };
   PpsSensor sensor(stage.loop, {.name = "pps"}, {.device = device("PPS"), .accuracy = 40ms});
   stage.until([&] { return times.size() >= 3; });
-  for (std::size_t i = 1; i < times.size(); ++i) CHECK(static_cast<double>((times[i] - times[i - 1]).count()) == doctest::Approx(1e9).epsilon(0.1));
+  for (std::size_t i = 1; i < times.size(); ++i)
+    CHECK(static_cast<double>((times[i] - times[i - 1]).count()) == doctest::Approx(1e9).epsilon(0.1));
   CHECK(sensor.counts().lost == 0);
   CHECK(sensor.counts().lost_is_known);
   const auto noted = [&] {
@@ -398,8 +403,8 @@ TEST_CASE("FW-2 NFR-3 pulses of the kernel are events of which none is lost, and
   };
   CHECK(noted().empty());  // nobody keeps the clock
 
-  // It is set so that pulses come 0.1 s before seconds, and says that it is kept to 0.2 s. (The pulses of pps-ktimer are
-  // some per cent of a second further apart.)
+  // It is set so that pulses come 0.1 s before seconds, and says that it is kept to 0.2 s. (The pulses of pps-ktimer
+  // are some per cent of a second further apart.)
   const Time before = SystemClock().realtime();
   const Duration off = std::chrono::duration_cast<Duration>(std::chrono::duration<double>(last.clock_error)) + 100ms;
   const std::int64_t right = (before - off).time_since_epoch().count();

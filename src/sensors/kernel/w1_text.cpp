@@ -16,7 +16,8 @@ constexpr const char* cannot_read = "cannot read the thermometer";
 std::optional<std::array<unsigned, 9>> scratchpad(std::string_view text) {
   std::array<unsigned, 9> bytes{};
   for (unsigned& byte : bytes) {
-    const auto [end, status] = std::from_chars(text.data(), text.data() + std::min<std::size_t>(text.size(), 2), byte, 16);
+    const auto [end, status] = std::from_chars(text.data(), text.data() + std::min<std::size_t>(text.size(), 2), byte,
+                                               16);
     if (status != std::errc{} || end != text.data() + 2 || text.size() < 3 || text[2] != ' ') return {};
     text.remove_prefix(3);
   }
