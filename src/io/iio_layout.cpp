@@ -83,13 +83,13 @@ Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
     if (channel.is_timestamp && (storage.storage_bits != 64 || storage.repeat != 1))
       return refused(channel, "times are one number of 64 bits");
     at = aligned(at, size);
+    const bool is_native = storage.is_big_endian == (std::endian::native == std::endian::big);
     if (channel.is_timestamp) {
-      layout.timestamp_ = Run{at, storage, 0, 1, false};
+      layout.timestamp_ = Run{at, storage, 0, 1, is_native};
     } else {
       Run run{at, storage, channel.position, storage.repeat, false};
       run.storage.repeat = 1;
-      run.is_plain = storage.bits == storage.storage_bits && storage.is_signed &&
-                     storage.is_big_endian == (std::endian::native == std::endian::big);
+      run.is_plain = storage.bits == storage.storage_bits && storage.is_signed && is_native;
       layout.offsets_.resize(std::max(layout.offsets_.size(), run.position + run.count));
       layout.scales_.resize(layout.offsets_.size(), 1);
       for (std::size_t n = 0; n < run.count; ++n) {
@@ -153,10 +153,6 @@ void IioLayout::decode(const std::byte* scan, double* to) const noexcept {
         break;
     }
   }
-}
-
-std::int64_t IioLayout::timestamp(const std::byte* scan) const noexcept {
-  return static_cast<std::int64_t>(loaded<std::uint64_t>(scan + timestamp_->at, timestamp_->storage.is_big_endian));
 }
 
 }  // namespace rtdata

@@ -23,6 +23,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <optional>
 #include <span>
 #include <string>
@@ -158,7 +159,12 @@ class IioLayout {
   /// `scan`: `size()` bytes, aligned to nothing. `to`: room for `values()`.
   void decode(const std::byte* scan, double* to) const noexcept;
   /// ns of the device's clock; only when it has one.
-  std::int64_t timestamp(const std::byte* scan) const noexcept;
+  std::int64_t timestamp(const std::byte* scan) const noexcept {
+    std::uint64_t word = 0;
+    std::memcpy(&word, scan + timestamp_->at, sizeof word);
+    if (!timestamp_->is_plain) word = __builtin_bswap64(word);
+    return static_cast<std::int64_t>(word);
+  }
 
  private:
   /// Values of one kind that lie one behind the other, in the scan and in what `decode` writes.
