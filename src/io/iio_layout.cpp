@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
+#include <type_traits>
 
 #include "data/number_text.hpp"
 #include "rtdata/io/iio.hpp"
@@ -23,27 +24,6 @@ Word loaded(const std::byte* from, bool is_big_endian) noexcept {
     }
   }
   return word;
-}
-
-std::uint64_t loaded(const std::byte* from, const IioStorage& storage) noexcept {
-  switch (storage.storage_bits) {
-    case 8:
-      return loaded<std::uint8_t>(from, false);
-    case 16:
-      return loaded<std::uint16_t>(from, storage.is_big_endian);
-    case 32:
-      return loaded<std::uint32_t>(from, storage.is_big_endian);
-    default:
-      return loaded<std::uint64_t>(from, storage.is_big_endian);
-  }
-}
-
-double code_of(const std::byte* from, const IioStorage& storage) noexcept {
-  const unsigned above = 64 - storage.bits;
-  const std::uint64_t bits = loaded(from, storage) >> storage.shift << above;
-  if (storage.is_signed) return static_cast<double>(static_cast<std::int64_t>(bits) >> above);
-  if (storage.bits < 64) return static_cast<double>(static_cast<std::int64_t>(bits >> above));
-  return static_cast<double>(bits);
 }
 
 std::size_t aligned(std::size_t at, std::size_t to) noexcept { return (at + to - 1) & ~(to - 1); }
@@ -103,12 +83,26 @@ Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
     if (channel.is_timestamp && (storage.storage_bits != 64 || storage.repeat != 1))
       return refused(channel, "times are one number of 64 bits");
     at = aligned(at, size);
-    const Element element{at, storage, channel.conversion, channel.position};
+    const bool is_native = storage.is_big_endian == (std::endian::native == std::endian::big);
     if (channel.is_timestamp) {
-      layout.timestamp_ = element;
+      layout.timestamp_ = Run{at, storage, 0, 1, is_native};
     } else {
-      layout.elements_.push_back(element);
-      layout.values_ = std::max(layout.values_, channel.position + storage.repeat);
+      Run run{at, storage, channel.position, storage.repeat, false};
+      run.storage.repeat = 1;
+      run.is_plain = storage.bits == storage.storage_bits && storage.is_signed && is_native;
+      layout.offsets_.resize(std::max(layout.offsets_.size(), run.position + run.count));
+      layout.scales_.resize(layout.offsets_.size(), 1);
+      for (std::size_t n = 0; n < run.count; ++n) {
+        layout.offsets_[run.position + n] = channel.conversion.offset;
+        layout.scales_[run.position + n] = channel.conversion.scale;
+      }
+      Run* const last = layout.runs_.empty() ? nullptr : &layout.runs_.back();
+      if (last != nullptr && last->storage == run.storage && last->position + last->count == run.position &&
+          last->at + last->count * run.storage.size() == at) {
+        last->count += run.count;
+      } else {
+        layout.runs_.push_back(run);
+      }
     }
     at += size;
     largest = std::max(largest, size);
@@ -117,18 +111,48 @@ Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
   return layout;
 }
 
-void IioLayout::decode(const std::byte* scan, double* to) const noexcept {
-  for (const Element& element : elements_) {
-    const IioStorage& storage = element.storage;
-    double* value = to + element.position;
-    const std::byte* from = scan + element.at;
-    for (unsigned i = 0; i < storage.repeat; ++i, from += storage.storage_bits / 8)
-      *value++ = (code_of(from, storage) + element.conversion.offset) * element.conversion.scale;
+template <class Word>
+void IioLayout::decode_run(const Run& run, const std::byte* __restrict from, double* __restrict to) const noexcept {
+  using Signed = std::make_signed_t<Word>;
+  const IioStorage& storage = run.storage;
+  const double* const __restrict offset = offsets_.data() + run.position;
+  const double* const __restrict scale = scales_.data() + run.position;
+  if (run.is_plain) {
+    for (std::size_t i = 0; i < run.count; ++i) {
+      Signed code;
+      std::memcpy(&code, from + i * sizeof code, sizeof code);
+      to[i] = (static_cast<double>(code) + offset[i]) * scale[i];
+    }
+    return;
+  }
+  const unsigned above = 64 - storage.bits;
+  for (std::size_t i = 0; i < run.count; ++i) {
+    const Word word = loaded<Word>(from + i * sizeof(Word), storage.is_big_endian);
+    const std::uint64_t bits = std::uint64_t{word} >> storage.shift << above;
+    const double code = storage.is_signed   ? static_cast<double>(static_cast<std::int64_t>(bits) >> above)
+                        : storage.bits < 64 ? static_cast<double>(static_cast<std::int64_t>(bits >> above))
+                                            : static_cast<double>(bits);
+    to[i] = (code + offset[i]) * scale[i];
   }
 }
 
-std::int64_t IioLayout::timestamp(const std::byte* scan) const noexcept {
-  return static_cast<std::int64_t>(loaded(scan + timestamp_->at, timestamp_->storage));
+void IioLayout::decode(const std::byte* scan, double* to) const noexcept {
+  for (const Run& run : runs_) {
+    switch (run.storage.storage_bits) {
+      case 8:
+        decode_run<std::uint8_t>(run, scan + run.at, to + run.position);
+        break;
+      case 16:
+        decode_run<std::uint16_t>(run, scan + run.at, to + run.position);
+        break;
+      case 32:
+        decode_run<std::uint32_t>(run, scan + run.at, to + run.position);
+        break;
+      default:
+        decode_run<std::uint64_t>(run, scan + run.at, to + run.position);
+        break;
+    }
+  }
 }
 
 }  // namespace rtdata

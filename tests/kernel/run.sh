@@ -17,4 +17,4 @@ fi
 echo "== in simulated time"
 # What comes from outside of the kernel (the serial ports' wires) does not keep simulated time.
 RTDATA_BENCH_APPEND="time-travel=inf-cpu ${RTDATA_BENCH_APPEND-}" \
-    "$bench" -t 600 -- "$build/rtdata_kernel_tests" --no-skipped-summary --test-suite='clock,long run' "$@"
+    "$bench" -t 600 -- "$build/rtdata_kernel_tests" --no-skipped-summary --test-suite='clock,iio,long run' "$@"

@@ -260,7 +260,7 @@ TEST_CASE("NFR-1 a FIFO without a writer is given up in time, and costs no other
 
 TEST_CASE("US-17 every parameter of an analog sensor can be set from a file") {
   const ConfigItem item = parse_config(R"({
-    "file": "adc0", "zero_value_voltage": 0.5, "span_value_voltage": 4.5, "scale": 10, "quantization_bits": 16,
+    "file": "adc0", "device": "", "channel": "", "zero_value_voltage": 0.5, "span_value_voltage": 4.5, "scale": 10, "quantization_bits": 16,
     "zero_voltage": 0.1, "span_voltage": 5, "unit": "bar", "conversion": "two_point", "signed_adc": true, "timeout": "200 ms"})")
                               .root;
   const auto config = read_config<AnalogConfig>(item);
@@ -275,7 +275,25 @@ TEST_CASE("US-17 every parameter of an analog sensor can be set from a file") {
   CHECK(config.conversion == AnalogConversion::two_point);
   CHECK(config.signed_adc);
   CHECK(config.timeout == 200ms);
-  CHECK(parameters_of<AnalogConfig>().size() == 11);
+  CHECK(parameters_of<AnalogConfig>().size() == 13);
+}
+
+TEST_CASE("US-10 US-17 a converter is named by its file, or by its device and channel, and by nothing else") {
+  const auto mistakes = [](const char* text) -> std::string {
+    try {
+      (void)read_config<AnalogConfig>(parse_config(text).or_throw());
+      return "";
+    } catch (const SetupError& error) {
+      return error.what();
+    }
+  };
+  CHECK(mistakes(R"({"file": "adc0"})").empty());
+  CHECK(mistakes(R"({"device": "mcp3208", "channel": "voltage0"})").empty());
+  CHECK(mistakes(R"({})").find("neither `file` nor `device`") != std::string::npos);
+  CHECK(mistakes(R"({"file": "adc0", "device": "mcp3208", "channel": "voltage0"})").find("both") != std::string::npos);
+  CHECK(mistakes(R"({"device": "mcp3208"})").find("go together") != std::string::npos);
+  CHECK(mistakes(R"({"file": "adc0", "channel": "voltage0"})").find("go together") != std::string::npos);
+  CHECK(mistakes(R"({"device": "mcp3208", "channel": "volt0"})").find("is none") != std::string::npos);
 }
 
 TEST_SUITE_END();

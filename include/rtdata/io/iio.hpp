@@ -23,6 +23,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <optional>
 #include <span>
 #include <string>
@@ -153,23 +154,34 @@ class IioLayout {
   /// Bytes of a scan.
   std::size_t size() const noexcept { return size_; }
   /// Values that `decode` writes.
-  std::size_t values() const noexcept { return values_; }
+  std::size_t values() const noexcept { return scales_.size(); }
   bool has_timestamp() const noexcept { return timestamp_.has_value(); }
   /// `scan`: `size()` bytes, aligned to nothing. `to`: room for `values()`.
   void decode(const std::byte* scan, double* to) const noexcept;
   /// ns of the device's clock; only when it has one.
-  std::int64_t timestamp(const std::byte* scan) const noexcept;
+  std::int64_t timestamp(const std::byte* scan) const noexcept {
+    std::uint64_t word = 0;
+    std::memcpy(&word, scan + timestamp_->at, sizeof word);
+    if (!timestamp_->is_plain) word = __builtin_bswap64(word);
+    return static_cast<std::int64_t>(word);
+  }
 
  private:
-  struct Element {
+  /// Values of one kind that lie one behind the other, in the scan and in what `decode` writes.
+  struct Run {
     std::size_t at = 0;
-    IioStorage storage;
-    IioConversion conversion;
+    IioStorage storage;  ///< of each
     std::size_t position = 0;
+    std::size_t count = 0;
+    bool is_plain = false;  ///< signed, all bits count, in this machine's order: what most devices have
   };
-  std::vector<Element> elements_;
-  std::optional<Element> timestamp_;
-  std::size_t size_ = 0, values_ = 0;
+  template <class Word>
+  void decode_run(const Run& run, const std::byte* from, double* to) const noexcept;
+
+  std::vector<Run> runs_;
+  std::vector<double> offsets_, scales_;  // by position
+  std::optional<Run> timestamp_;
+  std::size_t size_ = 0;
 };
 
 struct IioCaptureConfig {

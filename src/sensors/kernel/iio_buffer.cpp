@@ -83,10 +83,12 @@ class IioClosing final : public LaneJob {
  public:
   explicit IioClosing(std::shared_ptr<IioCapture> capture) noexcept : capture_(std::move(capture)) {}
   void run() noexcept override { capture_->close(); }
-  void done(Outcome) override {}
+  void done(Outcome) override { is_done_ = true; }
+  bool is_done() const noexcept { return is_done_; }
 
  private:
   std::shared_ptr<IioCapture> capture_;
+  bool is_done_ = false;
 };
 
 }  // namespace
@@ -131,6 +133,18 @@ class IioBufferNode final : public StreamNode {
       const Duration left = span_between(loop()->now(), end);
       if (left <= Duration{0}) return;
       on.wait(left);
+    }
+  }
+
+  void wait_for_closing() noexcept {
+    try {
+      const MonotonicTime end = later(loop()->now(), config_.timeout);
+      while (closing_ != nullptr && !closing_->is_done()) {
+        const Duration left = span_between(loop()->now(), end);
+        if (left <= Duration{0}) return;
+        lane().wait(left);
+      }
+    } catch (...) {  // no memory for a lane
     }
   }
 
@@ -209,7 +223,9 @@ class IioBufferNode final : public StreamNode {
   void close_the_rest() noexcept {
     try {
       while (!unclosed_.empty()) {
-        if (!lane().submit(std::make_shared<IioClosing>(unclosed_.back()))) return;
+        auto closing = std::make_shared<IioClosing>(unclosed_.back());
+        if (!lane().submit(closing)) return;
+        closing_ = std::move(closing);
         unclosed_.pop_back();
       }
     } catch (...) {  // no memory: later, or by the destructor
@@ -331,6 +347,7 @@ class IioBufferNode final : public StreamNode {
     rest_.close();
     look_.close();
     for (const auto& capture : unclosed_) capture->abandon();  // its driver hangs
+    if (loop()->is_being_set_up()) wait_for_closing();         // a program that ends leaves no buffer on
   }
 
   const IioBufferConfig config_;
@@ -341,6 +358,7 @@ class IioBufferNode final : public StreamNode {
   MonotonicTime began_{};                    // the attempt to open it
   std::shared_ptr<IioCapture> capture_;
   std::vector<std::shared_ptr<IioCapture>> unclosed_;
+  std::shared_ptr<IioClosing> closing_;  // the last one
   FdWatch watch_;
   std::vector<std::byte> bytes_;
   std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
