@@ -209,6 +209,7 @@ class InertialChip {
       if (!over) return over.error();
       has_run_over = (*over & fifo.over_bit) != 0;
     }
+    const MonotonicTime asked = Samples<Value>::now();
     const Result<std::uint32_t> status = read_status(chip);
     if (!status) return status.error();
     const MonotonicTime now = Samples<Value>::now();
@@ -242,7 +243,7 @@ class InertialChip {
       result = chip.read_registers(model_.temperature_register, bytes);
       if (result) temperature = degrees(bytes, 0);
     }
-    const bool has_gap = has_run_over || is_uncertain_;
+    const bool has_gap = has_run_over || is_uncertain_ || may_have_gap(filled, asked);
     const bool has_samples = take(read, filled - read, has_gap, now, temperature, out, make);
     is_uncertain_ = !result || (has_gap && !has_samples);
     if (const auto bad = std::exchange(bad_words_, 0); bad > 0) {
@@ -394,6 +395,17 @@ class InertialChip {
     return {};
   }
 
+  /// Whether samples can have gone for which there is no sign: the oldest ones, while others were being read from a FIFO
+  /// that was almost full; or fewer are in it than the chip has taken. Once the rate is known.
+  bool may_have_gap(std::size_t filled, MonotonicTime asked) {
+    if (!model_.fifo.keeps_whole_samples || model_.fifo.is_tagged) return false;
+    const bool is_almost_full = filled + 2 * model_.sample_bytes >= model_.fifo.capacity;
+    const bool was_almost_full = std::exchange(was_almost_full_, is_almost_full);
+    if (!knows_rate_) return false;
+    const auto count = static_cast<std::int64_t>(filled / model_.sample_bytes);
+    return is_almost_full || was_almost_full || last_ + (count + 2) * period_ < asked;
+  }
+
   /// A sample in `bytes_`, or in `joined_` where they are tagged: how many were left out before it, where it is.
   struct Found {
     std::size_t left_out, at;
@@ -461,7 +473,7 @@ class InertialChip {
       out.lost(static_cast<std::uint64_t>(gone));
       last_ += gone * period_;
       samples.front().left_out = 0;
-      anchor(last_);
+      if (gone > 0) anchor(last_);
     }
     std::size_t positions = 0;
     for (const Found& one : samples) positions += one.left_out + 1;
@@ -486,10 +498,13 @@ class InertialChip {
   /// The chip's own period: over some seconds, since an end of it is known within a period only.
   void learn(std::size_t positions) {
     since_anchor_ += positions;
-    if (since_anchor_ < 500) return;
+    if (since_anchor_ < worth_learning_) return;
     const Duration measured = (last_ - anchor_) / static_cast<std::int64_t>(since_anchor_);
+    knows_rate_ = true;
     period_ = std::clamp(measured, nominal_period_ * 8 / 10, nominal_period_ * 12 / 10);
-    if (since_anchor_ >= 10000) anchor(last_);
+    if (since_anchor_ < 10000) return;
+    anchor(last_);
+    worth_learning_ = 5000;  // what fewer samples say is less sure than what is known
   }
   void anchor(MonotonicTime time) {
     anchor_ = time;
@@ -600,7 +615,8 @@ class InertialChip {
   Duration nominal_period_{0}, period_{0};
   MonotonicTime last_{};    // of the last sample that was read, or of the start
   MonotonicTime anchor_{};  // from which the period is measured
-  std::size_t since_anchor_ = 0;
+  std::size_t since_anchor_ = 0, worth_learning_ = 500;
+  bool knows_rate_ = false, was_almost_full_ = false;
   bool is_torn_ = false;       // where a sample begins in the FIFO is not known
   bool is_uncertain_ = false;  // a transfer failed in the middle
   bool is_new_ = true;         // nothing was read yet
