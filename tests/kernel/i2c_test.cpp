@@ -149,7 +149,12 @@ TEST_SUITE("drivers") {
       const SensorCounts counts = loop.runtime().sensors()[0].counts;
       const int left_out = last - first + 1 - events;
       CHECK(left_out > 50);
-      CHECK(left_out == static_cast<int>(counts.lost));
+      // Their number is known from the time, and made exact by the counter of two bits: on a machine that held a reading
+      // up for long, but for a multiple of four.
+      const int difference = left_out - static_cast<int>(counts.lost);
+      CHECK(difference % 4 == 0);
+      CHECK(std::abs(difference) <= 40);
+      if (is_time_simulated()) CHECK(difference == 0);
       close_balanced(loop);
     }
     check_verifies(path);

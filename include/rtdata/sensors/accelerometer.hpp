@@ -100,7 +100,7 @@ class Accelerometer {
       R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d.
 - The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
   emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
-- What does not fit is counted as `lost`, within one.
+- What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
 - Times are right within a period: the chip's clock is not read, its rate is learned.
 - An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
   12.5.

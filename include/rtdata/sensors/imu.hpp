@@ -344,7 +344,8 @@ class Imu {
 - The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
   emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 682 of an
   LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
-- What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, within one with the others.
+- What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, by the time and the chip's rate with the others,
+  within one each time.
 - Times are right within a period: the chips' clocks are not read, their rates are learned.
 - An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
   chips of their own, and are not read.

@@ -15,8 +15,8 @@
 /// a period.
 ///
 /// Losses: a FIFO that ran over, settings that were lost (they are set again), a transfer that failed in the middle:
-/// how many samples the chip has taken meanwhile is known from the time and the learned rate, within one; where a
-/// sample carries a counter (LSM6DSO), exactly.
+/// how many samples the chip has taken meanwhile is known from the time and the learned rate, within one each
+/// time; where a sample carries a counter (LSM6DSO), exactly.
 ///
 /// Used on the bus's lane, as drivers are.
 #pragma once
@@ -209,16 +209,23 @@ class InertialChip {
       if (!over) return over.error();
       has_run_over = (*over & fifo.over_bit) != 0;
     }
-    const Result<std::uint32_t> status = read_status(chip);
-    if (!status) return status.error();
-    const MonotonicTime now = Samples<Value>::now();
-    const std::size_t filled = (*status & fifo.count_mask) * fifo.count_bytes;
+    MonotonicTime asked{}, now{};
+    std::uint32_t status = 0;
+    // When a reading was held up, nobody knows of which time its number is: once more, or twice.
+    for (int i = 0; i < 3 && (i == 0 || now - asked > 2 * period_); ++i) {
+      asked = Samples<Value>::now();
+      const Result<std::uint32_t> found = read_status(chip);
+      if (!found) return found.error();
+      now = Samples<Value>::now();
+      status = *found | (status & fifo.over_mask);
+    }
+    const std::size_t filled = (status & fifo.count_mask) * fifo.count_bytes;
     if (filled > fifo.capacity) {
       return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
                         "look at its wires");
     }
-    has_run_over = has_run_over || (*status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
-    if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (*status & fifo.torn_mask) != 0))
+    has_run_over = has_run_over || (status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
+    if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (status & fifo.torn_mask) != 0))
       return restart(chip, out);
     if (filled == 0 && !has_run_over) return {};
 
@@ -242,7 +249,7 @@ class InertialChip {
       result = chip.read_registers(model_.temperature_register, bytes);
       if (result) temperature = degrees(bytes, 0);
     }
-    const bool has_gap = has_run_over || is_uncertain_;
+    const bool has_gap = has_run_over || is_uncertain_ || may_have_gap(filled, asked);
     const bool has_samples = take(read, filled - read, has_gap, now, temperature, out, make);
     is_uncertain_ = !result || (has_gap && !has_samples);
     if (const auto bad = std::exchange(bad_words_, 0); bad > 0) {
@@ -394,6 +401,17 @@ class InertialChip {
     return {};
   }
 
+  /// Whether samples can have gone for which there is no sign: the oldest ones, while others were being read from a
+  /// FIFO that was almost full; or fewer are in it than the chip has taken. Once the rate is known.
+  bool may_have_gap(std::size_t filled, MonotonicTime asked) {
+    if (!model_.fifo.keeps_whole_samples || model_.fifo.is_tagged) return false;
+    const bool is_almost_full = filled + 2 * model_.sample_bytes >= model_.fifo.capacity;
+    const bool was_almost_full = std::exchange(was_almost_full_, is_almost_full);
+    if (!knows_rate_) return false;
+    const auto count = static_cast<std::int64_t>(filled / model_.sample_bytes);
+    return is_almost_full || was_almost_full || last_ + (count + 2) * period_ < asked;
+  }
+
   /// A sample in `bytes_`, or in `joined_` where they are tagged: how many were left out before it, where it is.
   struct Found {
     std::size_t left_out, at;
@@ -461,7 +479,7 @@ class InertialChip {
       out.lost(static_cast<std::uint64_t>(gone));
       last_ += gone * period_;
       samples.front().left_out = 0;
-      anchor(last_);
+      if (gone > 0) anchor(last_);
     }
     std::size_t positions = 0;
     for (const Found& one : samples) positions += one.left_out + 1;
@@ -486,10 +504,13 @@ class InertialChip {
   /// The chip's own period: over some seconds, since an end of it is known within a period only.
   void learn(std::size_t positions) {
     since_anchor_ += positions;
-    if (since_anchor_ < 500) return;
+    if (since_anchor_ < worth_learning_) return;
     const Duration measured = (last_ - anchor_) / static_cast<std::int64_t>(since_anchor_);
+    knows_rate_ = true;
     period_ = std::clamp(measured, nominal_period_ * 8 / 10, nominal_period_ * 12 / 10);
-    if (since_anchor_ >= 10000) anchor(last_);
+    if (since_anchor_ < 10000) return;
+    anchor(last_);
+    worth_learning_ = 5000;  // what fewer samples say is less sure than what is known
   }
   void anchor(MonotonicTime time) {
     anchor_ = time;
@@ -600,7 +621,8 @@ class InertialChip {
   Duration nominal_period_{0}, period_{0};
   MonotonicTime last_{};    // of the last sample that was read, or of the start
   MonotonicTime anchor_{};  // from which the period is measured
-  std::size_t since_anchor_ = 0;
+  std::size_t since_anchor_ = 0, worth_learning_ = 500;
+  bool knows_rate_ = false, was_almost_full_ = false;
   bool is_torn_ = false;       // where a sample begins in the FIFO is not known
   bool is_uncertain_ = false;  // a transfer failed in the middle
   bool is_new_ = true;         // nothing was read yet
