@@ -214,7 +214,9 @@ std::shared_ptr<const Description> processed(const std::shared_ptr<const Descrip
   std::vector<Field> fields = description->fields();
   std::vector<Field> added;
   std::set<const Leaf*> taken;
-  for (const auto& [path, what] : processing) {
+  for (const auto& entry : processing) {
+    const std::string& path = entry.first;
+    const FieldProcessing& what = entry.second;
     Finder finder{path, mistakes};
     finder.look_at(what);
     const Field* const before = detail::field_at(description->fields(), path);

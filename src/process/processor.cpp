@@ -70,7 +70,9 @@ Processor::Processor(std::shared_ptr<const Description> source, const Processing
     plan_copies();
   }
   std::vector<std::vector<Item>> groups;
-  for (const auto& [path, what] : processing) {
+  for (const auto& entry : processing) {
+    const std::string& path = entry.first;
+    const FieldProcessing& what = entry.second;
     for (const Leaf* leaf : leaves_of(*source_, path)) {
       const auto alike = std::find_if(groups.begin(), groups.end(), [&](const std::vector<Item>& group) {
         const Leaf& first = *group.front().leaf;

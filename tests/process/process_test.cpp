@@ -436,9 +436,10 @@ TEST_SUITE("process") {
         {"numbers[0]", "2"},       {"numbers[2]", "6"},    {"numbers.raw[2]", "3"},    {"points[1].x", "11"},
         {"points[1].x.raw", "10"}, {"u16", "5.5"},         {"u16.raw", "7"},           {"maybes[0]", "1.5"},
         {"maybes[1]", "absent"},   {"maybes.raw[0]", "3"}, {"maybes.raw[1]", "absent"}};
-    for (const auto& [path, value] : wanted) {
+    for (const auto& entry : wanted) {
+      const std::string& path = entry.first;
       CAPTURE(path);
-      CHECK(values[path] == value);
+      CHECK(values[path] == entry.second);
     }
     // All others are as they were.
     for (const Leaf& leaf : description_of<Everything>()->leaves()) {
