@@ -149,6 +149,12 @@ struct DriverConfig {
   }
   friend void check_config(const DriverConfig& config, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(config.own, item, problems); }) check_config(config.own, item, problems);
+    if (const Result<void> good = check_driver<D>(config.own); !good) {
+      const Error& error = good.error();
+      const ConfigItem* at = item.find(error.where);
+      problems.add((at != nullptr ? *at : item)
+                       .problem("bad-value", error.advice.empty() ? error.why : error.why + "; " + error.advice));
+    }
   }
 };
 
@@ -193,17 +199,15 @@ class Registry {
 
   /// A driver (driver.hpp) that says its type and description itself.
   template <Driver D>
-    requires requires { std::string(D::type), std::string(D::description); }
-  void add_driver() {
-    add_driver<D>(std::string(D::type), std::string(D::description));
-  }
+  requires requires { std::string(D::type), std::string(D::description); }
+  void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
   /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     add_sensor<C>(
-        type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
+        type, std::move(doc), [](const C& config) { return driver_description<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },

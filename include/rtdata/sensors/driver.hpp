@@ -17,8 +17,24 @@
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
-/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead.
+/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. One that
+/// needs several conversions for a sample, such as a converter with several channels, has `bool goes_on() const`: asked
+/// after each read that returns no error; while it is true, `start`, the pause and `read` come once more, the bus being
+/// free in between.
+///
+/// A payload that depends on the Config, such as on the channels that are chosen, has no `describe` of its own; the
+/// driver says what it consists of: `static Result<std::shared_ptr<const Description>> describe(const Config&)`. Value
+/// is then trivially copyable and begins with what the description says (DescriptionBuilder lays fields out as
+/// compilers do).
+///
+/// What no parameter of the Config says by itself, such as a list of good values or two that must fit together, is told
+/// by `static Result<void> check(const Config&)`: the mistake's `where` is the key of the parameter
+/// ("channels[1].range"). Configurations are refused with it at that place, and programs by a SetupError.
+///
 /// Configurations know a driver by `registry.add_driver<Lm75>()`.
+///
+/// What a driver must not forget between openings, such as a tare, is its `Memory`: copied out with `Memory memory()
+/// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`.
 ///
 /// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
 /// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device
@@ -98,6 +114,61 @@ constexpr typename D::Device::Place default_place() {
   }
 }
 
+/// What a driver's events consist of. Errors: bad-description (its Config chooses what cannot be).
+template <Driver D>
+Result<std::shared_ptr<const Description>> driver_description(const typename D::Config& config) {
+  if constexpr (requires { D::describe(config); }) {
+    return D::describe(config);
+  } else {
+    return description_of<typename D::Value>();
+  }
+}
+
+/// Whether sensors can be made with this Config. Errors: `where` is the key of the parameter, when it is one's fault.
+template <Driver D>
+Result<void> check_driver(const typename D::Config& config) {
+  if constexpr (requires { D::check(config); }) {
+    if (Result<void> good = D::check(config); !good) return good;
+  }
+  const auto description = driver_description<D>(config);
+  return description ? Result<void>() : Result<void>(description.error());
+}
+
+namespace detail {
+
+template <Driver D>
+PayloadType driver_payload(const typename D::Config& config) {
+  if constexpr (requires { D::describe(config); }) {
+    static_assert(std::is_trivially_copyable_v<typename D::Value>);
+    auto description = D::describe(config).or_throw();
+    if (description->size() > sizeof(typename D::Value)) {
+      throw SetupError({Errc::bad_description, "cannot use a driver", std::string(description->name()),
+                        "its description is larger than its Value", "let `describe` and `Value` agree"});
+    }
+    return described_type(std::move(description));
+  } else {
+    return payload_type<typename D::Value>();
+  }
+}
+
+}  // namespace detail
+
+namespace detail {
+
+template <class D>
+struct MemoryOf {
+  struct type {};
+};
+// clang-format off
+template <class D>
+  requires requires { typename D::Memory; }
+struct MemoryOf<D> {
+  using type = typename D::Memory;
+};
+// clang-format on
+
+}  // namespace detail
+
 /// A driver as the sensor's base sees it. All calls are on the loop.
 template <class D>
 class DriverDevice final : public detail::LaneDevice {
@@ -170,14 +241,12 @@ class DriverDevice final : public detail::LaneDevice {
           result = guarded("open() of the driver threw", [this] { return session->open(); });
           if (!result) return;
         }
-        if constexpr (requires { session->driver.start(session->device); }) {
-          result = guarded("start() of the driver threw", [this] { return session->driver.start(session->device); });
-          is_converting = static_cast<bool>(result);
-          if (is_converting) pause = session->driver.conversion_time();
-          return;
-        }
+        if constexpr (has_start) return start();
       }
       result = guarded("read() of the driver threw", [this] { return read(); });
+      if constexpr (has_start && requires(const D& driver) { driver.goes_on(); }) {
+        if (result && session->driver.goes_on()) return start();
+      }
       ended = detail::lane_now();
     }
     std::optional<Duration> goes_on_after() override {
@@ -186,6 +255,14 @@ class DriverDevice final : public detail::LaneDevice {
     void close() noexcept override { session->close(); }
     void given_up() noexcept override { session->device.abandon(); }
 
+    static constexpr bool has_start = requires(D & driver, Device& device) { driver.start(device); };
+    void start() noexcept {
+      if constexpr (has_start) {
+        result = guarded("start() of the driver threw", [this] { return session->driver.start(session->device); });
+        is_converting = static_cast<bool>(result);
+        if (is_converting) pause = session->driver.conversion_time();
+      }
+    }
     Result<void> read() {
       if constexpr (requires { session->driver.read(session->device, samples); }) {
         return session->driver.read(session->device, samples);
@@ -193,6 +270,7 @@ class DriverDevice final : public detail::LaneDevice {
         Reading<Value> reading(session->driver.read(session->device));
         if (Value* value = reading.value()) {
           samples.add(std::move(*value));
+          has_news = true;
         } else if (Error* error = reading.error()) {
           return std::move(*error);
         } else if (Unreadable* unreadable = reading.unreadable()) {
@@ -231,6 +309,7 @@ class DriverDevice final : public detail::LaneDevice {
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     auto& read = static_cast<ReadJob&>(transaction);
+    if constexpr (has_memory) memory_ = read.session->driver.memory();
     Samples<Value>& samples = read.samples;
     if (samples.lost_ > 0) port.lost(samples.lost_);
     for (auto& sample : samples.samples_) {
@@ -256,7 +335,14 @@ class DriverDevice final : public detail::LaneDevice {
   }
 
  private:
-  std::shared_ptr<Session> make_session() const { return std::make_shared<Session>(config_, bus_.device(place_)); }
+  static constexpr bool has_memory = requires(D & driver) { driver.remember(driver.memory()); };
+  std::shared_ptr<Session> make_session() const {
+    auto session = std::make_shared<Session>(config_, bus_.device(place_));
+    if constexpr (has_memory) {
+      if (memory_) session->driver.remember(*memory_);
+    }
+    return session;
+  }
 
   BusOf& bus_;
   const typename Device::Place place_;
@@ -264,6 +350,7 @@ class DriverDevice final : public detail::LaneDevice {
   const std::shared_ptr<void> claim_;
   std::shared_ptr<Session> session_;  // opened, for the first read
   MonotonicTime last_{};              // of the last sample that had its own time
+  std::optional<typename detail::MemoryOf<D>::type> memory_;
 };
 
 template <Driver D>
@@ -273,8 +360,16 @@ class DriverSensor : public AnySensor {
   /// SetupError: as `Sensor`; what the driver's constructor throws; a place on the bus that is none, or that is taken.
   DriverSensor(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
                typename D::Device::Place place = default_place<D>(), typename D::Config config = {})
-      : AnySensor(detail::make_sensor(loop, std::move(sensor), detail::payload_type<typename D::Value>(),
-                                      std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)))) {}
+      : AnySensor(make(loop, std::move(sensor), bus, std::move(place), std::move(config))) {}
+
+ private:
+  static detail::Node* make(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
+                            typename D::Device::Place place, typename D::Config config) {
+    check_driver<D>(config).or_throw();
+    detail::PayloadType type = detail::driver_payload<D>(config);
+    return detail::make_sensor(loop, std::move(sensor), std::move(type),
+                               std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)));
+  }
 };
 
 }  // namespace rtdata

@@ -8,11 +8,9 @@
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/handler.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/sensors/transaction.hpp"
 
 namespace rtdata::detail {
-
-/// The type of a payload that has a description and no C++ type.
-PayloadType described_type(std::shared_ptr<const Description> description);
 
 class SourceNode : public SensorEntry {
  public:
