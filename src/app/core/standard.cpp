@@ -4,6 +4,7 @@
 
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/spi.hpp"
+#include "rtdata/sensors/ads1x15.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/bmp280.hpp"
 #include "rtdata/sensors/gps.hpp"
@@ -11,7 +12,11 @@
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
+#include "rtdata/sensors/max31855.hpp"
+#include "rtdata/sensors/max31856.hpp"
+#include "rtdata/sensors/max31865.hpp"
 #include "rtdata/sensors/mcp3x08.hpp"
+#include "rtdata/sensors/nau7802.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/sht.hpp"
 #include "rtdata/sinks/console.hpp"
@@ -91,9 +96,14 @@ Registry standard_registry() {
   registry.add_driver<Bmp280>("bmp280", "pressure and temperature of a Bosch BMP280 on I2C");
   registry.add_driver<Mpu6050>("imu", "acceleration and angular velocity of an MPU-6050, 6500 or 9250 on I2C");
   registry.add_driver<Lm75>();
-  registry.add_driver<Sht>("sht", "temperature and humidity of an SHT3x or SHT4x on I2C");
-  registry.add_driver<Ina>("ina", "voltage, current and power of an INA219 or INA226 on I2C");
-  registry.add_driver<Mcp3x08>("mcp3x08", "eight channels of an MCP3008 or MCP3208 on SPI");
+  registry.add_driver<Sht>();
+  registry.add_driver<Ina>();
+  registry.add_driver<Ads1x15>();
+  registry.add_driver<Mcp3x08>();
+  registry.add_driver<Nau7802>();
+  registry.add_driver<Max31855>();
+  registry.add_driver<Max31856>();
+  registry.add_driver<Max31865>();
   registry.add_sensor<AnalogConfig>(
       "analog", "a sensor behind an analog-to-digital converter of the kernel",
       [](const AnalogConfig& config) { return analog_description(config.unit); },
