@@ -36,7 +36,8 @@ std::string buses(const std::string& more = "") {
     "spi0": {"type": "spi", "device": ")" +
          spi_controller() + "\"}" + more + R"(}, "sensors": [)";
 }
-const char* const thermocouple = R"({"name": "oven", "type": "max31855", "rate": "10 Hz", "bus": "spi0", "chip_select": 5})";
+const char* const
+    thermocouple = R"({"name": "oven", "type": "max31855", "rate": "10 Hz", "bus": "spi0", "chip_select": 5})";
 
 SensorStatus status_of(Loop& loop, const std::string& name) {
   for (const SensorStatus& sensor : loop.runtime().sensors())
@@ -53,6 +54,7 @@ TEST_SUITE("drivers") {
     const std::string path = folder / "run.db";
     {
       Loop loop;
+      be_quiet(loop);
       const Chip chip("i2c-4a");
       const std::string text = buses() + R"({"name": "adc", "type": "ads1x15", "rate": "10 Hz", "bus": "i2c1",
           "address": "0x4a", "data_rate": 475, "faulted_after": 10, "channels": [{"name": "battery", "input": "0"},
@@ -94,6 +96,7 @@ TEST_SUITE("drivers") {
     const std::string sht = device("SIM") + "/i2c-44/regs", nau = device("SIM") + "/i2c-2a/regs";
     {
       Loop loop;
+      be_quiet(loop);
       const std::string text = buses() + thermocouple +
                                R"(, {"name": "room", "type": "sht", "rate": "10 Hz", "bus": "i2c1"},
           {"name": "power", "type": "ina", "rate": "10 Hz", "bus": "i2c1", "model": "ina226", "shunt_resistance": 0.01},
@@ -150,14 +153,17 @@ TEST_SUITE("drivers") {
 
   TEST_CASE("NFR-1 NFR-3 a chip that holds its bus is given up; the bus's others are told, other buses never notice") {
     Loop loop;
+    be_quiet(loop);
     const std::string hang = device("SIM") + "/i2c-44/hang_ms";
-    const std::string text = buses(R"(, "other": {"type": "i2c", "device": ")" + device("I2C_STUB") + "\"}") + thermocouple +
-                             R"(, {"name": "room", "type": "sht", "rate": "10 Hz", "bus": "i2c1", "retry_longest": "200 ms"},
+    const std::string
+        text = buses(R"(, "other": {"type": "i2c", "device": ")" + device("I2C_STUB") + "\"}") + thermocouple +
+               R"(, {"name": "room", "type": "sht", "rate": "10 Hz", "bus": "i2c1", "retry_longest": "200 ms"},
           {"name": "power", "type": "ina", "rate": "10 Hz", "bus": "i2c1", "model": "ina226", "retry_longest": "200 ms"},
           {"name": "stub", "type": "lm75", "rate": "10 Hz", "bus": "other", "address": "0x76"},
           {"name": "load", "type": "host", "rate": "10 Hz", "quantity": "load"}]})";
     std::map<std::string, int> told;
-    loop.on_error([&](const ErrorReport& report) { ++told[std::string(report.object) + " " + std::string(report.error.id())]; });
+    loop.on_error(
+        [&](const ErrorReport& report) { ++told[std::string(report.object) + " " + std::string(report.error.id())]; });
     System system(loop, standard_registry(), parse_config(text, "chips.json"));
     std::uint64_t before = 0;
     const Timer begin(loop, 1s, [&] { put(hang, "1500"); });
@@ -190,12 +196,14 @@ TEST_SUITE("drivers") {
     REQUIRE(std::system("modprobe bmp280-i2c") == 0);
     put(clients + "/new_device", "bmp280 0x76");
     Loop loop;
+    be_quiet(loop);
     const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": ")" + device("I2C") +
                              R"("}, "none": {"type": "i2c", "device": ")" + link + R"("}}, "sensors": [
           {"name": "air", "type": "bmp280", "rate": "20 Hz", "bus": "i2c1", "retry_longest": "200 ms"},
           {"name": "power", "type": "ina", "rate": "20 Hz", "bus": "none", "model": "ina226", "retry_longest": "200 ms"}]})";
     std::map<std::string, int> told;
-    loop.on_error([&](const ErrorReport& report) { ++told[std::string(report.object) + " " + std::string(report.error.id())]; });
+    loop.on_error(
+        [&](const ErrorReport& report) { ++told[std::string(report.object) + " " + std::string(report.error.id())]; });
     System system(loop, standard_registry(), parse_config(text, "chips.json"));
     const Timer second(loop, 1s, [&] {
       CHECK(status_of(loop, "air").health == Health::faulted);

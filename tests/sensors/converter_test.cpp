@@ -11,31 +11,14 @@
 
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/sensors/ads1x15.hpp"
 #include "rtdata/sensors/nau7802.hpp"
-#include "sensors/fixture.hpp"
+#include "sensors/bus_bench.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
 
 namespace {
-
-struct Bench {
-  std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
-  I2cBus bus{"i2c1", wires, {.timeout = 100ms}};
-  Loop loop{Loop::Manual{}};
-  std::vector<std::string> errors;
-  Bench() {
-    be_quiet(loop);
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
-  }
-  bool told(const std::string& part) const {
-    for (const std::string& error : errors)
-      if (error.find(part) != std::string::npos) return true;
-    return false;
-  }
-};
 
 MonotonicTime lane_now() { return Samples<int>::now(); }
 
@@ -145,11 +128,12 @@ TEST_SUITE("sensors") {
     // 8.1.3: multiplexer 14:12, range 11:9, single shot 8, rate 7:5.
     CHECK(Ads1x15::settings_of({}, {.input = "0"}) == 0x4387);
     CHECK(Ads1x15::settings_of({}, two_channels.channels[1]) == (3 << 12 | 5 << 9 | 0x187));
-    CHECK(Ads1x15::settings_of({.model = Ads1x15Model::ads1015, .data_rate = 3300}, {.input = "3"}) == (7 << 12 | 0x300 | 6 << 5 | 7));
+    CHECK(Ads1x15::settings_of({.model = Ads1x15Model::ads1015, .data_rate = 3300}, {.input = "3"}) ==
+          (7 << 12 | 0x300 | 6 << 5 | 7));
   }
 
   TEST_CASE("US-12 ADS1115: the chosen channels are the payload, each with its range, in one event") {
-    Bench bench;
+    I2cBench bench;
     FakeAds chip(bench.wires->chip(0x48), 128);
     chip.codes[4] = 0x4000;
     chip.codes[3] = 0xc000;
@@ -177,7 +161,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 NFR-1 four ADS1115 on one bus convert four channels each side by side") {
-    Bench bench;
+    I2cBench bench;
     std::vector<std::unique_ptr<FakeAds>> chips;
     std::vector<Adc> all;
     for (unsigned i = 0; i < 4; ++i) {
@@ -197,12 +181,13 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 ADS1115: a channel at the end of its range has no value and is counted; the others go on") {
-    Bench bench;
+    I2cBench bench;
     FakeAds chip(bench.wires->chip(0x48), 128);
     chip.codes[4] = 0x7fff;
     chip.codes[3] = 0x1000;
     std::vector<Battery> all;
-    const auto heard = bench.loop.subscribe<Battery>("adc", [&](const Event<Battery>& event) { all.push_back(*event); });
+    const auto heard = bench.loop.subscribe<Battery>("adc",
+                                                     [&](const Event<Battery>& event) { all.push_back(*event); });
     Adc adc(bench.loop, {.name = "adc", .rate = 10_Hz}, bench.bus, {0x48}, two_channels);
     bench.loop.advance(950ms);
     REQUIRE(all.size() == 10);
@@ -225,8 +210,9 @@ TEST_SUITE("sensors") {
     CHECK(bench.loop.runtime().balances());
   }
 
-  TEST_CASE("US-27 ADS1115: absent, another chip, reset in a conversion, unplugged: told, counted, and over when it is") {
-    Bench bench;
+  TEST_CASE(
+      "US-27 ADS1115: absent, another chip, reset in a conversion, unplugged: told, counted, and over when it is") {
+    I2cBench bench;
     FakeI2cChip& socket = bench.wires->chip(0x48);
     FakeAds chip(socket, 128);
     chip.codes[0] = chip.codes[3] = 0x1000;
@@ -292,11 +278,12 @@ TEST_SUITE("sensors") {
               "there are more than 8 channels"));
     CHECK(has(problems(R"(, "channels": [{"input": "4"}])"), "channels[0].input"));
     CHECK(has(problems(R"(, "channels": [{"input": "0"}, {"range": 5}])"), "channels[1].range: 5.000000 is nothing"));
-    CHECK(has(problems(R"(, "channels": [{"input": "0"}, {"input": "0", "range": 0.256}])"), "give each channel a `name`"));
+    CHECK(has(problems(R"(, "channels": [{"input": "0"}, {"input": "0", "range": 0.256}])"),
+              "give each channel a `name`"));
     CHECK(problems(R"(, "data_rate": 250, "model": "ads1015")") == "");
     CHECK(has(problems(R"(, "data_rate": 860, "model": "ads1015")"), "take 128, 250, 490, 920, 1600, 2400 or 3300"));
     CHECK(has(problems(R"(, "data_rate": 3300)"), "take 8, 16, 32, 64, 128, 250, 475 or 860"));
-    Bench bench;
+    I2cBench bench;
     CHECK_THROWS_WITH_AS(Adc(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus, {0x48}, {.channels = {{"", "5"}}}),
                          doctest::Contains("channels[0].input: it has no input \"5\": its inputs are 0, 1, 2, 3, 0-1, "
                                            "0-3, 1-3 and 2-3"),
@@ -323,15 +310,15 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 NAU7802: calibrated, then each sample once; the tare is taken off, shown, and kept over a fault") {
-    Bench bench;
+    I2cBench bench;
     FakeNau chip(bench.wires->chip(0x2a));
     chip.code = 0x010000;
     std::vector<BridgeReading> all;
     const auto heard = bench.loop.subscribe<BridgeReading>("scale",
                                                            [&](const Event<BridgeReading>& e) { all.push_back(*e); });
-    Scale scale(bench.loop, {.name = "scale", .rate = 20_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus, {0x2a},
-                {.gain = 64, .tare_samples = 4});
-    bench.loop.advance(1s);
+    Scale scale(bench.loop, {.name = "scale", .rate = 20_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus,
+                {0x2a}, {.gain = 64, .tare_samples = 4});
+    bench.loop.advance(2s);
     CHECK(chip.calibrated == 1);
     CHECK(chip.gain == (5 << 3 | 6));
     CHECK(chip.power == 0x96);
@@ -364,7 +351,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 NAU7802: another chip, a calibration that fails, a reset, a full bridge, silence: told, then over") {
-    Bench bench;
+    I2cBench bench;
     FakeI2cChip& socket = bench.wires->chip(0x2a);
     FakeNau chip(socket);
     socket.set(0x1f, {0x00});
@@ -406,6 +393,7 @@ TEST_SUITE("sensors") {
     CHECK(scale.counts().balances());
     CHECK_THROWS_AS(Scale(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x2b}, {.gain = 3}), SetupError);
     CHECK_THROWS_AS(Scale(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x2b}, {.data_rate = 0}), SetupError);
-    CHECK_THROWS_AS(Scale(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x2b}, {.supply_voltage = 5}), SetupError);
+    CHECK_THROWS_AS(Scale(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x2b}, {.supply_voltage = 5}),
+                    SetupError);
   }
 }

@@ -149,6 +149,38 @@ TEST_SUITE("sensors") {
     CHECK(bench.loop.runtime().balances());
   }
 
+  TEST_CASE("US-12 US-27 an SHT4x, taken for an SHT3x, then as it is; unplugged and plugged in again") {
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x44);
+    const std::array<std::uint8_t, 2> serial{0x12, 0x34}, temperature{0x66, 0x66}, humidity{0x72, 0xb0};
+    chip.set(0x89, {serial[0], serial[1], Sht::checksum(serial)});
+    chip.set(0xfd, {temperature[0], temperature[1], Sht::checksum(temperature), humidity[0], humidity[1],
+                    Sht::checksum(humidity)});
+    {
+      DriverSensor<Sht> wrong(bench.loop, {.name = "wrong", .rate = 10_Hz}, bench.bus);
+      CHECK(wrong.health() == Health::faulted);
+    }
+    DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz, .retry_first = 10ms, .retry_longest = 20ms},
+                           bench.bus, {0x44}, {.model = ShtModel::sht4x});
+    CHECK(room.health() == Health::ok);
+    std::vector<HumidityReading> all;
+    const auto heard = bench.loop.subscribe<HumidityReading>(
+        "room", [&](const Event<HumidityReading>& e) { all.push_back(*e); });
+    bench.loop.advance(1s);
+    REQUIRE(all.size() >= 9);
+    CHECK(all[0].temperature == doctest::Approx(25));
+    CHECK(all[0].humidity == doctest::Approx(50).epsilon(1e-3));
+    chip.unplug();
+    bench.loop.advance(1s);
+    CHECK(room.health() == Health::faulted);
+    const std::size_t before = all.size();
+    chip.plug_in();
+    bench.loop.advance(1s);
+    CHECK(room.health() == Health::ok);
+    CHECK(all.size() >= before + 8);
+    CHECK(bench.loop.runtime().balances());
+  }
+
   TEST_CASE("US-12 INA219, INA226: volts, amperes, watts; ranges, identity, lost settings") {
     // INA219, 8.6.3.1: 80 mV is 0x1f40, -80 mV 0xe0c0; bus of 16 V: 4000 << 3.
     const PowerReading reading = Ina::decode(0x1f40, 4000 << 3, {}).or_throw();
@@ -185,7 +217,7 @@ TEST_SUITE("sensors") {
     bench.loop.advance(500ms);
     CHECK(battery.counts().repeated == 5);
     CHECK(battery.counts().published == published);
-    bench.loop.advance(1s);
+    bench.loop.advance(700ms);
     CHECK(battery.status().reason.find("it measures no more") != std::string::npos);
     chip.set_word(2, 4000 << 3 | 3);
     bench.loop.advance(1s);

@@ -8,31 +8,15 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/io/fake_spi.hpp"
 #include "rtdata/sensors/max31855.hpp"
 #include "rtdata/sensors/max31856.hpp"
 #include "rtdata/sensors/max31865.hpp"
-#include "sensors/fixture.hpp"
+#include "sensors/bus_bench.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
 
 namespace {
-
-struct Bench {
-  std::shared_ptr<FakeSpi> wires = std::make_shared<FakeSpi>();
-  SpiBus bus{"spi0", wires, {.timeout = 100ms}};
-  Loop loop{Loop::Manual{}};
-  std::vector<std::string> errors;
-  Bench() {
-    be_quiet(loop);
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
-  }
-  bool told(const std::string& part) const {
-    return std::any_of(errors.begin(), errors.end(),
-                       [&](const std::string& error) { return error.find(part) != std::string::npos; });
-  }
-};
 
 /// A chip with registers: the first byte of a transfer is the number, with bit 7 to write; then it goes on by itself.
 template <std::size_t N>
@@ -101,7 +85,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 US-27 a MAX31855: absent, open, shorted, failing transfers, and what it measures") {
-    Bench bench;
+    SpiBench bench;
     std::vector<ThermocoupleReading> all;
     const auto heard = bench.loop.subscribe<ThermocoupleReading>(
         "oven", [&](const Event<ThermocoupleReading>& event) { all.push_back(*event); });
@@ -120,7 +104,7 @@ TEST_SUITE("sensors") {
     bench.wires->on_transfer(0, answering(0x0193u << 18 | 0x11901));
     bench.loop.advance(1s);
     CHECK(all.size() == before);
-    CHECK(bench.told("cannot read the MAX31855: bus spi0, chip select 0: the thermocouple is open"));
+    CHECK(bench.told("cannot read the MAX31855: bus spi1, chip select 0: the thermocouple is open"));
     bench.wires->on_transfer(0, always(0));
     bench.loop.advance(1s);
     CHECK(all.size() == before);
@@ -175,7 +159,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 US-27 a MAX31856: its settings, its time, a reset in a measurement, faults, nobody there") {
-    Bench bench;
+    SpiBench bench;
     Registers<16> chip;
     chip.memory = max31856_after_reset;
     chip.written = [](Registers<16>& all, std::size_t number) {
@@ -224,8 +208,9 @@ TEST_SUITE("sensors") {
     CHECK(oven.status().reason.find("it measures still, longer than it may") != std::string::npos);
     oven.stop();
     CHECK(oven.counts().balances());
-    CHECK_THROWS_WITH_AS(DriverSensor<Max31856>(bench.loop, fast("b", 1_Hz), bench.bus, {.chip_select = 1}, {.average = 3}),
-                         doctest::Contains("take 1, 2, 4, 8 or 16"), SetupError);
+    CHECK_THROWS_WITH_AS(
+        DriverSensor<Max31856>(bench.loop, fast("b", 1_Hz), bench.bus, {.chip_select = 1}, {.average = 3}),
+        doctest::Contains("take 1, 2, 4, 8 or 16"), SetupError);
   }
 
   TEST_CASE("US-11 MAX31865: platinum's resistances of IEC 60751 from -200 to 850 degrees, and wires that are faulty") {
@@ -251,7 +236,8 @@ TEST_SUITE("sensors") {
       registers[7] = static_cast<std::uint8_t>(fault);
       return Max31865::decode(registers, config);
     };
-    // 19-6478, with the data sheet's reference of 400 Ohm: 100 Ohm is code 0x2000, and code / 32 - 256 about its degrees.
+    // 19-6478, with the data sheet's reference of 400 Ohm: 100 Ohm is code 0x2000, and code / 32 - 256 about its
+    // degrees.
     const Max31865::Config sheet{.reference_resistance = 400};
     CHECK(decoded(0x2000, 0, sheet).or_throw().resistance == 100);
     CHECK(decoded(0x2000, 0, sheet).or_throw().temperature == doctest::Approx(0));
@@ -267,7 +253,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 US-27 a MAX31865: current only while it measures, wires, faults, a reset, nobody there") {
-    Bench bench;
+    SpiBench bench;
     Registers<8> chip;
     chip.written = [](Registers<8>& all, std::size_t number) {
       if (number != 0) return;

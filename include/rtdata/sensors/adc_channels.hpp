@@ -44,7 +44,8 @@ std::vector<Channel> chosen_or_all(std::vector<Channel> channels, const Inputs& 
   return channels;
 }
 
-/// Of a record "adc": a double a channel, in V. Errors: bad-description (too many channels, a name that is none or is there twice).
+/// Of a record "adc": a double a channel, in V. Errors: bad-description (too many channels, a name that is none or is
+/// there twice).
 template <class Channel>
 Result<std::shared_ptr<const Description>> describe_channels(const std::vector<Channel>& channels,
                                                              DescriptionBuilder::Presence presence) {
@@ -53,8 +54,7 @@ Result<std::shared_ptr<const Description>> describe_channels(const std::vector<C
   };
   if (channels.size() > most_channels) return refused("there are more than 8 channels", "make another sensor");
   DescriptionBuilder builder("adc");
-  for (const Channel& channel : channels)
-    builder.field(field_of(channel), Kind::f64, "V", presence);
+  for (const Channel& channel : channels) builder.field(field_of(channel), Kind::f64, "V", presence);
   auto made = builder.build();
   if (!made) return refused(made.error().why, "give each channel a `name` of its own");
   return made;

@@ -2,7 +2,8 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Ads1x15> adc(
 ///         loop, {.name = "adc", .rate = 10_Hz}, bus, {.address = 0x48},
-///         {.channels = {{.name = "battery", .input = "0", .range = 4.096}, {.name = "bridge", .input = "2-3", .range = 0.256}}});
+///         {.channels = {{.name = "battery", .input = "0", .range = 4.096},
+///                       {.name = "bridge", .input = "2-3", .range = 0.256}}});
 ///     loop.subscribe("adc", [](const rtdata::EventView& event) { ... });  // a record of battery and bridge, in V
 ///
 /// Each tick converts the channels one after the other, each in a single shot with its own range; the bus is free for
@@ -13,9 +14,9 @@
 /// counted as unreadable. Inputs must lie between ground and the supply whatever the range is; what is outside damages
 /// the chip.
 ///
-/// The chip has neither identity nor checksum. That it keeps its settings is looked at before and after each conversion,
-/// so that one that was reset meanwhile, or another chip, is told. An ADS1115 that is used as an ADS1015 shows by its
-/// lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
+/// The chip has neither identity nor checksum. That it keeps its settings is looked at before and after each
+/// conversion, so that one that was reset meanwhile, or another chip, is told. An ADS1115 that is used as an ADS1015
+/// shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
 ///
 /// Sources: ADS111x SBAS444D and ADS101x SBAS473E, data sheets: 7.4.2.1 single shot, 7.5.4 data format, 8.1.2 and 8.1.3
 /// registers.
@@ -35,6 +36,7 @@
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/sensors/adc_channels.hpp"
+#include "rtdata/sensors/choice.hpp"
 #include "rtdata/sensors/driver.hpp"
 
 namespace rtdata {
@@ -49,15 +51,19 @@ enum class Ads1x15Model { ads1015, ads1115 };
 class Ads1x15 {
  public:
   static constexpr std::string_view type = "ads1x15";
-  static constexpr std::string_view description = "voltages by an ADS1015 or ADS1115 on I2C, with a range for each channel";
+  static constexpr std::string_view
+      description = "voltages by an ADS1015 or ADS1115 on I2C, with a range for each channel";
   static constexpr std::string_view notes =
       "Address by the pin ADDR: to GND 0x48, VDD 0x49, SDA 0x4a, SCL 0x4b.\n\n"
       "`input` is one of 0, 1, 2, 3 (against ground) and 0-1, 0-3, 1-3, 2-3 (the first less the second); `range` is "
-      "6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V to both sides. No input may go above the supply, whatever the range "
+      "6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V to both sides. No input may go above the supply, whatever the "
+      "range "
       "is.\n\n"
       "Each channel is a field (`ain0`, `ain0_ain1` unless it has a `name`). One at an end of its range has no value, "
-      "and is counted as unreadable. The channels are converted one after the other: all take `channels` / `data_rate`, "
-      "and a tenth more. ADS1115: 8, 16, 32, 64, 128, 250, 475 or 860 a second; ADS1015: 128, 250, 490, 920, 1600, 2400 "
+      "and is counted as unreadable. The channels are converted one after the other: all take `channels` / "
+      "`data_rate`, "
+      "and a tenth more. ADS1115: 8, 16, 32, 64, 128, 250, 475 or 860 a second; ADS1015: 128, 250, 490, 920, 1600, "
+      "2400 "
       "or 3300.\n\n"
       "The chip has no identity: another one at its address is told because it does not keep these settings.";
 
@@ -76,7 +82,7 @@ class Ads1x15 {
   struct Config {
     Ads1x15Model model = Ads1x15Model::ads1115;
     std::vector<Channel> channels = {};  ///< empty: each input against ground
-    unsigned data_rate = 128;  ///< conversions a second
+    unsigned data_rate = 128;            ///< conversions a second
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
@@ -97,11 +103,11 @@ class Ads1x15 {
     };
     for (std::size_t i = 0; i < config.channels.size(); ++i) {
       if (const auto input = detail::find_input(inputs, config.channels[i].input, i); !input) return input.error();
-      if (!place_of(ranges, config.channels[i].range))
+      if (!detail::place_of(ranges, config.channels[i].range))
         return refused("channels[" + std::to_string(i) + "].range", std::to_string(config.channels[i].range),
                        "take 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256");
     }
-    if (!place_of(of(config.model).data_rates, config.data_rate))
+    if (!detail::place_of(of(config.model).data_rates, config.data_rate))
       return refused("data_rate", std::to_string(config.data_rate),
                      config.model == Ads1x15Model::ads1015 ? "take 128, 250, 490, 920, 1600, 2400 or 3300"
                                                            : "take 8, 16, 32, 64, 128, 250, 475 or 860");
@@ -150,7 +156,8 @@ class Ads1x15 {
     if (!after) return restarted_after(after.error());
     const std::uint16_t settings = settings_of(config_, channel);
     if ((*before & ~ready) != settings || (*after & ~ready) != settings) {
-      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply"));
+      out.unreadable(
+          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply"));
       next_ = 0;
       return {};
     }
@@ -171,11 +178,11 @@ class Ads1x15 {
 
   /// The settings register for a channel, without the bit that begins a conversion.
   static std::uint16_t settings_of(const Config& config, const Channel& channel) noexcept {
-    const auto input = static_cast<std::size_t>(std::find(inputs.begin(), inputs.end(), channel.input) - inputs.begin());
-    return static_cast<std::uint16_t>(multiplexer[input] << 12 | place_of(ranges, channel.range).value_or(1) << 9 |
-                                      single_shot |
-                                      place_of(of(config.model).data_rates, config.data_rate).value_or(4) << 5 | own_mark |
-                                      no_comparator);
+    const auto input = static_cast<std::size_t>(std::find(inputs.begin(), inputs.end(), channel.input) -
+                                                inputs.begin());
+    return static_cast<std::uint16_t>(
+        multiplexer[input] << 12 | detail::place_of(ranges, channel.range).value_or(1) << 9 | single_shot |
+        detail::place_of(of(config.model).data_rates, config.data_rate).value_or(4) << 5 | own_mark | no_comparator);
   }
   /// Volts of the conversion register. Errors: out-of-range (an end of the range), bad-data (of the other model).
   static Result<double> decode(Ads1x15Model model, std::uint16_t word, double range) {
@@ -197,12 +204,6 @@ class Ads1x15 {
     static constexpr Model models[] = {{{128, 250, 490, 920, 1600, 2400, 3300, 3300}, 16},
                                        {{8, 16, 32, 64, 128, 250, 475, 860}, 1}};
     return models[static_cast<std::size_t>(model)];
-  }
-  template <class T, std::size_t N>
-  static std::optional<unsigned> place_of(const std::array<T, N>& all, T one) noexcept {
-    const auto found = std::find(all.begin(), all.end(), one);
-    if (found == all.end()) return std::nullopt;
-    return static_cast<unsigned>(found - all.begin());
   }
   /// The next start begins with the first channel.
   Result<void> restarted_after(Result<void> result) {

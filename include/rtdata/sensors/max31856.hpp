@@ -40,10 +40,12 @@ class Max31856 {
   static constexpr std::string_view type = "max31856";
   static constexpr std::string_view description = "temperature of a thermocouple of any kind at a MAX31856 on SPI";
   static constexpr std::string_view notes =
-      "Pins: SDO to MISO, SDI to MOSI, SCK, CS; `mode` 1 or 3, `clock` to 5 MHz. One measurement takes 0.23 s (`mains` of "
+      "Pins: SDO to MISO, SDI to MOSI, SCK, CS; `mode` 1 or 3, `clock` to 5 MHz. One measurement takes 0.23 s (`mains` "
+      "of "
       "60 Hz: 0.2 s), and 40 ms (33 ms) more for each further one of `average`: `rate` to 4 Hz.\n\n"
       "An open thermocouple, an input beyond the supply and a temperature out of range are told and counted as "
-      "unreadable. The settings are read back with each measurement, so that a chip that was reset, or that is not there, "
+      "unreadable. The settings are read back with each measurement, so that a chip that was reset, or that is not "
+      "there, "
       "is told.";
   struct Config {
     Thermocouple thermocouple = Thermocouple::k;
@@ -65,7 +67,7 @@ class Max31856 {
   static constexpr SpiPlace place{.mode = 1};
 
   static Result<void> check(const Config& config) {
-    for (const unsigned good : {1, 2, 4, 8, 16})
+    for (const unsigned good : {1u, 2u, 4u, 8u, 16u})
       if (config.average == good) return {};
     return Error{Errc::bad_argument, "cannot use the MAX31856 so", "average",
                  std::to_string(config.average) + " is nothing that it has", "take 1, 2, 4, 8 or 16"};
@@ -113,7 +115,8 @@ class Max31856 {
     const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
     if ((fault & 0x01) != 0) return refused(Errc::bad_data, "the thermocouple is open");
     if ((fault & 0x02) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
-    if ((fault & 0x40) != 0) return refused(Errc::out_of_range, "the temperature is outside of its thermocouple's range");
+    if ((fault & 0x40) != 0)
+      return refused(Errc::out_of_range, "the temperature is outside of its thermocouple's range");
     if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside of its range");
     const auto cold = static_cast<std::int16_t>(registers[10] << 8 | registers[11]);
     const auto tip = static_cast<std::int32_t>(static_cast<std::uint32_t>(registers[12]) << 24 |
@@ -154,8 +157,8 @@ class Max31856 {
     return chip.write(bytes);
   }
   Result<void> set_up(SpiDevice& chip) {
-    std::array<std::uint8_t, 1 + first_limit + limits.size()> settings{control_register | write_bit, control_of(config_),
-                                                                       kind_of(config_)};
+    std::array<std::uint8_t, 1 + first_limit + limits.size()> settings{control_register | write_bit,
+                                                                       control_of(config_), kind_of(config_)};
     std::copy(limits.begin(), limits.end(), settings.begin() + 1 + first_limit);
     return chip.write(settings);
   }

@@ -6,14 +6,14 @@
 /// The value is the bridge's output over its supply in mV/V, which load cells are specified in: a cell of 5 kg and
 /// 2 mV/V gives 2 at 5 kg. The bridge is to be supplied from the chip's AVDD pin, which is its reference too.
 ///
-/// Tare: with `tare_samples`, the average of the first so many samples is taken off all later ones. It is in each event,
-/// the code of the converter too, and while it is being taken there is no value. It is taken once in the life of the
-/// sensor: a chip that comes back after a fault, with a load on it, keeps it.
+/// Tare: with `tare_samples`, the average of the first so many samples is taken off all later ones. It is in each
+/// event, the code of the converter too, and while it is being taken there is no value. It is taken once in the life of
+/// the sensor: a chip that comes back after a fault, with a load on it, keeps it.
 ///
 /// The chip measures by itself, `data_rate` times a second; a tick without a new sample is counted as repeated, and
 /// samples between two ticks are left out. After opening, and after it has lost its settings, it calibrates its own
-/// offset, which takes up to 0.5 s with the bus free for others. A code at an end of the range is unreadable. One address:
-/// 0x2a; the revision code is its identity.
+/// offset, which takes some 0.5 s with the bus free for others. A code at an end of the range is unreadable. One
+/// address: 0x2a; the revision code is its identity.
 ///
 /// Source: Nuvoton NAU7802, data sheet V1.7: 8.1 power-on, 8.3 calibration, 9 registers.
 ///
@@ -30,6 +30,7 @@
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/sensors/choice.hpp"
 #include "rtdata/sensors/driver.hpp"
 
 namespace rtdata {
@@ -51,9 +52,11 @@ class Nau7802 {
   static constexpr std::string_view notes =
       "Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-). "
       "`supply_voltage` is what the chip makes for it; it must be 0.3 V below that of the chip.\n\n"
-      "`value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range to "
+      "`value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range "
+      "to "
       "both sides is 500 mV/V over `gain`.\n\n"
-      "With `tare_samples`, the average of the first so many samples is taken off; it is the field `tare`, and taken once "
+      "With `tare_samples`, the average of the first so many samples is taken off; it is the field `tare`, and taken "
+      "once "
       "in the life of the sensor. A `rate` above `data_rate` brings nothing new.";
   struct Config {
     unsigned gain = 128;
@@ -83,11 +86,11 @@ class Nau7802 {
     const auto refused = [](const char* where, const std::string& value, const char* advice) {
       return Error{Errc::bad_argument, "cannot use the NAU7802 so", where, value + " is nothing that it has", advice};
     };
-    if (!place_of(gains, config.gain))
+    if (!detail::place_of(gains, config.gain))
       return refused("gain", std::to_string(config.gain), "take 1, 2, 4, 8, 16, 32, 64 or 128");
-    if (!place_of(data_rates, config.data_rate))
+    if (config.data_rate == 0 || !detail::place_of(data_rates, config.data_rate))
       return refused("data_rate", std::to_string(config.data_rate), "take 10, 20, 40, 80 or 320");
-    if (!place_of(supplies, config.supply_voltage))
+    if (!detail::place_of(supplies, config.supply_voltage))
       return refused("supply_voltage", std::to_string(config.supply_voltage),
                      "take 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5");
     return {};
@@ -111,11 +114,13 @@ class Nau7802 {
     if (auto done = chip.read_registers(power_register, found); !done) return done;
     if ((found[0] & powered_up) == 0)
       return chip.error(Errc::bad_data, "cannot use the NAU7802", "it does not power up", "look at its supply");
-    const std::array<std::uint8_t, 4> settings{power_register, running & ~(cycling | powered_up), gain_of(config_),
-                                               rate_of(config_)};
-    if (auto done = chip.write(settings); !done) return done;
-    if (auto done = chip.write_register(chopper_register, no_chopper); !done) return done;
-    if (auto done = chip.write_register(capacitor_register, with_capacitor); !done) return done;
+    const std::array<std::array<std::uint8_t, 2>, 5> settings{{{gain_register, gain_of(config_)},
+                                                               {rate_register, rate_of(config_)},
+                                                               {chopper_register, no_chopper},
+                                                               {capacitor_register, with_capacitor},
+                                                               {power_register, running & ~powered_up}}};
+    for (const auto& setting : settings)
+      if (auto done = chip.write(setting); !done) return done;
     step_ = Step::settling;
     return {};
   }
@@ -131,7 +136,7 @@ class Nau7802 {
   }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;
-    return step_ == Step::settling ? 100ms : step_ == Step::calibrating ? 50ms : 0ms;
+    return step_ == Step::settling ? 250ms : step_ == Step::calibrating ? 50ms : 0ms;
   }
   bool goes_on() const noexcept { return goes_on_; }
 
@@ -145,7 +150,8 @@ class Nau7802 {
     std::array<std::uint8_t, 3> settings{};
     if (auto done = chip.read_registers(power_register, settings); !done) return std::move(done).error();
     if (step_ == Step::calibrating) return calibrated(chip, settings);
-    if ((settings[0] & ~sample_ready) != running || settings[1] != gain_of(config_) || settings[2] != rate_of(config_)) {
+    if ((settings[0] & ~sample_ready) != running || settings[1] != gain_of(config_) ||
+        settings[2] != rate_of(config_)) {
       if (auto done = open(chip); !done) return std::move(done).error();
       return Unreadable{
           chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "look at its supply")};
@@ -191,7 +197,8 @@ class Nau7802 {
       step_ = Step::settling;
       return chip.error(Errc::bad_data, what, "its calibration has failed", "look at its supply, and the bridge's");
     }
-    if (auto done = chip.write_register(power_register, running & ~powered_up); !done) return std::move(done).error();
+    std::array<std::uint8_t, 3> of_before{};  // a sample that was taken without the calibration
+    if (auto done = chip.read_registers(data_register, of_before); !done) return std::move(done).error();
     step_ = Step::running;
     last_ = Samples<BridgeReading>::now();
     return nothing_new;
@@ -210,27 +217,22 @@ class Nau7802 {
     return reading;
   }
 
-  template <class T, std::size_t N>
-  static std::optional<unsigned> place_of(const std::array<T, N>& all, T one) noexcept {
-    const auto found = std::find(all.begin(), all.end(), one);
-    if (found == all.end() || one == T{}) return std::nullopt;
-    return static_cast<unsigned>(found - all.begin());
-  }
   static constexpr std::array<unsigned, 8> gains{1, 2, 4, 8, 16, 32, 64, 128};
   static constexpr std::array<unsigned, 8> data_rates{10, 20, 40, 80, 0, 0, 0, 320};  // those of 0 are reserved
   static constexpr std::array<double, 8> supplies{4.5, 4.2, 3.9, 3.6, 3.3, 3.0, 2.7, 2.4};
   static std::uint8_t gain_of(const Config& config) noexcept {
-    return static_cast<std::uint8_t>(place_of(supplies, config.supply_voltage).value_or(5) << 3 |
-                                     place_of(gains, config.gain).value_or(7));
+    return static_cast<std::uint8_t>(detail::place_of(supplies, config.supply_voltage).value_or(5) << 3 |
+                                     detail::place_of(gains, config.gain).value_or(7));
   }
   static std::uint8_t rate_of(const Config& config) noexcept {
-    return static_cast<std::uint8_t>(place_of(data_rates, config.data_rate).value_or(0) << 4);
+    return static_cast<std::uint8_t>(detail::place_of(data_rates, config.data_rate).value_or(0) << 4);
   }
 
-  static constexpr std::uint8_t power_register = 0x00, rate_register = 0x02, data_register = 0x12;
+  static constexpr std::uint8_t power_register = 0x00, gain_register = 0x01, rate_register = 0x02;
+  static constexpr std::uint8_t data_register = 0x12;
   static constexpr std::uint8_t chopper_register = 0x15, capacitor_register = 0x1c, revision_register = 0x1f;
   // Power: supply from inside, sample ready, cycling, powered up, analog on, digital on, reset.
-  static constexpr std::uint8_t running = 0x9e, sample_ready = 0x20, cycling = 0x10, powered_up = 0x08;
+  static constexpr std::uint8_t running = 0x9e, sample_ready = 0x20, powered_up = 0x08;
   static constexpr std::uint8_t digital_on = 0x02, reset = 0x01;
   static constexpr std::uint8_t calibration_failed = 0x08, calibrate_offset = 0x04;
   static constexpr std::uint8_t no_chopper = 0x30, with_capacitor = 0x80;
