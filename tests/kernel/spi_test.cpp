@@ -1,8 +1,10 @@
 // Drivers of user space on the kernel's SPI controllers.
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstring>
 #include <string>
 
 #include "kernel/bench.hpp"
@@ -64,11 +66,12 @@ TEST_SUITE("drivers") {
       System system(loop, standard_registry(), parse_config(text, "adc.json"));
       loop.on_error([](const ErrorReport&) {});
       int events = 0;
-      const auto heard = loop.subscribe<AdcReading>("adc", [&](const Event<AdcReading>& event) {
-        for (std::size_t channel = 0; channel < 8; ++channel) {
-          CHECK(event->raw[channel] == channel * 500);
-          CHECK(event->voltage[channel] == doctest::Approx(static_cast<double>(channel) * 0.5));
-        }
+      const auto heard = loop.subscribe("adc", [&](const EventView& event) {
+        std::array<double, 8> voltages{};
+        CHECK(event.payload().size() == sizeof voltages);
+        std::memcpy(&voltages, event.payload().data(), std::min(event.payload().size(), sizeof voltages));
+        for (std::size_t channel = 0; channel < 8; ++channel)
+          CHECK(voltages[channel] == doctest::Approx(static_cast<double>(channel) * 0.5));
         if (++events == 10) chip.fail(2, EIO);
         if (events >= 30) loop.stop();
       });

@@ -108,9 +108,16 @@ TEST_SUITE("sensors") {
     FakeI2cChip& chip = bench.wires->chip(0x44);
     const std::array<std::uint8_t, 2> word{0x66, 0x66};  // 25 degrees, 40 %
     chip.set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
+    const std::array<std::uint8_t, 2> status{0x80, 0x10};
+    chip.set(0xf4, {status[0], status[1], 0x77});  // as another chip
     int started = 0;
     chip.on_write(0x24, [&](std::uint16_t value) { started += value == 0; });
     DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz}, bench.bus);
+    CHECK(room.health() == Health::faulted);
+    CHECK(bench.errors.back().find("the question who it is has a wrong checksum") != std::string::npos);
+    chip.set(0xf6, {Sht::checksum(status)});
+    bench.loop.advance(100ms);
+    started = 0;
     std::vector<HumidityReading> all;
     const auto heard = bench.loop.subscribe<HumidityReading>(
         "room", [&](const Event<HumidityReading>& e) { all.push_back(*e); });
@@ -123,6 +130,38 @@ TEST_SUITE("sensors") {
     bench.loop.advance(1s);
     CHECK(room.counts().unreadable > 0);
     CHECK(room.status().reason.find("a checksum is wrong") != std::string::npos);
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-12 US-27 an SHT4x, taken for an SHT3x, then as it is; unplugged and plugged in again") {
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x44);
+    const std::array<std::uint8_t, 2> serial{0x12, 0x34}, temperature{0x66, 0x66}, humidity{0x72, 0xb0};
+    chip.set(0x89, {serial[0], serial[1], Sht::checksum(serial)});
+    chip.set(0xfd, {temperature[0], temperature[1], Sht::checksum(temperature), humidity[0], humidity[1],
+                    Sht::checksum(humidity)});
+    {
+      DriverSensor<Sht> wrong(bench.loop, {.name = "wrong", .rate = 10_Hz}, bench.bus);
+      CHECK(wrong.health() == Health::faulted);
+    }
+    DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz, .retry_first = 10ms, .retry_longest = 20ms},
+                           bench.bus, {0x44}, {.model = ShtModel::sht4x});
+    CHECK(room.health() == Health::ok);
+    std::vector<HumidityReading> all;
+    const auto heard = bench.loop.subscribe<HumidityReading>(
+        "room", [&](const Event<HumidityReading>& e) { all.push_back(*e); });
+    bench.loop.advance(1s);
+    REQUIRE(all.size() >= 9);
+    CHECK(all[0].temperature == doctest::Approx(25));
+    CHECK(all[0].humidity == doctest::Approx(50).epsilon(1e-3));
+    chip.unplug();
+    bench.loop.advance(1s);
+    CHECK(room.health() == Health::faulted);
+    const std::size_t before = all.size();
+    chip.plug_in();
+    bench.loop.advance(1s);
+    CHECK(room.health() == Health::ok);
+    CHECK(all.size() >= before + 8);
     CHECK(bench.loop.runtime().balances());
   }
 
@@ -140,12 +179,14 @@ TEST_SUITE("sensors") {
     CHECK(Ina::decode(0x8300, 9600, config).or_throw().current == doctest::Approx(-8));
     CHECK(Ina::decode(0x8300, 9600, config).or_throw().voltage == doctest::Approx(12));
     CHECK(Ina::decode(0x7fff, 9600, config).error().code == Errc::out_of_range);
+    CHECK(Ina::decode(0, 0x7fff, config).error().code == Errc::out_of_range);
+    CHECK(Ina::decode(0, 8000 << 3, {}).error().code == Errc::out_of_range);
 
     Bench bench;
     FakeI2cChip& chip = bench.wires->chip(0x40);
     chip.set_width(FakeI2cChip::Width::words);
     chip.set_word(1, 0x1f40);
-    chip.set_word(2, 4000 << 3);
+    chip.set_word(2, 4000 << 3 | 2);
     DriverSensor<Ina> battery(bench.loop, {.name = "battery", .rate = 10_Hz}, bench.bus);
     bench.loop.advance(1s);
     CHECK(chip.word(0) == 0x399f);
@@ -155,6 +196,21 @@ TEST_SUITE("sensors") {
     CHECK(battery.counts().unreadable == 1);
     CHECK(chip.word(0) == 0x399f);
     CHECK(battery.health() == Health::ok);
+    const auto published = battery.counts().published;
+    chip.set_word(2, 4000 << 3);  // no new conversion
+    bench.loop.advance(500ms);
+    CHECK(battery.counts().repeated == 5);
+    CHECK(battery.counts().published == published);
+    bench.loop.advance(700ms);
+    CHECK(battery.status().reason.find("it measures no more") != std::string::npos);
+    chip.set_word(2, 4000 << 3 | 3);
+    bench.loop.advance(1s);
+    CHECK(battery.status().reason.find("it tells of an overflow") != std::string::npos);
+    CHECK(battery.counts().published == published);
+    chip.set_word(2, 4000 << 3 | 2);
+    bench.loop.advance(1s);
+    CHECK(battery.health() == Health::ok);
+    CHECK(battery.counts().published > published);
     FakeI2cChip& other = bench.wires->chip(0x41);
     other.set_width(FakeI2cChip::Width::words);
     DriverSensor<Ina> motor(bench.loop, {.name = "motor", .rate = 10_Hz, .retry_longest = 1s}, bench.bus, {0x41},
@@ -163,8 +219,13 @@ TEST_SUITE("sensors") {
     CHECK(bench.errors.back().find("it does not have its identity") != std::string::npos);
     other.set_word(0xfe, 0x5449);
     other.set_word(0xff, 0x2260);
+    other.set_word(6, 0x0008);
     bench.loop.advance(5s);
     CHECK(motor.health() == Health::ok);
+    CHECK(motor.counts().published > 0);
+    other.set_word(6, 0x000c);
+    bench.loop.advance(1s);
+    CHECK(motor.status().reason.find("it tells of an overflow") != std::string::npos);
     CHECK_THROWS_AS(
         DriverSensor<Ina>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x42}, {.shunt_resistance = 0}),
         SetupError);

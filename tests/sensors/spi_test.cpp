@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cerrno>
+#include <cstring>
 #include <numeric>
 #include <string>
 #include <vector>
@@ -46,6 +47,16 @@ FakeSpi::Chip chip_of(AdcModel model, const std::array<std::uint16_t, 8>& codes)
 
 using Adc = DriverSensor<Mcp3x08>;
 
+struct Lever {
+  double lever = 0;
+  double ain0 = 0;
+  double ain4_ain5 = 0;
+  friend constexpr auto describe(type_tag<Lever>) {
+    return record("adc", field("lever", &Lever::lever, "V"), field("ain0", &Lever::ain0, "V"),
+                  field("ain4_ain5", &Lever::ain4_ain5, "V"));
+  }
+};
+
 struct SpiBench {
   std::shared_ptr<FakeSpi> wires = std::make_shared<FakeSpi>();
   SpiBus bus{"spi0", wires, {.timeout = 100ms}};
@@ -70,7 +81,7 @@ TEST_SUITE("sensors") {
         const FakeSpi::Chip chip = chip_of(model, all);
         for (unsigned channel = 0; channel < 8; ++channel) {
           std::array<std::uint8_t, 3> answer{};
-          chip(Mcp3x08::request(model, channel), answer);
+          chip(Mcp3x08::request(model, std::to_string(channel)), answer);
           REQUIRE(Mcp3x08::decode(model, answer) == all[channel]);
         }
       }
@@ -78,8 +89,11 @@ TEST_SUITE("sensors") {
       CHECK_FALSE(Mcp3x08::decode(model, nobody));
     }
     // DS21298E, figure 6-1: channel 6 is 0000 0111, 10XX XXXX; DS21295D: 0000 0001, 1110 XXXX.
-    CHECK(Mcp3x08::request(AdcModel::mcp3208, 6) == std::array<std::uint8_t, 3>{0x07, 0x80, 0});
-    CHECK(Mcp3x08::request(AdcModel::mcp3008, 6) == std::array<std::uint8_t, 3>{0x01, 0xe0, 0});
+    CHECK(Mcp3x08::request(AdcModel::mcp3208, "6") == std::array<std::uint8_t, 3>{0x07, 0x80, 0});
+    CHECK(Mcp3x08::request(AdcModel::mcp3008, "6") == std::array<std::uint8_t, 3>{0x01, 0xe0, 0});
+    // Tables 5-1 and 5-2: pairs without the bit for single-ended; CH3 less CH2 is 0 1 1.
+    CHECK(Mcp3x08::request(AdcModel::mcp3208, "3-2") == std::array<std::uint8_t, 3>{0x04, 0xc0, 0});
+    CHECK(Mcp3x08::request(AdcModel::mcp3008, "7-6") == std::array<std::uint8_t, 3>{0x01, 0x70, 0});
   }
 
   TEST_CASE("US-11 two converters on one controller: volts, one message a tick, one after the other") {
@@ -87,20 +101,26 @@ TEST_SUITE("sensors") {
     bench.wires->on_transfer(0, chip_of(AdcModel::mcp3208, {0, 1, 2, 2048, 4, 5, 6, 4095}));
     bench.wires->on_transfer(1, chip_of(AdcModel::mcp3008, {1023, 1, 2, 3, 4, 5, 6, 512}));
     bench.wires->set_duration(0, 1ms);
-    std::vector<AdcReading> first, second;
-    const auto a = bench.loop.subscribe<AdcReading>("a", [&](const Event<AdcReading>& e) { first.push_back(*e); });
-    const auto b = bench.loop.subscribe<AdcReading>("b", [&](const Event<AdcReading>& e) { second.push_back(*e); });
+    std::vector<std::array<double, 8>> first;
+    std::vector<Lever> second;
+    const auto a = bench.loop.subscribe("a", [&](const EventView& event) {
+      REQUIRE(event.payload().size() == sizeof first[0]);
+      CHECK(event.description().fields()[3].name == "ain3");
+      std::memcpy(&first.emplace_back(), event.payload().data(), sizeof first[0]);
+    });
+    const auto b = bench.loop.subscribe<Lever>("b", [&](const Event<Lever>& e) { second.push_back(*e); });
     Adc one(bench.loop, {.name = "a", .rate = 100_Hz}, bench.bus, {}, {.reference_voltage = 4.096});
     Adc two(bench.loop, {.name = "b", .rate = 100_Hz}, bench.bus, {.chip_select = 1},
-            {.model = AdcModel::mcp3008, .reference_voltage = 5});
+            {.channels = {{"lever", "7"}, {"", "0"}, {"", "4-5"}}, .model = AdcModel::mcp3008, .reference_voltage = 5});
     bench.loop.advance(1s);
     REQUIRE(first.size() >= 99);
     REQUIRE(second.size() >= 99);
-    CHECK(first[0].raw == std::array<std::uint16_t, 8>{0, 1, 2, 2048, 4, 5, 6, 4095});
-    CHECK(first[0].voltage[3] == doctest::Approx(2.048));
-    CHECK(first[0].voltage[7] == doctest::Approx(4.095));
-    CHECK(second[0].voltage[7] == doctest::Approx(2.5));
-    CHECK(second[0].raw[0] == 1023);
+    CHECK(first[0][0] == 0);
+    CHECK(first[0][3] == doctest::Approx(2.048));
+    CHECK(first[0][7] == doctest::Approx(4.095));
+    CHECK(second[0].lever == doctest::Approx(2.5));
+    CHECK(second[0].ain0 == doctest::Approx(5.0 * 1023 / 1024));
+    CHECK(second[0].ain4_ain5 == 0);
     CHECK(bench.bus.counts(0).transfers == bench.wires->transfers(0));
     CHECK(bench.bus.counts(0).busy >= 99ms);
     CHECK(bench.bus.counts(7).transfers == 0);

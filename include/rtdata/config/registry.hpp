@@ -153,6 +153,12 @@ struct DriverConfig {
   }
   friend void check_config(const DriverConfig& config, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(config.own, item, problems); }) check_config(config.own, item, problems);
+    if (const Result<void> good = check_driver<D>(config.own); !good) {
+      const Error& error = good.error();
+      const ConfigItem* at = item.find(error.where);
+      problems.add((at != nullptr ? *at : item)
+                       .problem("bad-value", error.advice.empty() ? error.why : error.why + "; " + error.advice));
+    }
   }
 };
 
@@ -224,7 +230,7 @@ class Registry {
       page.publishes = []() -> std::shared_ptr<const Description> { return description_of<typename D::Value>(); };
     }
     add_sensor<C>(
-        type, std::move(doc), [](const C& config) { return description_of_driver<D>(config.own); },
+        type, std::move(doc), [](const C& config) { return driver_description<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },

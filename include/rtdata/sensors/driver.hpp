@@ -17,15 +17,27 @@
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
-/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. A driver
-/// whose Config says what it publishes has the Value `DescribedValue`, and a function
+/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. One that
+/// needs several conversions for a sample, such as a converter with several channels, has `bool goes_on() const`: asked
+/// after each read that returns no error; while it is true, `start`, the pause and `read` come once more, the bus being
+/// free in between.
 ///
-///     static rtdata::Result<std::shared_ptr<const rtdata::Description>> describe(const Config& config);
+/// A payload that depends on the Config, such as on the channels that are chosen, is described by the driver:
+/// `static Result<std::shared_ptr<const Description>> describe(const Config&)`. Value is then trivially copyable and
+/// begins with what the description says (DescriptionBuilder lays fields out as compilers do), or, where its size is
+/// not known beforehand, a `DescribedValue`.
+///
+/// What no parameter of the Config says by itself, such as a list of good values or two that must fit together, is told
+/// by `static Result<void> check(const Config&)`: the mistake's `where` is the key of the parameter
+/// ("channels[1].range"). Configurations are refused with it at that place, and programs by a SetupError.
 ///
 /// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
 /// start, and `required` means something. One that brings several samples at a time needs an open() for that.
 ///
 /// Configurations know a driver by `registry.add_driver<Lm75>()`.
+///
+/// What a driver must not forget between openings, such as a tare, is its `Memory`: copied out with `Memory memory()
+/// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`.
 ///
 /// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
 /// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device
@@ -120,16 +132,58 @@ constexpr typename D::Device::Place default_place() {
   }
 }
 
-/// What a driver with this Config publishes.
+/// What a driver's events consist of. Errors: bad-description (its Config chooses what cannot be).
 template <Driver D>
-Result<std::shared_ptr<const Description>> description_of_driver(const typename D::Config& config) {
-  if constexpr (std::is_same_v<typename D::Value, DescribedValue>) {
+Result<std::shared_ptr<const Description>> driver_description(const typename D::Config& config) {
+  if constexpr (requires { D::describe(config); }) {
     return D::describe(config);
   } else {
-    (void)config;
     return description_of<typename D::Value>();
   }
 }
+
+/// Whether sensors can be made with this Config. Errors: `where` is the key of the parameter, when it is one's fault.
+template <Driver D>
+Result<void> check_driver(const typename D::Config& config) {
+  if constexpr (requires { D::check(config); }) {
+    if (Result<void> good = D::check(config); !good) return good;
+  }
+  const auto description = driver_description<D>(config);
+  return description ? Result<void>() : Result<void>(description.error());
+}
+
+namespace detail {
+
+template <Driver D>
+PayloadType driver_payload(const typename D::Config& config) {
+  if constexpr (requires { D::describe(config); }) {
+    auto description = D::describe(config).or_throw();
+    if constexpr (!std::is_same_v<typename D::Value, DescribedValue>) {
+      static_assert(std::is_trivially_copyable_v<typename D::Value>);
+      if (description->size() > sizeof(typename D::Value)) {
+        throw SetupError({Errc::bad_description, "cannot use a driver", std::string(description->name()),
+                          "its description is larger than its Value", "let `describe` and `Value` agree"});
+      }
+    }
+    return described_type(std::move(description));
+  } else {
+    return payload_type<typename D::Value>();
+  }
+}
+
+template <class D>
+struct MemoryOf {
+  struct type {};
+};
+// clang-format off
+template <class D>
+  requires requires { typename D::Memory; }
+struct MemoryOf<D> {
+  using type = typename D::Memory;
+};
+// clang-format on
+
+}  // namespace detail
 
 /// A driver as the sensor's base sees it. All calls are on the loop.
 template <class D>
@@ -159,13 +213,17 @@ class DriverDevice final : public detail::LaneDevice {
     }
     /// One reading, of which nothing is kept: is the chip there, and does it make sense?
     Result<void> try_it() {
-      if constexpr (requires { driver.start(device); }) {
-        if (auto started = driver.start(device); !started) return started;
-        device.wait(driver.conversion_time());
+      for (bool goes_on = true; goes_on;) {
+        if constexpr (requires { driver.start(device); }) {
+          if (auto started = driver.start(device); !started) return started;
+          device.wait(driver.conversion_time());
+        }
+        Reading<Value> reading(driver.read(device));
+        if (Error* error = reading.error()) return std::move(*error);
+        if (Unreadable* unreadable = reading.unreadable()) return std::move(unreadable->error);
+        goes_on = false;
+        if constexpr (requires { driver.goes_on(); }) goes_on = driver.goes_on();
       }
-      Reading<Value> reading(driver.read(device));
-      if (Error* error = reading.error()) return std::move(*error);
-      if (Unreadable* unreadable = reading.unreadable()) return std::move(unreadable->error);
       return {};
     }
     void close() noexcept {
@@ -216,14 +274,12 @@ class DriverDevice final : public detail::LaneDevice {
           result = guarded("open() of the driver threw", [this] { return session->open(); });
           if (!result) return;
         }
-        if constexpr (requires { session->driver.start(session->device); }) {
-          result = guarded("start() of the driver threw", [this] { return session->driver.start(session->device); });
-          is_converting = static_cast<bool>(result);
-          if (is_converting) pause = session->driver.conversion_time();
-          return;
-        }
+        if constexpr (has_start) return start();
       }
       result = guarded("read() of the driver threw", [this] { return read(); });
+      if constexpr (has_start && requires(const D& driver) { driver.goes_on(); }) {
+        if (result && session->driver.goes_on()) return start();
+      }
       ended = detail::lane_now();
     }
     std::optional<Duration> goes_on_after() override {
@@ -232,6 +288,14 @@ class DriverDevice final : public detail::LaneDevice {
     void close() noexcept override { session->close(); }
     void given_up() noexcept override { session->device.abandon(); }
 
+    static constexpr bool has_start = requires(D & driver, Device& device) { driver.start(device); };
+    void start() noexcept {
+      if constexpr (has_start) {
+        result = guarded("start() of the driver threw", [this] { return session->driver.start(session->device); });
+        is_converting = static_cast<bool>(result);
+        if (is_converting) pause = session->driver.conversion_time();
+      }
+    }
     Result<void> read() {
       if constexpr (requires { session->driver.read(session->device, samples); }) {
         return session->driver.read(session->device, samples);
@@ -239,6 +303,7 @@ class DriverDevice final : public detail::LaneDevice {
         Reading<Value> reading(session->driver.read(session->device));
         if (Value* value = reading.value()) {
           samples.add(std::move(*value));
+          has_news = true;
         } else if (Error* error = reading.error()) {
           return std::move(*error);
         } else if (Unreadable* unreadable = reading.unreadable()) {
@@ -277,6 +342,7 @@ class DriverDevice final : public detail::LaneDevice {
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     auto& read = static_cast<ReadJob&>(transaction);
+    if constexpr (has_memory) memory_ = read.session->driver.memory();
     Samples<Value>& samples = read.samples;
     if (samples.lost_ > 0) port.lost(samples.lost_);
     for (auto& sample : samples.samples_) {
@@ -317,7 +383,14 @@ class DriverDevice final : public detail::LaneDevice {
       return &value;
     }
   }
-  std::shared_ptr<Session> make_session() const { return std::make_shared<Session>(config_, bus_.device(place_)); }
+  static constexpr bool has_memory = requires(D & driver) { driver.remember(driver.memory()); };
+  std::shared_ptr<Session> make_session() const {
+    auto session = std::make_shared<Session>(config_, bus_.device(place_));
+    if constexpr (has_memory) {
+      if (memory_) session->driver.remember(*memory_);
+    }
+    return session;
+  }
 
   BusOf& bus_;
   const typename Device::Place place_;
@@ -325,6 +398,7 @@ class DriverDevice final : public detail::LaneDevice {
   const std::shared_ptr<void> claim_;
   std::shared_ptr<Session> session_;  // opened, for the first read
   MonotonicTime last_{};              // of the last sample that had its own time
+  std::optional<typename detail::MemoryOf<D>::type> memory_;
 };
 
 template <Driver D>
@@ -339,14 +413,10 @@ class DriverSensor : public AnySensor {
  private:
   static detail::Node* make(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
                             typename D::Device::Place place, typename D::Config config) {
-    detail::PayloadType type;
-    if constexpr (std::is_same_v<typename D::Value, DescribedValue>) {
-      type = detail::described_type(D::describe(config).or_throw());
-    } else {
-      type = detail::payload_type<typename D::Value>();
-    }
-    auto device = std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config));
-    return detail::make_sensor(loop, std::move(sensor), std::move(type), std::move(device));
+    check_driver<D>(config).or_throw();
+    detail::PayloadType type = detail::driver_payload<D>(config);
+    return detail::make_sensor(loop, std::move(sensor), std::move(type),
+                               std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)));
   }
 };
 

@@ -5,12 +5,19 @@
 ///
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a
-/// checksum: a reading with a wrong one is unreadable. Addresses: 0x44 and 0x45 (SHT4x: 0x44 to 0x46). The SHT4x
-/// gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data sheet has it (4.6).
+/// checksum: a reading with a wrong one is unreadable. At opening, the SHT3x is asked for its status and the SHT4x for
+/// its serial number, which have checksums too: another chip, or the other model, is told. Addresses: 0x44 and 0x45
+/// (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data
+/// sheet has it (4.6).
+///
+/// Sources: Sensirion SHT3x-DIS, data sheet of December 2022: table 4 measurement time, 4.3 single shot, 4.11 status,
+/// 4.12 checksum, 4.13 conversion. SHT4x, data sheet of March 2022: table 4 time, 4.5 commands, 4.6 conversion.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <span>
 #include <string_view>
@@ -36,12 +43,12 @@ class Sht {
  public:
   static constexpr std::string_view type = "sht";
   static constexpr std::string_view description = "temperature and humidity of an SHT3x or SHT4x on I2C";
-  static constexpr std::string_view notes = R"(
-- Addresses: SHT3x `0x44` with ADDR at ground, `0x45` with ADDR at the supply; SHT4x as ordered, `0x44` to `0x46`.
-- -40 to 125 degrees, 0 to 100 %. One measurement takes 16 ms (SHT3x) or 9 ms (SHT4x).
-- Both numbers have a checksum: a reading with a wrong one is unreadable.
-- Nothing of the chip says which model it is: the wrong `model` has no answer, or wrong values.
-)";
+  static constexpr std::string_view notes =
+      "Addresses: SHT3x 0x44, with the pin ADDR at the supply 0x45; SHT4x 0x44, 0x45 or 0x46 by its type. One "
+      "measurement "
+      "takes 16 ms (SHT4x: 9 ms), the bus being free for others. More than two a second warm the chip.\n\n"
+      "Both numbers have a checksum, and so has the answer at opening by which another chip, or the other model, is "
+      "told.";
   struct Config {
     ShtModel model = ShtModel::sht3x;
     friend constexpr auto parameters(type_tag<Config>) {
@@ -54,16 +61,59 @@ class Sht {
   static constexpr I2cDevice::Place place{0x44};
   explicit Sht(const Config& config) : config_(config) {}
 
-  Result<void> start(I2cDevice& chip);
-  Duration conversion_time() const noexcept;
-  Reading<HumidityReading> read(I2cDevice& chip);
+  Result<void> open(I2cDevice& chip) {
+    constexpr std::array<std::uint8_t, 2> status{0xf3, 0x2d};
+    constexpr std::array<std::uint8_t, 1> serial_number{0x89};
+    std::array<std::uint8_t, 3> bytes{};
+    const auto asked = config_.model == ShtModel::sht3x ? chip.write(status) : chip.write(serial_number);
+    if (!asked) return asked;
+    chip.wait(std::chrono::milliseconds{1});
+    if (auto done = chip.read(bytes); !done) return done;
+    if (checksum(std::span(bytes).first<2>()) != bytes[2])
+      return chip.error(Errc::bad_data, "cannot use the chip as a hygrometer",
+                        "its answer to the question who it is has a wrong checksum",
+                        "look at which chip is at this address, and `model`");
+    return {};
+  }
+  Result<void> start(I2cDevice& chip) {
+    constexpr std::array<std::uint8_t, 2> of_sht3x{0x24, 0x00};  // without holding the clock
+    constexpr std::array<std::uint8_t, 1> of_sht4x{0xfd};
+    return config_.model == ShtModel::sht3x ? chip.write(of_sht3x) : chip.write(of_sht4x);
+  }
+  Duration conversion_time() const noexcept {
+    using namespace std::chrono_literals;
+    return config_.model == ShtModel::sht3x ? 16ms : 9ms;
+  }
+  Reading<HumidityReading> read(I2cDevice& chip) {
+    std::array<std::uint8_t, 6> bytes{};
+    if (auto done = chip.read(bytes); !done) return std::move(done).error();
+    auto reading = decode(bytes, config_.model);
+    if (!reading) return Unreadable{chip.error(Errc::bad_data, what, reading.error().why, reading.error().advice)};
+    return *reading;
+  }
 
   /// Polynomial 0x31, begun with 0xff (data sheet of the SHT3x, 4.12): 0x92 for 0xbe, 0xef.
-  static std::uint8_t checksum(std::span<const std::uint8_t, 2> bytes) noexcept;
+  static std::uint8_t checksum(std::span<const std::uint8_t, 2> bytes) noexcept {
+    unsigned sum = 0xff;
+    for (const std::uint8_t byte : bytes) {
+      sum ^= byte;
+      for (int bit = 0; bit < 8; ++bit) sum = (sum & 0x80) != 0 ? (sum << 1 ^ 0x31) & 0xff : sum << 1 & 0xff;
+    }
+    return static_cast<std::uint8_t>(sum);
+  }
   /// Of temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
-  static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model);
+  static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {
+    if (checksum(bytes.subspan<0, 2>()) != bytes[2] || checksum(bytes.subspan<3, 2>()) != bytes[5])
+      return Error{Errc::bad_data, what, "", "a checksum is wrong", "look at its wires, and `model`"};
+    const auto fraction = [&](std::size_t at) { return (bytes[at] << 8 | bytes[at + 1]) / 65535.0; };
+    const double temperature = -45 + 175 * fraction(0);
+    const double share = fraction(3);
+    return HumidityReading{temperature,
+                           std::clamp(model == ShtModel::sht3x ? 100 * share : 125 * share - 6, 0.0, 100.0)};
+  }
 
  private:
+  static constexpr const char* what = "cannot read the hygrometer";
   Config config_;
 };
 

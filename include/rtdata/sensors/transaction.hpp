@@ -80,6 +80,9 @@ class LaneDevice {
   virtual Error given_up_error() const = 0;
 };
 
+/// The type of a payload that has a description and no C++ type.
+PayloadType described_type(std::shared_ptr<const Description> description);
+
 Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique_ptr<LaneDevice> device);
 /// The type of a payload that has a description and no C++ type. SetupError (bad-description): it is null.
 PayloadType described_type(std::shared_ptr<const Description> description);

@@ -1,10 +1,12 @@
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/sensors/accelerometer.hpp"
+#include "rtdata/sensors/ads1x15.hpp"
 #include "rtdata/sensors/barometer.hpp"
 #include "rtdata/sensors/bno055.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
+#include "rtdata/sensors/nau7802.hpp"
 #include "rtdata/sensors/sht.hpp"
 
 namespace rtdata::app {
@@ -17,6 +19,8 @@ void add_i2c_drivers(Registry& registry) {
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>();
   registry.add_driver<Ina>();
+  registry.add_driver<Ads1x15>();
+  registry.add_driver<Nau7802>();
 }
 
 }  // namespace rtdata::app
