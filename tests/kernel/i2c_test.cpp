@@ -149,8 +149,8 @@ TEST_SUITE("drivers") {
       const SensorCounts counts = loop.runtime().sensors()[0].counts;
       const int left_out = last - first + 1 - events;
       CHECK(left_out > 50);
-      // Their number is known from the time, and made exact by the counter of two bits: on a machine that held a reading
-      // up for long, but for a multiple of four.
+      // Their number is known from the time, and made exact by the counter of two bits: on a machine that held a
+      // reading up for long, but for a multiple of four.
       const int difference = left_out - static_cast<int>(counts.lost);
       CHECK(difference % 4 == 0);
       CHECK(std::abs(difference) <= 40);

@@ -113,10 +113,9 @@ void scan_one_wire(Scanner& scanner) {
       }
       continue;
     }
-    scanner.line(
-        found, "sensors",
-        R"({"name": )" + json_text(scanner.new_name(device)) + R"(, "type": "w1", "rate": "0.5 Hz", "device": )" +
-            json_text(device) + "}");
+    scanner.line(found, "sensors",
+                 R"({"name": )" + json_text(scanner.new_name(device)) +
+                     R"(, "type": "w1", "rate": "0.5 Hz", "device": )" + json_text(device) + "}");
   }
 }
 
