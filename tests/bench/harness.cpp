@@ -196,6 +196,7 @@ int run(int count, char** arguments) {
   bench_publish(report);
   bench_encoding(report);
   bench_loop(report);
+  bench_lanes(report);
   bench_sinks(report);
   bench_disk(report);
   bench_export(report);

@@ -193,10 +193,8 @@ class Registry {
 
   /// A driver (driver.hpp) that says its type and description itself.
   template <Driver D>
-    requires requires { std::string(D::type), std::string(D::description); }
-  void add_driver() {
-    add_driver<D>(std::string(D::type), std::string(D::description));
-  }
+  requires requires { std::string(D::type), std::string(D::description); }
+  void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
   /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
