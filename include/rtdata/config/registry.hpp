@@ -42,6 +42,7 @@
 
 #include "rtdata/config/parts.hpp"
 #include "rtdata/config/type_registry.hpp"
+#include "rtdata/io/bus.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/sensor_parameters.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -201,7 +202,7 @@ class Registry {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     add_sensor<C>(
-        type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
+        type, std::move(doc), [](const C& config) { return description_of_driver<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },
@@ -258,7 +259,8 @@ class Registry {
       if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device};
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
         using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
-        return PartObject::made_by<Made>(
+        using Base = std::conditional_t<std::is_base_of_v<Bus, Made>, Bus, Made>;
+        return PartObject::made_by<Base>(
             [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
       };
     });

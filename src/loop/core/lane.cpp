@@ -175,10 +175,10 @@ bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
   add(job);
   thread_->push(std::move(job), loop_.lanes.shared_listener());
-  const MonotonicTime now = loop_.now();
-  loop_.lanes.hand_over(thread_->pool(), now);
+  loop_.lanes.hand_over(thread_->pool());
+  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // it will look in time
   shortest_ = std::min(shortest_, give_up_after);
-  watch_until(later(now, shortest_));
+  watch_until(later(loop_.now(), shortest_));
   return true;
 }
 

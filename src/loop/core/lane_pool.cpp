@@ -97,20 +97,21 @@ struct LanePool::Worker {
 /// one of the two sees it (all of this is sequentially consistent).
 struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   const std::ptrdiff_t most;
-  std::atomic<LaneJob*> sent{nullptr};       // the newest first
-  std::atomic<std::ptrdiff_t> unserved{0};   // in `sent` and `ready`; below 0 while one is counted after it is taken
-  std::atomic<std::uint64_t> leader{0};      // the leadership now; 0: nobody leads
+  const Duration quick;
+  std::atomic<LaneJob*> sent{nullptr};        // the newest first
+  std::atomic<std::ptrdiff_t> unserved{0};    // in `sent` and `ready`; below 0 while one is counted after it is taken
+  std::atomic<std::uint64_t> leader{0};       // the leadership now; 0: nobody leads
   std::atomic<std::uint64_t> leaderships{0};  // so many there were
   std::atomic<std::uint64_t> led_jobs{0};     // so many jobs leaders have begun
   std::atomic<std::uint64_t> in_led_job{0};   // the leadership that runs a job; 0: none
-  std::atomic<std::ptrdiff_t> sleeping{0};   // threads that nobody has woken yet
-  std::atomic<std::ptrdiff_t> threads{0};    // without those that hang
-  std::atomic<std::ptrdiff_t> behind{0};     // that hang
+  std::atomic<std::ptrdiff_t> sleeping{0};    // threads that nobody has woken yet
+  std::atomic<std::ptrdiff_t> threads{0};     // without those that hang
+  std::atomic<std::ptrdiff_t> behind{0};      // that hang
   std::atomic<bool> quit{false};
   sem_t wake;  // not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers
 
-  PriorityMutex mutex;  // of what follows; no loop takes it on the way of a job
-  LaneJobs ready;       // that were sent, in order
+  PriorityMutex mutex;              // of what follows; no loop takes it on the way of a job
+  LaneJobs ready;                   // that were sent, in order
   LaneQueue* first_slow = nullptr;  // lanes whose jobs wait since there are enough threads; each has one waiting
   LaneQueue* last_slow = nullptr;
   std::ptrdiff_t own_threads = 0;  // that run a job and do not lead, but for those that were quick until now
@@ -118,7 +119,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   const void* runtime = nullptr;
   std::optional<cpu_set_t> processors;
 
-  explicit State(std::size_t most_threads) : most(static_cast<std::ptrdiff_t>(most_threads)) {
+  State(std::size_t most_threads, Duration quick_) : most(static_cast<std::ptrdiff_t>(most_threads)), quick(quick_) {
     ::sem_init(&wake, 0, 0);
   }
   ~State() {
@@ -135,7 +136,8 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   void choose_leader() noexcept {
     std::uint64_t nobody = 0;
     const std::uint64_t chosen = ++leaderships;
-    if (leader.compare_exchange_strong(nobody, chosen) && !wake_one()) leader.compare_exchange_strong(nobody = chosen, 0);
+    if (leader.compare_exchange_strong(nobody, chosen) && !wake_one())
+      leader.compare_exchange_strong(nobody = chosen, 0);
   }
   /// Somebody has been chosen. False: there is no thread, and the system gives none.
   bool wake_one() noexcept {
@@ -334,7 +336,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   }
 };
 
-LanePool::LanePool(std::size_t most_threads) : state_(std::make_shared<State>(most_threads)) {}
+LanePool::LanePool(std::size_t most_threads, Duration quick) : state_(std::make_shared<State>(most_threads, quick)) {}
 
 LanePool::~LanePool() {
   constexpr Duration patience_at_end = std::chrono::seconds{1};  // nothing holds them but the end of what they just do

@@ -74,13 +74,13 @@ struct LaneQueue {
 /// Owner: shared by those who have lanes on it; its threads end with the last of them. Thread: any.
 class LanePool {
  public:
-  /// A lane whose last job took no longer is known to be quick: less than what handing it to another thread is worth.
-  static constexpr Duration quick = std::chrono::microseconds{100};
+  /// Lanes whose last jobs took no longer are known to be quick: not worth handing them to another thread.
+  static constexpr Duration usual_quick = std::chrono::microseconds{100};
   /// One that takes longer than this does not lead any more, so that the others wait no longer.
   static constexpr Duration patience = std::chrono::milliseconds{1};
 
   /// So many threads at most, without those that hang and those that were quick until now.
-  explicit LanePool(std::size_t most_threads);
+  explicit LanePool(std::size_t most_threads, Duration quick = usual_quick);
   LanePool(const LanePool&) = delete;
   LanePool& operator=(const LanePool&) = delete;
   ~LanePool();

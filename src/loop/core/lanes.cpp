@@ -8,7 +8,8 @@
 
 namespace rtdata::detail {
 
-Lanes::Lanes(LoopCore& loop) : loop_(loop), listener_(std::make_shared<LaneListener>()) {
+Lanes::Lanes(LoopCore& loop)
+    : loop_(loop), pool_(std::make_shared<LanePool>(most_threads)), listener_(std::make_shared<LaneListener>()) {
   if (!loop_.is_manual()) listener_->loop_wake = &loop_.uv.wake();
   loop_.deadlines.reserve_one();
 }
@@ -16,7 +17,6 @@ Lanes::Lanes(LoopCore& loop) : loop_(loop), listener_(std::make_shared<LaneListe
 Lanes::~Lanes() { listener_->stop_listening(); }
 
 Lane& Lanes::of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread) {
-  if (pool_ == nullptr) pool_ = std::make_shared<LanePool>(most_threads);
   const auto make = [&] {
     return std::make_unique<Lane>(loop_, key, give_up_after,
                                   thread != nullptr ? thread : std::make_shared<LaneThread>(pool_));
@@ -69,14 +69,9 @@ void Lanes::collect() {
   if (!loop_.deadlines.is_firing()) loop_.deadlines.arm();  // else the loop would wake up for it
 }
 
-void Lanes::hand_over(const std::shared_ptr<LanePool>& pool, MonotonicTime now) {
-  if (!collecting_ && !loop_.deadlines.is_firing()) {
-    pool->wake(now);
-    if (pool == pool_) watch_pool(now);
-  } else if (to_wake_.empty() ||
-             (to_wake_.back() != pool && std::find(to_wake_.begin(), to_wake_.end(), pool) == to_wake_.end())) {
-    to_wake_.push_back(pool);
-  }
+void Lanes::hand_over(const std::shared_ptr<LanePool>& pool) {
+  if (std::find(to_wake_.rbegin(), to_wake_.rend(), pool) == to_wake_.rend()) to_wake_.push_back(pool);
+  if (!collecting_ && !loop_.deadlines.is_firing()) wake_threads();
 }
 
 void Lanes::wake_threads() noexcept {

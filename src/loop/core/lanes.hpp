@@ -45,9 +45,11 @@ class Lanes {
   /// So many more of its jobs are outstanding.
   void count(Lane& lane, int more) noexcept;
   /// Something was pushed: a thread of the pool is woken, now or once for all that is due together.
-  void hand_over(const std::shared_ptr<LanePool>& pool, MonotonicTime now);
+  void hand_over(const std::shared_ptr<LanePool>& pool);
   /// Those that have been handed something since the last time. After deadlines have fired, and before waiting.
   void wake_threads() noexcept;
+  /// Before any lane is made; for tests.
+  void set_pool(std::shared_ptr<LanePool> pool) noexcept { pool_ = std::move(pool); }
   LaneListener& listener() noexcept { return *listener_; }
   const std::shared_ptr<LaneListener>& shared_listener() const noexcept { return listener_; }
 
