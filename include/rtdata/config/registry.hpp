@@ -42,7 +42,6 @@
 
 #include "rtdata/config/parts.hpp"
 #include "rtdata/config/type_registry.hpp"
-#include "rtdata/io/bus.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/sensor_parameters.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -194,15 +193,17 @@ class Registry {
 
   /// A driver (driver.hpp) that says its type and description itself.
   template <Driver D>
-  requires requires { std::string(D::type), std::string(D::description); }
-  void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
+    requires requires { std::string(D::type), std::string(D::description); }
+  void add_driver() {
+    add_driver<D>(std::string(D::type), std::string(D::description));
+  }
   /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     add_sensor<C>(
-        type, std::move(doc), [](const C& config) { return description_of_driver<D>(config.own); },
+        type, std::move(doc), [](const C&) { return description_of<typename D::Value>(); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },
@@ -259,8 +260,7 @@ class Registry {
       if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device};
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
         using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
-        using Base = std::conditional_t<std::is_base_of_v<Bus, Made>, Bus, Made>;
-        return PartObject::made_by<Base>(
+        return PartObject::made_by<Made>(
             [&] { return config_detail::call_factory(make, parts, loop.runtime(), name, config); });
       };
     });

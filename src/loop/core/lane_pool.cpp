@@ -238,13 +238,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     const std::lock_guard lock(mutex);
     if (worker.queue != nullptr) end(worker);
     if (leader != worker.leads) worker.leads = 0;
-    if (first_slow != nullptr && may_have_own_thread()) {
-      LaneQueue& queue = take_slow();
-      if (worker.leads != 0) cease_to_lead(worker);
-      return begin(worker, *queue.waiting.pop());
-    }
-    if (worker.leads == 0) return nullptr;
-    while (first_ready() != nullptr) {
+    while (worker.leads != 0 && first_ready() != nullptr) {
       LaneJob& job = *take_ready();
       LaneQueue& queue = *job.queue_;
       if (queue.is_busy) {
@@ -260,7 +254,10 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
         add_slow(queue);
       }
     }
-    return nullptr;
+    if (first_slow == nullptr || !may_have_own_thread()) return nullptr;
+    LaneQueue& queue = take_slow();
+    if (worker.leads != 0) cease_to_lead(worker);
+    return begin(worker, *queue.waiting.pop());
   }
   /// What waits behind a job that was given up is served by whoever leads.
   void serve_again(LaneQueue& queue) noexcept {
