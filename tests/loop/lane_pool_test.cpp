@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <functional>
 #include <memory>
@@ -201,18 +202,19 @@ TEST_SUITE("loop") {
       for (int i = 0; i < lanes; ++i) {
         Device& device = *devices[static_cast<std::size_t>(i)];
         ++outstanding;
-        CHECK(bench.lane(std::to_string(i)).submit(job(
-            [&device, round, i] {
-              if (++device.users != 1) ++device.collisions;
-              device.ran.push_back(round);
-              if ((round + i) % 7 == 0) detail::lane_sleep(200us);
-              --device.users;
-            },
-            [&device, &outstanding, round](Outcome outcome) {
-              CHECK(outcome == Outcome::finished);
-              device.told.push_back(round);
-              --outstanding;
-            })));
+        CHECK(bench.lane(std::to_string(i))
+                  .submit(job(
+                      [&device, round, i] {
+                        if (++device.users != 1) ++device.collisions;
+                        device.ran.push_back(round);
+                        if ((round + i) % 7 == 0) detail::lane_sleep(200us);
+                        --device.users;
+                      },
+                      [&device, &outstanding, round](Outcome outcome) {
+                        CHECK(outcome == Outcome::finished);
+                        device.told.push_back(round);
+                        --outstanding;
+                      })));
       }
       if (round % 5 == 0) run_until(bench.loop, [&] { return outstanding < 3 * lanes; });
     }
@@ -263,12 +265,13 @@ TEST_SUITE("loop") {
     Bench bench(detail::Lanes::most_threads);
     for (int round = 0; round < 3; ++round) {
       for (int i = 0; i < count; ++i) {
-        CHECK(bench.lane(std::to_string(i)).submit(job(
-            [&] {
-              const std::lock_guard lock(mutex);
-              threads.insert(std::this_thread::get_id());
-            },
-            {})));
+        CHECK(bench.lane(std::to_string(i))
+                  .submit(job(
+                      [&] {
+                        const std::lock_guard lock(mutex);
+                        threads.insert(std::this_thread::get_id());
+                      },
+                      {})));
       }
       bench.loop.run();
     }
@@ -285,7 +288,9 @@ TEST_SUITE("loop") {
         CHECK(lane.submit(job(stuck->work(), [&](Outcome outcome) { told.push_back(outcome); })));
       }
       for (int i = 5; i < 8; ++i)
-        CHECK(loop.core().lanes.of(std::to_string(i), 1h).submit(job({}, [&](Outcome outcome) { told.push_back(outcome); })));
+        CHECK(loop.core().lanes.of(std::to_string(i), 1h).submit(job({}, [&](Outcome outcome) {
+          told.push_back(outcome);
+        })));
     }
     CHECK(told.size() == 8);
     const auto hung = stuck->begun.load();
