@@ -37,7 +37,7 @@ struct Bus::Places {
 Bus::Bus(std::string name, Duration give_up_after)
     : name_(std::move(name)),
       give_up_after_(give_up_after),
-      lane_thread_(std::make_shared<detail::LaneThread>(std::size_t{4096})),
+      lane_thread_(std::make_shared<detail::LaneThread>()),
       places_(std::make_shared<Places>()) {}
 
 Bus::~Bus() = default;

@@ -198,6 +198,7 @@ int run(int count, char** arguments) {
   bench_encoding(report);
   bench_iio(report);
   bench_loop(report);
+  bench_lanes(report);
   bench_sinks(report);
   bench_disk(report);
   bench_export(report);

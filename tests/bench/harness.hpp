@@ -85,6 +85,7 @@ inline void keep(const T& value) {
 
 // One a subject; each adds those of its figures that are wanted.
 void bench_loop(Report& report);
+void bench_lanes(Report& report);
 void bench_publish(Report& report);
 void bench_iio(Report& report);
 void bench_filter(Report& report);

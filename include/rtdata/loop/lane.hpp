@@ -1,12 +1,17 @@
-/// Lane: a loop's way to a worker thread for blocking work: one for each sink and each physical device.
+/// Lane: a loop's way to worker threads for blocking work: one for each sink and each physical device.
 ///
 /// Jobs run one after the other, in order. Each has a limit, which counts from when it runs. One that outlives it is
-/// given up: its thread is left behind, the waiting jobs go on with a new thread, and its `done` is called with
-/// `given_up`. With `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes
-/// run transactions, drivers and storage, never a user's callbacks.
+/// given up: its thread is left behind, the waiting jobs go on with another, and its `done` is called with `given_up`.
+/// With `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes run
+/// transactions, drivers and storage, never a user's callbacks.
+///
+/// The lanes of a loop's devices share a pool of threads: one of them is enough for all that answer quickly, and one
+/// that does not, or hangs, gets a thread for itself (docs/loop-and-time.md, "Lanes"). Jobs that are submitted while
+/// deadlines fire are handed over together when these are done.
 ///
 /// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the
-/// order in which they were submitted, and `done` of each is called on the loop that it came from.
+/// order in which they were submitted, and `done` of each is called on the loop that it came from. A lane that an
+/// object makes for itself has a thread of its own.
 ///
 /// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
 /// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds;
@@ -21,16 +26,18 @@
 #include <cstddef>
 #include <memory>
 #include <string>
-#include <vector>
 
 #include "rtdata/data/time.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
 
+class LaneJobs;
+class LanePool;
 class LaneThread;
 class LoopCore;
 struct LaneListener;
+struct LaneQueue;
 
 /// The time for code that runs on a lane: the machine's, or on a manual loop the virtual time of the job.
 MonotonicTime lane_now() noexcept;
@@ -51,10 +58,11 @@ class LaneJob {
 
  private:
   friend class Lane;
-  friend class LaneThread;
+  friend class LaneJobs;
+  friend class LanePool;
   enum State : int { idle, queued, running, finished, taken_away };
   /// On the lane's thread. False: it does not want to be run any more.
-  bool begin() noexcept;
+  bool begin(MonotonicTime now) noexcept;
   /// On the lane's thread. False: it was given up.
   bool end() noexcept;
   /// Takes it from the thread, unless it has finished. Returns what it was before.
@@ -63,19 +71,23 @@ class LaneJob {
   std::atomic<int> state_{idle};
   std::atomic<std::int64_t> began_{0};  // ns of the monotonic line
   Duration limit_{0};
+  std::shared_ptr<LaneJob> next_outstanding_;  // of the lane
+  // On its way to a thread:
+  LaneJob* next_ = nullptr;
+  std::shared_ptr<LaneJob> self_;
+  std::shared_ptr<LaneQueue> queue_;
+  std::shared_ptr<LaneListener> listener_;
 };
 
 class Lane {
  public:
-  static constexpr std::size_t most_outstanding = 4096;  ///< jobs that run or wait: sensors that share a device
   static constexpr std::size_t most_left_behind = 4;
-  static constexpr std::size_t most_handed_over = 64;  ///< that its thread has at hand; the others wait on the loop
-  /// `thread`: shared with other loops; null: it has one of its own.
+  /// `thread`: of a bus, or of the loop's pool; null: it has one of its own.
   Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared_ptr<LaneThread> thread = nullptr);
   /// Waits for the running job for at most its limit; jobs that wait are cancelled.
   ~Lane();
 
-  /// False when the queue is full, or no thread is left to run it. The job must not be submitted already.
+  /// False when no thread is left to run it. The job must not be submitted already.
   bool submit(std::shared_ptr<LaneJob> job) { return submit(std::move(job), give_up_after_); }
   bool submit(std::shared_ptr<LaneJob> job, Duration give_up_after);
   /// Threads that have been left behind and have not come back.
@@ -87,7 +99,7 @@ class Lane {
   /// Whether this is the thread that it uses.
   bool uses(const LaneThread& thread) const noexcept { return thread_.get() == &thread; }
   /// It shares its thread with no other lane, and it has nothing to do.
-  bool is_deserted() const noexcept { return thread_.use_count() == 1 && outstanding_.empty(); }
+  bool is_deserted() const noexcept { return thread_.use_count() == 1 && first_ == nullptr; }
   /// Gives up the first job that has not finished, however long it has run.
   void give_up();
   /// Calls `done` of finished jobs. The loop does so when a worker has woken it. `done` may destroy the lane.
@@ -99,17 +111,20 @@ class Lane {
   void leave_behind() noexcept;
 
  private:
+  friend class Lanes;
   struct Watchdog;
   struct Delayed;
   /// False when there can be none: too many were left behind, or the system gives no more threads.
   bool start_thread() noexcept;
-  /// So many may be outstanding without asking for memory.
-  void make_room(std::size_t jobs);
+  /// Runs what was submitted, if deadlines fire when they are done.
   void hand_over();
   void check_limit();
   void watch_until(MonotonicTime due);
   void look_at_health(LaneJob::Outcome outcome, Duration limit);
-  void finish(std::size_t index, LaneJob::Outcome outcome);
+  void add(std::shared_ptr<LaneJob> job) noexcept;
+  std::shared_ptr<LaneJob> remove_first() noexcept;
+  /// The first.
+  void finish(LaneJob::Outcome outcome);
   /// On a manual loop.
   void submit_in_virtual_time(std::shared_ptr<LaneJob> job);
   /// On a manual loop. Returns the virtual time that it has spent.
@@ -119,13 +134,14 @@ class Lane {
   std::string name_;
   Duration give_up_after_;
   Health health_ = Health::ok;
-  const bool is_shared_;
+  const bool is_shared_;  // with other loops
+  const bool is_pooled_;
   bool is_left_behind_ = false;
   std::shared_ptr<LaneThread> thread_;
-  std::shared_ptr<LaneListener> listener_;
-  std::vector<std::shared_ptr<LaneJob>> outstanding_;  // in order of submission
-  std::size_t handed_over_ = 0;                        // of these, the first so many are with the thread
-  Duration shortest_;                                  // limit of all that were submitted
+  bool is_listed_ = false;          // among those that the loop collects from
+  std::shared_ptr<LaneJob> first_;  // outstanding, in order of submission
+  LaneJob* last_ = nullptr;
+  Duration shortest_;  // limit of all that were submitted
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for calls during which `done` may destroy the lane

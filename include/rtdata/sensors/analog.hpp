@@ -28,7 +28,8 @@
 /// not-found, not-permitted, io-failed, disconnected, not-a-number, out-of-range, bad-data (too long), timed-out.
 ///
 /// The file is opened and read on a lane, one per physical device: a converter that hangs costs its own readings only.
-/// Below /sys the file stays open between readings; anywhere else it is opened for each.
+/// The file stays open between readings below /sys, and on local disks, where every 100 ms it is looked at whether the
+/// path names another one; anything else (a FIFO, a file of another machine) is opened for each.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

@@ -87,6 +87,7 @@ void Deadlines::fire_due() {
     next_round_.clear();
     handled_until_ = std::max(handled_until_, until);
   }
+  loop_.lanes.wake_threads();
   firing_ = false;
 }
 

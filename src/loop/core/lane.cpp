@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
-#include <mutex>
+#include <utility>
 #include <vector>
 
 #include "loop/core/lane_thread.hpp"
@@ -17,15 +17,15 @@ constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the library 
 
 }  // namespace
 
-bool LaneJob::begin() noexcept {
+bool LaneJob::begin(MonotonicTime now) noexcept {
   int expected = queued;
-  began_.store(std::chrono::steady_clock::now().time_since_epoch().count(), std::memory_order_relaxed);
+  began_.store(now.time_since_epoch().count(), std::memory_order_relaxed);
   return state_.compare_exchange_strong(expected, running, std::memory_order_acq_rel);
 }
 
 bool LaneJob::end() noexcept {
   int expected = running;
-  return state_.compare_exchange_strong(expected, finished, std::memory_order_acq_rel);
+  return state_.compare_exchange_strong(expected, finished);  // before its listener's `is_waited_for` is looked at
 }
 
 LaneJob::State LaneJob::take_away() noexcept {
@@ -55,12 +55,12 @@ struct Lane::Delayed final : Deadline {
     lane.loop_.deadlines.remove(*this);
     const auto [at, outcome, has_run] = completions.front();
     completions.erase(completions.begin());
-    if (!has_run) lane.run_here(*lane.outstanding_.front(), lane.loop_.now());
+    if (!has_run) lane.run_here(*lane.first_, lane.loop_.now());
     if (!completions.empty()) {
       due = completions.front().at;
       lane.loop_.deadlines.insert(*this);
     }
-    lane.finish(0, outcome);
+    lane.finish(outcome);
   }
   Lane& lane;
   std::vector<Completion> completions;  // of the outstanding jobs, in order
@@ -70,17 +70,15 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared
     : loop_(loop),
       name_(std::move(name)),
       give_up_after_(give_up_after),
-      is_shared_(thread != nullptr),
-      thread_(thread != nullptr ? std::move(thread) : std::make_shared<LaneThread>(2 * most_handed_over)),
-      listener_(std::make_shared<LaneListener>()),
+      is_shared_(thread != nullptr && !thread->is_pooled()),
+      is_pooled_(thread != nullptr && thread->is_pooled()),
+      thread_(thread != nullptr ? std::move(thread) : std::make_shared<LaneThread>()),
       shortest_(give_up_after),
       watchdog_(std::make_unique<Watchdog>(*this)),
       delayed_(std::make_unique<Delayed>(*this)) {
-  if (!loop_.is_manual()) listener_->loop_wake = &loop_.uv.wake();
-  make_room(most_handed_over);
   for (int i = 0; i < 2; ++i) loop_.deadlines.reserve_one();
   try {
-    loop_.lanes.add(*this);
+    loop_.lanes.add();
   } catch (...) {
     for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
     throw;
@@ -89,47 +87,52 @@ Lane::Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared
 
 Lane::~Lane() {
   *is_alive_ = false;
-  loop_.lanes.remove(*this);
   loop_.deadlines.remove(*watchdog_);
   loop_.deadlines.remove(*delayed_);
   for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
   if (!loop_.is_manual() && !is_left_behind_) {
-    for (const auto& job : outstanding_) {  // those that wait shall not begin
+    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // they shall not begin
       int expected = LaneJob::queued;
       job->state_.compare_exchange_strong(expected, LaneJob::taken_away, std::memory_order_acq_rel);
     }
-    for (const auto& job : outstanding_) {
+    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
-      {
-        std::unique_lock lock(listener_->mutex);
-        listener_->job_ended.wait_for(lock, std::min(job->limit_, longest_wait),
-                                      [&] { return job->state_.load(std::memory_order_acquire) != LaneJob::running; });
-      }
+      loop_.lanes.listener().wait(std::min(job->limit_, longest_wait),
+                                  [&] { return job->state_.load() != LaneJob::running; });
       if (job->take_away() == LaneJob::running) thread_->leave_behind();
     }
   }
-  listener_->stop_listening();
   thread_ = nullptr;
-  const auto unfinished = std::move(outstanding_);
-  outstanding_.clear();
-  for (const auto& job : unfinished) {
+  while (first_ != nullptr) {
+    const std::shared_ptr<LaneJob> job = remove_first();
     loop_.unref();
     const bool is_finished = job->state_.load(std::memory_order_acquire) == LaneJob::finished;
     loop_.call_own("lane", [&] { job->done(is_finished ? LaneJob::Outcome::finished : LaneJob::Outcome::cancelled); });
   }
+  loop_.lanes.remove(*this);
 }
 
 std::size_t Lane::left_behind() const noexcept { return thread_->left_behind(); }
 
-bool Lane::is_stuck() const noexcept { return !thread_->has_thread() && left_behind() >= most_left_behind; }
+bool Lane::is_stuck() const noexcept { return thread_->is_stuck(); }
 
 bool Lane::lacks_thread() const noexcept { return !loop_.is_manual() && !thread_->has_thread() && !is_stuck(); }
 
-bool Lane::start_thread() noexcept { return thread_->start(&loop_.runtime, loop_.lanes.processors, most_left_behind); }
+bool Lane::start_thread() noexcept { return thread_->start(&loop_.runtime, loop_.lanes.processors); }
 
-void Lane::make_room(std::size_t jobs) {
-  outstanding_.reserve(jobs);
-  if (loop_.is_manual()) delayed_->completions.reserve(jobs);
+void Lane::add(std::shared_ptr<LaneJob> job) noexcept {
+  LaneJob* const added = job.get();
+  (first_ == nullptr ? first_ : last_->next_outstanding_) = std::move(job);
+  last_ = added;
+  loop_.ref();
+  loop_.lanes.count(*this, 1);
+}
+
+std::shared_ptr<LaneJob> Lane::remove_first() noexcept {
+  std::shared_ptr<LaneJob> job = std::move(first_);
+  first_ = std::move(job->next_outstanding_);
+  loop_.lanes.count(*this, -1);
+  return job;
 }
 
 Duration Lane::run_here(LaneJob& job, MonotonicTime now) noexcept {
@@ -140,13 +143,14 @@ Duration Lane::run_here(LaneJob& job, MonotonicTime now) noexcept {
 }
 
 void Lane::submit_in_virtual_time(std::shared_ptr<LaneJob> job) {
+  auto& completions = delayed_->completions;
+  if (completions.size() == completions.capacity()) completions.reserve(2 * completions.size() + 1);
   const bool runs_later = !is_shared_ && loop_.virtual_threads()->choose();  // those of several loops keep their order
   const MonotonicTime from = std::max(thread_->free_from, loop_.now());
   Duration takes = loop_.lanes.scripted_duration;
   if (!runs_later) takes = later(MonotonicTime{takes}, run_here(*job, from)).time_since_epoch();
   const Duration limit = job->limit_;
-  outstanding_.push_back(std::move(job));
-  loop_.ref();
+  add(std::move(job));
   auto outcome = LaneJob::Outcome::given_up;
   if (takes > limit) {
     takes = limit;
@@ -155,15 +159,13 @@ void Lane::submit_in_virtual_time(std::shared_ptr<LaneJob> job) {
     takes = std::min(takes + loop_.virtual_threads()->choose_delay(), limit);
   }
   thread_->free_from = later(from, takes);
-  delayed_->completions.push_back({thread_->free_from, outcome, !runs_later});
+  completions.push_back({thread_->free_from, outcome, !runs_later});
   if (delayed_->is_listed()) return;
-  delayed_->due = delayed_->completions.front().at;
+  delayed_->due = completions.front().at;
   loop_.deadlines.insert(*delayed_);
 }
 
 bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
-  if (outstanding_.size() == most_outstanding) return false;
-  if (outstanding_.size() == outstanding_.capacity()) make_room(2 * outstanding_.size());
   job->limit_ = give_up_after;
   if (loop_.is_manual()) {
     submit_in_virtual_time(std::move(job));
@@ -171,9 +173,10 @@ bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
   }
   if (is_left_behind_ || !start_thread()) return false;
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
-  loop_.ref();
-  outstanding_.push_back(std::move(job));
-  hand_over();
+  add(job);
+  thread_->push(std::move(job), loop_.lanes.shared_listener());
+  loop_.lanes.hand_over(thread_->pool());
+  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // it will look in time
   shortest_ = std::min(shortest_, give_up_after);
   watch_until(later(loop_.now(), shortest_));
   return true;
@@ -188,16 +191,8 @@ void Lane::watch_until(MonotonicTime due) {
   loop_.deadlines.insert(*watchdog_);
 }
 
-void Lane::hand_over() {
-  for (; handed_over_ < std::min(outstanding_.size(), most_handed_over); ++handed_over_)
-    if (!thread_->push(outstanding_[handed_over_], listener_)) return;  // the watchdog tries again
-}
-
-void Lane::finish(std::size_t index, LaneJob::Outcome outcome) {
-  const std::shared_ptr<LaneJob> job = std::move(outstanding_[index]);
-  outstanding_.erase(outstanding_.begin() + static_cast<std::ptrdiff_t>(index));
-  if (index < handed_over_) --handed_over_;
-  if (!loop_.is_manual()) hand_over();
+void Lane::finish(LaneJob::Outcome outcome) {
+  const std::shared_ptr<LaneJob> job = remove_first();
   if (outcome == LaneJob::Outcome::finished) job->state_.store(LaneJob::idle, std::memory_order_relaxed);
   loop_.unref();
   if (outcome != LaneJob::Outcome::finished || health_ != Health::ok) [[unlikely]]
@@ -220,51 +215,49 @@ void Lane::look_at_health(LaneJob::Outcome outcome, Duration limit) {
 
 void Lane::collect() {
   const auto is_alive = is_alive_;
-  while (*is_alive && !outstanding_.empty() && !loop_.is_manual() &&
-         outstanding_.front()->state_.load(std::memory_order_acquire) == LaneJob::finished) {
-    finish(0, LaneJob::Outcome::finished);
+  while (*is_alive && first_ != nullptr && !loop_.is_manual() &&
+         first_->state_.load(std::memory_order_acquire) == LaneJob::finished) {
+    finish(LaneJob::Outcome::finished);
   }
 }
 
 void Lane::wait(Duration at_most) {
-  if (outstanding_.empty()) return;
+  if (first_ == nullptr) return;
   if (loop_.is_manual()) {
     const Duration left = delayed_->completions.front().at - loop_.now();
     if (left.count() > 0) loop_.manual_clock()->pass(std::min(left, at_most));
     if (left <= at_most) delayed_->fire(loop_.now());
     return;
   }
+  loop_.lanes.wake_threads();
   if (!is_left_behind_ && thread_->has_thread()) {
-    const std::shared_ptr<LaneJob> first = outstanding_.front();
-    std::unique_lock lock(listener_->mutex);
-    listener_->job_ended.wait_for(lock, std::min(at_most, longest_wait),
-                                  [&] { return first->state_.load(std::memory_order_acquire) == LaneJob::finished; });
+    const std::shared_ptr<LaneJob> first = first_;
+    loop_.lanes.listener().wait(std::min(at_most, longest_wait),
+                                [&] { return first->state_.load() == LaneJob::finished; });
   }
   collect();
 }
 
 void Lane::leave_behind() noexcept {
   if (std::exchange(is_left_behind_, true)) return;
-  for (const auto& job : outstanding_)
+  for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get())
     if (job->take_away() == LaneJob::running) thread_->leave_behind();
-  listener_->stop_listening();
 }
 
 void Lane::check_limit() {
   const auto is_alive = is_alive_;
   loop_.deadlines.remove(*watchdog_);
   collect();
-  if (!*is_alive || outstanding_.empty() || is_left_behind_) return;
+  if (!*is_alive || first_ == nullptr || is_left_behind_) return;
   if (!start_thread()) {  // another loop's job hangs in the last thread that there may be
     give_up();
-    if (!*is_alive || outstanding_.empty()) return;
+    if (!*is_alive || first_ == nullptr) return;
   }
-  hand_over();
-  const LaneJob& first = *outstanding_.front();
+  thread_->pool()->wake(loop_.now());
   MonotonicTime due = later(loop_.now(), shortest_);
-  if (first.state_.load(std::memory_order_acquire) == LaneJob::running) {
-    const MonotonicTime end = later(MonotonicTime{Duration{first.began_.load(std::memory_order_relaxed)}},
-                                    first.limit_);
+  if (first_->state_.load(std::memory_order_acquire) == LaneJob::running) {
+    const MonotonicTime end = later(MonotonicTime{Duration{first_->began_.load(std::memory_order_relaxed)}},
+                                    first_->limit_);
     if (end <= loop_.now()) {
       give_up();
       if (!*is_alive) return;
@@ -272,21 +265,24 @@ void Lane::check_limit() {
       due = std::min(due, end);
     }
   }
-  if (!outstanding_.empty()) watch_until(due);
+  if (first_ != nullptr) watch_until(due);
 }
 
 void Lane::give_up() {
   const auto is_alive = is_alive_;
   if (is_left_behind_) return;
   collect();
-  if (!*is_alive || outstanding_.empty()) return;
-  const auto was = outstanding_.front()->take_away();
+  if (!*is_alive || first_ == nullptr) return;
+  const auto was = first_->take_away();
   if (was == LaneJob::finished) return collect();
   if (was == LaneJob::running) thread_->leave_behind();
-  if (start_thread()) return finish(0, LaneJob::Outcome::given_up);
-  for (std::size_t left = outstanding_.size(); left > 0 && *is_alive; --left) {
-    outstanding_.front()->take_away();
-    finish(0, LaneJob::Outcome::given_up);
+  if (start_thread()) {
+    thread_->pool()->wake(loop_.now());
+    return finish(LaneJob::Outcome::given_up);
+  }
+  while (*is_alive && first_ != nullptr) {
+    if (first_->take_away() == LaneJob::running) thread_->leave_behind();
+    finish(LaneJob::Outcome::given_up);
   }
 }
 

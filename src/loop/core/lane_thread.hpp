@@ -1,61 +1,46 @@
-// The thread of a lane, with the jobs on their way to it: of the one loop whose lane it is, or of all loops that use a
-// bus.
+// What runs the jobs of a lane: a thread of its own, that of a bus, or one of the loop's pool.
 #pragma once
 
 #include <sched.h>
-#include <semaphore.h>
 
-#include <atomic>
-#include <condition_variable>
 #include <cstddef>
 #include <memory>
 #include <optional>
-#include <vector>
 
-#include "loop/support/priority_mutex.hpp"
+#include "loop/core/lane_pool.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {
 
-class LaneJob;
-class Wake;
-
-/// How the thread tells a lane that one of its jobs has ended. Shared with threads, which may be left behind.
-struct LaneListener {
-  PriorityMutex mutex;
-  std::condition_variable_any job_ended;
-  Wake* loop_wake = nullptr;  // guarded by the mutex; null once the lane does not listen any more
-
-  void stop_listening() noexcept;
-};
-
 /// Owner: shared by the lanes that use it, and by the bus if it has one. Thread: those of the lanes' loops.
 class LaneThread {
  public:
-  /// Takes so many jobs at a time.
-  explicit LaneThread(std::size_t room);
-  LaneThread(const LaneThread&) = delete;
-  LaneThread& operator=(const LaneThread&) = delete;
-  /// No lane uses it any more: its thread ends.
-  ~LaneThread();
+  /// Null: a thread of its own, which may serve several loops. Else one of these, for the lane of one loop.
+  explicit LaneThread(std::shared_ptr<LanePool> pool = nullptr);
 
-  /// Behind all that were pushed before, whichever loop did so. Never waits, allocates nothing. False: there is
-  /// no room now.
-  bool push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener> listener) noexcept;
+  const std::shared_ptr<LanePool>& pool() const noexcept { return pool_; }
+  bool is_pooled() const noexcept { return !pool_->is_for_one_lane(); }
+  void push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener> listener) noexcept {
+    pool_->push(std::move(job), queue_, std::move(listener));
+  }
   /// Makes sure that there is a thread. False: too many were left behind, or the system gives none.
-  bool start(const void* runtime, const std::optional<cpu_set_t>& processors, std::size_t most_left_behind) noexcept;
-  bool has_thread() const noexcept;
-  /// Of a thread that hangs in a job which was taken from it (LaneJob::give_up): the next start makes a fresh one.
-  void leave_behind() noexcept;
-  /// Threads that hang still.
+  bool start(const void* runtime, const std::optional<cpu_set_t>& processors) noexcept {
+    return !is_stuck() && pool_->start(runtime, processors);
+  }
+  bool has_thread() const noexcept { return pool_->has_thread(); }
+  /// As many threads as may be are left behind.
+  bool is_stuck() const noexcept;
+  /// Of a thread that hangs in a job which was taken from it (LaneJob::take_away): the next start makes a fresh one.
+  void leave_behind() noexcept { pool_->leave_behind(*queue_); }
+  /// Threads that hang still in jobs of this lane.
   std::size_t left_behind() const noexcept;
 
   /// In virtual time, where the job runs on the loop that submits it: when the last one will be done.
   MonotonicTime free_from{};
 
  private:
-  struct State;
-  std::shared_ptr<State> state_;
+  const std::shared_ptr<LanePool> pool_;
+  const std::shared_ptr<LaneQueue> queue_ = std::make_shared<LaneQueue>();
 };
 
 /// The time on a lane: the machine's, or on a manual loop that which has passed for the job.

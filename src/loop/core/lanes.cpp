@@ -2,27 +2,42 @@
 
 #include <algorithm>
 
+#include "loop/core/lane_thread.hpp"
+#include "loop/core/loop_core.hpp"
 #include "rtdata/loop/lane.hpp"
 
 namespace rtdata::detail {
 
-Lanes::Lanes(LoopCore& loop) noexcept : loop_(loop) {}
-Lanes::~Lanes() = default;
+Lanes::Lanes(LoopCore& loop)
+    : loop_(loop), pool_(std::make_shared<LanePool>(most_threads)), listener_(std::make_shared<LaneListener>()) {
+  if (!loop_.is_manual()) listener_->loop_wake = &loop_.uv.wake();
+  loop_.deadlines.reserve_one();
+}
+
+Lanes::~Lanes() { listener_->stop_listening(); }
 
 Lane& Lanes::of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread) {
+  const auto make = [&] {
+    return std::make_unique<Lane>(loop_, key, give_up_after,
+                                  thread != nullptr ? thread : std::make_shared<LaneThread>(pool_));
+  };
   for (auto& [name, lane] : by_key_) {
     if (name != key) continue;
     if (thread == nullptr || lane->uses(*thread)) return *lane;
-    if (lane->is_deserted()) {  // of a bus of this name that was closed
-      lane = std::make_unique<Lane>(loop_, key, give_up_after, thread);
-      return *lane;
-    }
+    if (lane->is_deserted()) return *(lane = make());  // of a bus of this name that was closed
   }
-  by_key_.emplace_back(key, std::make_unique<Lane>(loop_, key, give_up_after, thread));
+  by_key_.emplace_back(key, make());
   return *by_key_.back().second;
 }
 
+void Lanes::add() {
+  listed_.reserve(count_ + 1);
+  to_wake_.reserve(count_ + 1);
+  ++count_;
+}
+
 void Lanes::remove(Lane& lane) noexcept {
+  --count_;
   const auto found = std::find(listed_.begin(), listed_.end(), &lane);
   if (found == listed_.end()) return;
   if (collecting_) {
@@ -32,16 +47,56 @@ void Lanes::remove(Lane& lane) noexcept {
   }
 }
 
+void Lanes::count(Lane& lane, int more) noexcept {
+  if (lane.is_pooled_) pooled_ += static_cast<std::size_t>(more);
+  if (more > 0 && !std::exchange(lane.is_listed_, true)) listed_.push_back(&lane);
+}
+
 void Lanes::collect() {
+  if (collecting_) return;
   collecting_ = true;
   for (std::size_t i = 0; i < listed_.size(); ++i) {
     if (listed_[i] != nullptr) listed_[i]->collect();
+    if (listed_[i] == nullptr || listed_[i]->first_ != nullptr) continue;
+    listed_[i]->is_listed_ = false;
+    listed_[i] = nullptr;
   }
   collecting_ = false;
   std::erase(listed_, nullptr);
+  wake_threads();
+  if (pooled_ > 1 || !watch_.is_listed()) return;
+  loop_.deadlines.remove(watch_);
+  if (!loop_.deadlines.is_firing()) loop_.deadlines.arm();  // else the loop would wake up for it
+}
+
+void Lanes::hand_over(const std::shared_ptr<LanePool>& pool) {
+  if (std::find(to_wake_.rbegin(), to_wake_.rend(), pool) == to_wake_.rend()) to_wake_.push_back(pool);
+  if (!collecting_ && !loop_.deadlines.is_firing()) wake_threads();
+}
+
+void Lanes::wake_threads() noexcept {
+  if (to_wake_.empty()) return;
+  const MonotonicTime now = loop_.now();
+  for (const auto& pool : to_wake_) pool->wake(now);
+  to_wake_.clear();
+  watch_pool(now);
+}
+
+void Lanes::watch_pool(MonotonicTime now) noexcept {
+  if (pooled_ < 2 || watch_.is_listed() || !pool_->is_to_be_watched()) return;
+  watch_.due = later(now, LanePool::patience);
+  loop_.deadlines.insert(watch_);
+}
+
+void Lanes::Watch::fire(MonotonicTime now) {
+  lanes.loop_.deadlines.remove(*this);
+  lanes.collect();  // what has ended before a job that takes long, and was not told of
+  lanes.pool_->wake(now);
+  lanes.watch_pool(now);
 }
 
 void Lanes::close() noexcept {
+  loop_.deadlines.remove(watch_);
   while (!by_key_.empty()) {  // one by one: `done` of a job may ask for lanes
     const auto last = std::move(by_key_.back().second);
     by_key_.pop_back();

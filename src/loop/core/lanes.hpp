@@ -1,5 +1,5 @@
-// The lanes of a loop: those that it made, found by key, and those of other owners, which it collects finished jobs
-// from.
+// The lanes of a loop: those that it made, found by key, and those of other owners; the pool of threads of the former;
+// and collecting the finished jobs of all.
 #pragma once
 
 #include <sched.h>
@@ -10,41 +10,71 @@
 #include <utility>
 #include <vector>
 
+#include "loop/support/deadline.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {
 
 class Lane;
+class LanePool;
 class LaneThread;
 class LoopCore;
+struct LaneListener;
 
 /// Thread: the loop's.
 class Lanes {
  public:
-  explicit Lanes(LoopCore& loop) noexcept;
+  static constexpr std::size_t most_threads = 64;  ///< of the pool, without those that hang and that were quick before
+
+  explicit Lanes(LoopCore& loop);
   Lanes(const Lanes&) = delete;
   Lanes& operator=(const Lanes&) = delete;
   ~Lanes();
 
   /// One for each key (a physical device), made when first asked for. The limit is that of jobs that are submitted
-  /// without one. `thread`: of a bus, which other loops use too.
+  /// without one. `thread`: of a bus, which other loops use too; null: of the pool.
   Lane& of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread = nullptr);
-  // Each lane lists itself.
-  void add(Lane& lane) { listed_.push_back(&lane); }
-  void remove(Lane& lane) noexcept;
   /// Ends the finished jobs of all lanes.
   void collect();
   /// Destroys those that the loop made.
   void close() noexcept;
 
+  // ---- of each lane
+  void add();
+  void remove(Lane& lane) noexcept;
+  /// So many more of its jobs are outstanding.
+  void count(Lane& lane, int more) noexcept;
+  /// Something was pushed: a thread of the pool is woken, now or once for all that is due together.
+  void hand_over(const std::shared_ptr<LanePool>& pool);
+  /// Those that have been handed something since the last time. After deadlines have fired, and before waiting.
+  void wake_threads() noexcept;
+  /// Before any lane is made; for tests.
+  void set_pool(std::shared_ptr<LanePool> pool) noexcept { pool_ = std::move(pool); }
+  LaneListener& listener() noexcept { return *listener_; }
+  const std::shared_ptr<LaneListener>& shared_listener() const noexcept { return listener_; }
+
   Duration scripted_duration{0};             ///< of each job on a manual loop
   std::optional<cpu_set_t> processors = {};  ///< for their threads, when the loop's own thread is bound to fewer
 
  private:
+  /// While jobs of the pool wait behind others: looks whether one of those takes long.
+  struct Watch final : Deadline {
+    explicit Watch(Lanes& lanes_) : lanes(lanes_) {}
+    void fire(MonotonicTime now) override;
+    Lanes& lanes;
+  };
+  void watch_pool(MonotonicTime now) noexcept;
+
   LoopCore& loop_;
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> by_key_;
-  std::vector<Lane*> listed_;  // null: removed while they are collected
+  std::size_t count_ = 0;      // of all lanes
+  std::vector<Lane*> listed_;  // with outstanding jobs, or seen to have none since; null: removed while collecting
   bool collecting_ = false;
+  std::shared_ptr<LanePool> pool_;
+  std::size_t pooled_ = 0;                          // outstanding jobs of lanes of the pool
+  std::vector<std::shared_ptr<LanePool>> to_wake_;  // of the pool, and of others
+  Watch watch_{*this};
+  const std::shared_ptr<LaneListener> listener_;
 };
 
 }  // namespace rtdata::detail

@@ -169,10 +169,7 @@ void SensorNode::tick_on_lane(const Tick& tick) {
 Error SensorNode::cannot_submit() const {
   const LaneSide& side = *lane_side();
   if (side.lane->lacks_thread()) return no_thread("cannot read", object_name());
-  return side.lane->is_stuck()
-             ? side.device->given_up_error()
-             : Error{Errc::busy, "cannot read", object_name(),
-                     "its lane is full of reads of sensors that share the device", "lower their rates"};
+  return side.device->given_up_error();
 }
 
 void SensorNode::fail_in_flight(const Error& error) {

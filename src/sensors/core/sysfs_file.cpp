@@ -5,15 +5,22 @@
 #include <sys/vfs.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstdlib>
+#include <iterator>
 #include <memory>
 #include <utility>
 
 namespace rtdata::detail {
 namespace {
 
-constexpr long sysfs_magic = 0x62656572;
+/// What statfs calls them (man 2 statfs). Where an open file shows what is written to it at once, unlike on file
+/// systems of other machines, or of layers.
+constexpr unsigned long sysfs = 0x62656572;
+constexpr unsigned long local_file_systems[] = {0x01021994, 0x858458f6, 0xef53, 0x58465342, 0x9123683e, 0xf2f52010};
+
+constexpr Duration look_again_after = std::chrono::milliseconds{100};
 
 ssize_t read_at_start(int fd, char* to, std::size_t room) noexcept {
   const ssize_t got = ::pread(fd, to, room, 0);
@@ -25,20 +32,43 @@ ssize_t read_at_start(int fd, char* to, std::size_t room) noexcept {
 void SysfsFile::close() noexcept {
   if (fd_ >= 0) ::close(fd_);
   fd_ = -1;
+  keeps_ = Keeps::never;
 }
 
-void SysfsFile::read() noexcept {
+void SysfsFile::open(MonotonicTime now) noexcept {
+  fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY);
+  if (fd_ < 0) {
+    error_number_ = errno;
+    return;
+  }
+  struct statfs where {};
+  if (::fstatfs(fd_, &where) != 0) return;
+  const auto type = static_cast<unsigned long>(where.f_type) & 0xffffffff;
+  if (type == sysfs) keeps_ = Keeps::always;
+  struct stat status {};
+  if (std::find(std::begin(local_file_systems), std::end(local_file_systems), type) == std::end(local_file_systems) ||
+      ::fstat(fd_, &status) != 0 || !S_ISREG(status.st_mode))
+    return;
+  keeps_ = Keeps::while_it_is_there;
+  device_ = status.st_dev;
+  inode_ = status.st_ino;
+  seen_at_ = now;
+}
+
+bool SysfsFile::is_replaced(MonotonicTime now) noexcept {
+  if (keeps_ != Keeps::while_it_is_there) return false;
+  if (now - seen_at_ < look_again_after) return false;
+  seen_at_ = now;
+  struct stat status {};
+  return ::stat(path_.c_str(), &status) != 0 || status.st_dev != device_ || status.st_ino != inode_;
+}
+
+void SysfsFile::read(MonotonicTime now) noexcept {
   error_number_ = 0;
   size_ = 0;
-  if (fd_ < 0) {
-    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY);
-    if (fd_ < 0) {
-      error_number_ = errno;
-      return;
-    }
-    struct statfs where {};
-    keeps_open_ = ::fstatfs(fd_, &where) == 0 && where.f_type == sysfs_magic;
-  }
+  if (fd_ >= 0 && is_replaced(now)) close();
+  if (fd_ < 0) open(now);
+  if (fd_ < 0) return;
   ssize_t got = 0;
   do {
     got = read_at_start(fd_, buffer_.data(), buffer_.size());
@@ -48,7 +78,7 @@ void SysfsFile::read() noexcept {
   } else {
     size_ = static_cast<std::size_t>(got);
   }
-  if (got < 0 || !keeps_open_) close();
+  if (got < 0 || keeps_ == Keeps::never) close();
 }
 
 void FindFile::transact() noexcept try {
