@@ -18,7 +18,7 @@ Registry registry() {
 }
 
 SystemPlan planned(const std::string& process) {
-  return plan_system(registry(), parse_config(R"({"sensors": [{"name": "a", "type": "counter", "rate": "10 Hz",
+  return plan_system(registry(), parse_config(R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz",
   "process": {)" + process + R"(}}], "sinks": [{"type": "discard"}]})",
                                               "f.json"));
 }
@@ -68,7 +68,7 @@ TEST_SUITE("process") {
 
   TEST_CASE("US-17 US-27 a configured sensor of any type is processed, one without a schedule too") {
     const SystemPlan plan = plan_system(registry(), parse_config(R"({"sensors": [
-        {"name": "a", "type": "counter", "rate": "10 Hz", "process": {"number": {"filters": [{"type": "delta", "by": 3}]}}},
+        {"name": "a", "type": "tallied", "rate": "10 Hz", "process": {"number": {"filters": [{"type": "delta", "by": 3}]}}},
         {"name": "b", "type": "fed", "process": {"number": {"calibration": {"scale": 0.5}}}}],
         "sinks": [{"type": "discard"}]})",
                                                                  "f.json"));
@@ -117,8 +117,8 @@ TEST_SUITE("process") {
     CHECK(has(text.problems.text(), "sensors[0].process.x: it is of type text; only numbers can be calibrated"));
     // Two sensors of one topic are compared by what they publish.
     const SystemPlan two = plan_system(registry(), parse_config(R"({"sensors": [
-        {"name": "a", "type": "counter", "rate": "1 Hz", "topic": "t"},
-        {"name": "b", "type": "counter", "rate": "1 Hz", "topic": "t", "process": {"number": {"calibration": {}}}}],
+        {"name": "a", "type": "tallied", "rate": "1 Hz", "topic": "t"},
+        {"name": "b", "type": "tallied", "rate": "1 Hz", "topic": "t", "process": {"number": {"calibration": {}}}}],
         "sinks": [{"type": "discard"}]})",
                                                                 "f.json"));
     CHECK(has(two.problems.text(), "number"));

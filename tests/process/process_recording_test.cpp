@@ -87,7 +87,7 @@ TEST_SUITE("process") {
         "recording", "a recording", [](const test::DiscardConfig& config) { return config.path; },
         [](Loop& loop, const test::DiscardConfig& config) { return SqliteSink(loop, {.path = config.path}); });
     const auto configuration = [&](const std::string& process) {
-      return R"({"sensors": [{"name": "a", "type": "counter", "rate": "100 Hz", "process": )" + process +
+      return R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz", "process": )" + process +
              R"(}], "sinks": [{"type": "recording", "path": ")" + path + R"("}]})";
     };
     const auto planned = [&](const std::string& process) {

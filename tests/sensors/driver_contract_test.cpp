@@ -255,6 +255,8 @@ const GoodChip good_chips[] = {
     {"sht", "",
      [](Wires& wires) {
        const std::array<std::uint8_t, 2> word{0x66, 0x66};
+       const std::array<std::uint8_t, 2> status{0x80, 0x10};
+       wires.i2c.chip(0x44).set(0xf4, {status[0], status[1], Sht::checksum(status)});  // after the pointer of the question
        wires.i2c.chip(0x44).set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
        wires.i2c.chip(0x44).on_write(0x24, [](std::uint16_t) {});
      },
@@ -264,7 +266,7 @@ const GoodChip good_chips[] = {
        FakeI2cChip& chip = wires.i2c.chip(0x40);
        chip.set_width(FakeI2cChip::Width::words);
        chip.set_word(1, 0x1f40);
-       chip.set_word(2, 4000 << 3);
+       chip.set_word(2, 4000 << 3 | 2);  // converted
      },
      [](const EventView& event) { return is_near(event, "voltage", 16) && is_near(event, "current", 0.8); }, true},
     {"mcp3x08", "",
@@ -273,7 +275,7 @@ const GoodChip good_chips[] = {
          if (read.size() == 3) std::copy_n(std::array<std::uint8_t, 3>{0, 0x08, 0}.begin(), 3, read.begin());
        });
      },
-     [](const EventView& event) { return is_near(event, "voltage[7]", 1.65); }, false},
+     [](const EventView& event) { return is_near(event, "ain7", 1.65); }, false},
 };
 
 const GoodChip* good_chip(std::string_view type) {
@@ -384,6 +386,10 @@ class Rig {
   std::optional<System> system;
 };
 
+/// Buses whose devices answer requests in words of their own: their drivers are tried with real peers, on pseudo
+/// terminals and sockets (serial_port_test.cpp, modbus_test.cpp, sensor_contract_test.cpp).
+constexpr std::string_view buses_of_requests[] = {"serial", "modbus"};
+
 /// All that are on a bus that there is a fake of.
 std::vector<TypeInfo> drivers() {
   Registry registry;
@@ -403,11 +409,15 @@ TEST_SUITE("sensors") {
     for (const TypeInfo& type : standard_registry().sensors().types()) {
       if (type.page.bus.empty()) continue;
       CAPTURE(type.name);
-      CHECK_MESSAGE(bus_of(type.page.bus) != nullptr, "fake_buses lacks a bus of type " << type.page.bus);
-      CHECK(std::find(tried.begin(), tried.end(), type.name) != tried.end());
       CHECK_FALSE(type.doc.empty());
       CHECK_FALSE(type.page.notes.empty());
-      CHECK(type.page.publishes()->leaves().size() >= 1);
+      const auto published = type.page.publishes();
+      CHECK((type.page.depends_on_parameters || published != nullptr));
+      if (published != nullptr) CHECK(published->leaves().size() >= 1);
+      const auto& requests = buses_of_requests;
+      if (std::find(std::begin(requests), std::end(requests), type.page.bus) != std::end(requests)) continue;
+      CHECK_MESSAGE(bus_of(type.page.bus) != nullptr, "fake_buses lacks a bus of type " << type.page.bus);
+      CHECK(std::find(tried.begin(), tried.end(), type.name) != tried.end());
     }
     const Registry own = [] {
       Registry registry;

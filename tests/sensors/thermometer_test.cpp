@@ -93,7 +93,7 @@ TEST_SUITE("sensors") {
     bench.loop.advance(1s);
     CHECK(all.empty());
     CHECK(oven.health() == Health::faulted);
-    CHECK(oven.counts().unreadable > 2);
+    CHECK(oven.counts().failed > 2);
     bench.wires->on_transfer(0, answering(0x0193u << 18 | 0x1900));
     bench.loop.advance(1s);
     CHECK(oven.health() == Health::ok);

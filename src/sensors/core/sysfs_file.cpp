@@ -20,8 +20,6 @@ namespace {
 constexpr unsigned long sysfs = 0x62656572;
 constexpr unsigned long local_file_systems[] = {0x01021994, 0x858458f6, 0xef53, 0x58465342, 0x9123683e, 0xf2f52010};
 
-constexpr Duration look_again_after = std::chrono::milliseconds{100};
-
 ssize_t read_at_start(int fd, char* to, std::size_t room) noexcept {
   const ssize_t got = ::pread(fd, to, room, 0);
   return got < 0 && errno == ESPIPE ? ::read(fd, to, room) : got;
@@ -35,7 +33,7 @@ void SysfsFile::close() noexcept {
   keeps_ = Keeps::never;
 }
 
-void SysfsFile::open(MonotonicTime now) noexcept {
+void SysfsFile::open() noexcept {
   fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY);
   if (fd_ < 0) {
     error_number_ = errno;
@@ -52,22 +50,19 @@ void SysfsFile::open(MonotonicTime now) noexcept {
   keeps_ = Keeps::while_it_is_there;
   device_ = status.st_dev;
   inode_ = status.st_ino;
-  seen_at_ = now;
 }
 
-bool SysfsFile::is_replaced(MonotonicTime now) noexcept {
+bool SysfsFile::is_replaced() const noexcept {
   if (keeps_ != Keeps::while_it_is_there) return false;
-  if (now - seen_at_ < look_again_after) return false;
-  seen_at_ = now;
   struct stat status {};
   return ::stat(path_.c_str(), &status) != 0 || status.st_dev != device_ || status.st_ino != inode_;
 }
 
-void SysfsFile::read(MonotonicTime now) noexcept {
+void SysfsFile::read() noexcept {
   error_number_ = 0;
   size_ = 0;
-  if (fd_ >= 0 && is_replaced(now)) close();
-  if (fd_ < 0) open(now);
+  if (fd_ >= 0 && is_replaced()) close();
+  if (fd_ < 0) open();
   if (fd_ < 0) return;
   ssize_t got = 0;
   do {

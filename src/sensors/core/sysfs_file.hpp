@@ -17,8 +17,8 @@
 namespace rtdata::detail {
 
 /// Owns the descriptor. Below /sys it stays open between reads, as sysfs answers each read at 0 anew. So does a regular
-/// file of this machine's disks and memory; whether the path still names it is looked at every 100 ms, or at each read
-/// when these are rarer. Anything else is opened for each read.
+/// file of this machine's disks and memory, as long as the path names it, which each read looks at. Anything else is
+/// opened for each read.
 class SysfsFile {
  public:
   static constexpr std::size_t most = 128;
@@ -29,8 +29,7 @@ class SysfsFile {
 
   /// Blocks as long as the kernel does. Afterwards `error_number` is 0 and `text` the content, at most `most` bytes of
   /// it; or `error_number` says what went wrong.
-  void read() noexcept { read(lane_now()); }
-  void read(MonotonicTime now) noexcept;
+  void read() noexcept;
   int error_number() const noexcept { return error_number_; }
   std::string_view text() const noexcept { return {buffer_.data(), size_}; }
   const std::string& path() const noexcept { return path_; }
@@ -39,15 +38,14 @@ class SysfsFile {
 
  private:
   enum class Keeps { never, while_it_is_there, always };
-  void open(MonotonicTime now) noexcept;
-  bool is_replaced(MonotonicTime now) noexcept;
+  void open() noexcept;
+  bool is_replaced() const noexcept;
 
   std::string path_;
   int fd_ = -1;
   Keeps keeps_ = Keeps::never;
   dev_t device_ = 0;
   ino_t inode_ = 0;
-  MonotonicTime seen_at_{};
   int error_number_ = 0;
   std::size_t size_ = 0;
   std::array<char, most> buffer_;
@@ -61,7 +59,7 @@ inline constexpr Duration lane_read_on_loop = std::chrono::microseconds{50};
 class ReadFile final : public Transaction {
  public:
   explicit ReadFile(const std::string& path) : file(path) {}
-  void transact() noexcept override { file.read(began()); }
+  void transact() noexcept override { file.read(); }
   void close() noexcept override { file.close(); }
   SysfsFile file;
 };
