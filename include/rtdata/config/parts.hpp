@@ -118,9 +118,9 @@ struct PartPlan {
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 
-  /// What takes a new value of a key of the item while the part runs, by that key; the plan that it is called of has
-  /// the value. A part of which another key is changed is made anew. May throw SetupError: then the old value is given
-  /// again.
+  /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
+  /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
+  /// may throw SetupError: then that of the old plan is called, which applies the old value again.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
   /// The tier that it runs on; empty: the main loop.

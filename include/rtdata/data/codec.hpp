@@ -1,9 +1,9 @@
 /// Codec: events to bytes and back, in any format.
 ///
 /// Shipped: "json" (one object a line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row an
-/// event), "influx" (a line of InfluxDB's protocol). A format of your own
-/// is a class that derives from `Codec`, added to a `CodecRegistry` under its name; whatever takes formats by name
-/// (files, network sinks, exports) then takes it too.
+/// event), "influx" (a line of InfluxDB's protocol). A format of your own is a class that derives from `Codec`, added
+/// to a `CodecRegistry` under its name; whatever takes formats by name (files, network sinks, exports) then takes it
+/// too.
 ///
 /// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
 /// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),

@@ -91,7 +91,7 @@ struct GpioInput {
   GpioBias bias = GpioBias::as_is;
   bool active_low = false;
   GpioEdgeKind edges = GpioEdgeKind::both;  ///< which of them count; of GpioEdges only, as is `debounce`
-  Duration debounce{0};                     ///< a level that lasts for less is none; 0: every edge counts
+  Duration debounce{0};                     ///< shorter levels are ignored as bounces; 0: every edge counts
   std::string consumer = "rtdata";          ///< as others see who has the line; the kernel keeps 31 bytes of it
 
   friend constexpr auto parameters(type_tag<GpioInput>) {
@@ -159,11 +159,11 @@ class GpioRequest {
 class GpioBackend {
  public:
   virtual ~GpioBackend() = default;
-  /// Of the edges it keeps so many that are not read; 0: not known.
+  /// How many unread edges of a line its buffer holds; 0: unknown.
   virtual std::size_t kept_edges() const noexcept = 0;
-  /// Its edges have numbers.
+  /// Whether `GpioRawEdge::number` is set.
   virtual bool numbers_edges() const noexcept = 0;
-  /// It does `debounce` itself.
+  /// Whether it does `debounce` itself; if not, the library does it.
   virtual bool debounces() const noexcept = 0;
   virtual std::vector<GpioChipInfo> chips() = 0;
   /// Null, with an errno: EBUSY when somebody has the line.

@@ -99,7 +99,7 @@ class Ads1x15 {
   static Result<void> check(const Config& config) {
     const auto refused = [](std::string where, const auto& value, std::string advice) {
       return Error{Errc::bad_argument, "cannot use the ADS1x15 so", std::move(where),
-                   std::string(value) + " is nothing that it has", std::move(advice)};
+                   std::string(value) + " is not a value that it has", std::move(advice)};
     };
     for (std::size_t i = 0; i < config.channels.size(); ++i) {
       if (const auto input = detail::find_input(inputs, config.channels[i].input, i); !input) return input.error();

@@ -363,7 +363,7 @@ class Barometer {
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is nothing that it measures",
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside of what it measures",
                    "look at its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};

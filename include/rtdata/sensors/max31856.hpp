@@ -70,7 +70,7 @@ class Max31856 {
     for (const unsigned good : {1u, 2u, 4u, 8u, 16u})
       if (config.average == good) return {};
     return Error{Errc::bad_argument, "cannot use the MAX31856 so", "average",
-                 std::to_string(config.average) + " is nothing that it has", "take 1, 2, 4, 8 or 16"};
+                 std::to_string(config.average) + " is not a value that it has", "take 1, 2, 4, 8 or 16"};
   }
   explicit Max31856(const Config& config) : config_(config) {}
 

@@ -77,7 +77,7 @@ class MhZ19 {
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
-    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is nothing that it measures");
+    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside of what it measures, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }
 };

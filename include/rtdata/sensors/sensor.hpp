@@ -22,8 +22,8 @@
 ///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published,
 ///      repeated, filtered or unreadable (ledger.hpp).
 ///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
-///   opened
-///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
+///      opened again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between
+///      fail.
 ///   4. after `stop` or `close`: no event, no callback, no access to the device; queued deliveries are cancelled.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
@@ -141,8 +141,8 @@ class SamplePort {
   const Tick* tick_;        // of a read on the loop
   bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
   Duration late_after_{0};  // of one that is begun: later than this it is late
-  Duration pushed_{0};      // its row is so much later than the read, to come after the row before
-  bool is_usable_ = false;  // a sample was handed over that can be decoded
+  Duration pushed_{0};      // added to the time of the read, so that timestamps strictly increase
+  bool is_usable_ = false;  // a sample that can be decoded was handed over
   bool has_sample_ = false;
   std::optional<Error> error_;
 };

@@ -99,10 +99,11 @@ struct RecordedClock {
 /// recordings of that boot.
 ///
 /// A pair says the time of day at its instant to within its accuracy, and less well away from it: worse by 1 us for
-/// each second (1 ppm). A pair counts if none vouches better for its instant. From one that counts to the next the line
-/// is straight; before the first and after the last it is parallel to the monotonic one. It never goes back.
+/// each second (1 ppm). A pair is used if no other pair has a smaller error at its instant. From one such pair to the
+/// next the line is straight; before the first and after the last it is parallel to the monotonic one. It never goes
+/// back.
 ///
-/// Pairs of unknown accuracy count only when there are no others. Then a clock was set because it was wrong, so the
+/// Pairs of unknown accuracy are used only when there are no others. Then a clock was set because it was wrong, so the
 /// last one holds for the whole boot: an hour's step leaves neither a hole nor an hour twice. (One before 2020 was
 /// never set, and overrules none that was.)
 class UtcLine {
