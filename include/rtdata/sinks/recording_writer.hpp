@@ -80,17 +80,16 @@ struct LiveCounts {
   std::uint64_t dropped = 0;
 };
 
-/// How a writer wants what it stores, where each storing costs something however little it stores.
+/// How a writer wants its batches, when each costs something however small it is.
 struct StorePace {
-  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when
-  /// it takes so much memory of the queue.
+  /// 0: a batch is stored as soon as `batch_rows` wait. Otherwise all that came within `batch_time` is one batch,
+  /// stored sooner when it takes this much of the queue's memory.
   std::size_t bytes = 0;
-  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last
-  /// one.
+  /// The longest wait before an account in which only counts have changed is stored; sooner, once `account_events` have
+  /// come since the last one.
   Duration account_time{0};
   std::uint64_t account_events = 0;
-  /// `RecordingWriter::sync` is called when so much time has gone since the first storing after the last call; 0:
-  /// never.
+  /// `RecordingWriter::sync` is called this long after the first batch that was stored since its last call; 0: never.
   Duration sync_time{0};
 };
 

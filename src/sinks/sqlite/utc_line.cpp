@@ -11,10 +11,11 @@ Duration offset_of(const RecordedClock& pair) {
   return pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
 }
 
-/// Of pairs of known accuracy, in order of time: those for whose instant no other vouches better.
+/// From pairs of known accuracy, in order of time, those that are used: no other pair has a smaller error at the
+/// instant of one of them.
 std::vector<RecordedClock> best_of(const std::vector<RecordedClock>& pairs) {
   constexpr double drift = 1e-6;
-  std::vector<double> vouched(pairs.size(), std::numeric_limits<double>::infinity());  // by the best of the others
+  std::vector<double> vouched(pairs.size(), std::numeric_limits<double>::infinity());  // the smallest error by another pair
   const auto walk = [&](std::size_t from, std::ptrdiff_t step) {
     double best = std::numeric_limits<double>::infinity();
     for (std::size_t i = from, last = from; i < pairs.size(); last = i, i += static_cast<std::size_t>(step)) {
@@ -48,7 +49,7 @@ std::vector<RecordedClock> rising(const std::vector<RecordedClock>& pairs) {
   return kept;
 }
 
-/// Of pairs of unknown accuracy: what was set last.
+/// The offset of pairs of unknown accuracy: that after the last time the clock was set.
 Duration last_set(const std::vector<RecordedClock>& pairs) {
   constexpr Time plausible{std::chrono::sys_days{std::chrono::year{2020} / 1 / 1}};
   constexpr Duration noise = std::chrono::milliseconds{1};  // of reading two clocks
