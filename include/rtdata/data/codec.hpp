@@ -51,6 +51,11 @@ class Codec {
   virtual ~Codec() = default;
 
   virtual std::string_view name() const noexcept = 0;
+  /// How the names of its files end: "csv" of "climate.csv". Unless overridden: the name.
+  virtual std::string_view extension() const noexcept { return name(); }
+  /// Whether it writes a line of text an event, in which bytes of texts that are no UTF-8 are escaped
+  /// (docs/formats.md). File sinks count and report these texts. Unless overridden: no.
+  virtual bool is_text() const noexcept { return false; }
   /// Appends the bytes of one event.
   virtual Result<void> encode(const EventView& event, std::vector<std::byte>& out) = 0;
   /// Reads exactly one event; anything missing or left over is an error.

@@ -1,4 +1,4 @@
-/// FileSink: events into a file: JSON lines, CSV, raw bytes, or any format of a CodecRegistry.
+/// FileSink: events into a file: JSON lines, CSV, CBOR, lines of InfluxDB, raw bytes, or any format of a CodecRegistry.
 ///
 ///     rtdata::FileSink recording(loop, {.path = "run.jsonl"});
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
