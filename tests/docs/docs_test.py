@@ -100,6 +100,24 @@ def check_links(source):
                 problem(page.relative_to(source), f"a link to {target}, which is not there")
 
 
+def check_paths(source):
+    """What architecture.md has in backticks and looks like a file or a folder is there; a bare name, anywhere."""
+    page = "docs/architecture.md"
+    names = {path.name for folder in ("src", "include", "tests", "docs", "script", "examples")
+             for path in (source / folder).rglob("*")}
+    text = (source / page).read_text()
+    for number, line in enumerate(text.splitlines(), 1):
+        for word in " ".join(re.findall(r"`([^`]+)`", line)).split():
+            if re.fullmatch(r"[\w-]+\.(?:cpp|hpp|py|md|sh|sources|json|c)", word):
+                is_there = word in names
+            elif re.fullmatch(r"(?:src|include|tests|docs|script|examples)/[\w./-]*", word):
+                is_there = (source / word).exists()
+            else:
+                continue
+            if not is_there:
+                problem(f"{page}:{number}", f"there is no {word}")
+
+
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
     header = (source / "include/rtdata/data/problem.hpp").read_text()
@@ -271,6 +289,7 @@ def main():
         return 0 if program else 1
     check_blocks(source, build, compiler, program)
     check_links(source)
+    check_paths(source)
     check_errors(source)
     check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)
