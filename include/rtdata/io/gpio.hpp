@@ -17,7 +17,7 @@
 /// - libgpiod 2: the kernel numbers the edges of a line and keeps 1024 that were not read yet; those that it drops, the
 ///   oldest, are counted. `debounce` is done by the kernel.
 /// - libgpiod 1: it keeps 16, drops the newest, and tells of neither: `lost_is_known()` is false. A full store is
-///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for so long.
+///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for that time.
 /// - The calls go to the kernel and return in microseconds, but for a chip behind a slow bus (an expander on I2C),
 ///   which is waited for.
 ///
@@ -221,7 +221,7 @@ struct GpioEdgeCounts {
   std::uint64_t overflows = 0;  ///< times that the kernel's store was full: without numbers, edges may have been lost
 };
 
-/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is told, and there are no more;
+/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is called, and there are no more;
 /// make another when it is back.
 class GpioEdges : public Handle {
  public:

@@ -90,7 +90,7 @@ class SerialDevice : public BusDevice {
   Result<std::uint8_t> read_byte(std::optional<Duration> timeout = {});
   /// What comes before `delimiter`, which is taken too. What comes after it is kept for the next read.
   Result<std::string> read_until(char delimiter, std::optional<Duration> timeout = {}, std::size_t most = 4096);
-  /// What is there already, or what comes first: up to so many bytes, at least one.
+  /// Reads what has come, or waits for what comes first: at least one byte, as many as fit.
   Result<std::size_t> read_some(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
   /// Drops what came unasked or too late, sends the request, and reads all of the answer.
   Result<void> transact(std::span<const std::uint8_t> request, std::span<std::uint8_t> answer,

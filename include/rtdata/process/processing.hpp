@@ -79,7 +79,7 @@ struct Filter {
   }
   /// Publishes at most one sample in a time, by the times of the samples.
   static Filter throttle(Duration time) { return {.type = FilterType::throttle, .time = time}; }
-  /// Publishes only what differs by so much or more from what was published last.
+  /// Publishes a sample only when it differs by this much or more from the last published one.
   static Filter delta(double by) { return {.type = FilterType::delta, .by = by}; }
   /// Of the value at this place among the filters, a second: in `NAME.rate`, which is absent for the first sample, and
   /// where no time has passed since the last one.

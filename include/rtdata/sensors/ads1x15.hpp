@@ -15,8 +15,8 @@
 /// the chip.
 ///
 /// The chip has neither identity nor checksum. That it keeps its settings is looked at before and after each
-/// conversion, so that one that was reset meanwhile, or another chip, is told. An ADS1115 that is used as an ADS1015
-/// shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
+/// conversion, so that one that was reset meanwhile, or another chip, is noticed and reported. An ADS1115 that is used
+/// as an ADS1015 shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
 ///
 /// Sources: ADS111x SBAS444D and ADS101x SBAS473E, data sheets: 7.4.2.1 single shot, 7.5.4 data format, 8.1.2 and 8.1.3
 /// registers.

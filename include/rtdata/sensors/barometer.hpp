@@ -9,7 +9,8 @@
 ///
 /// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that
 /// are all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
-/// settings, or gives the value of a measurement that was skipped, is told as unreadable; the next tick sets it again.
+/// settings, or gives the value of a measurement that was skipped, is reported as unreadable; the next tick sets it
+/// again.
 ///
 /// `altitude` is the pressure altitude of the ICAO standard atmosphere (`pressure_altitude`), less that of
 /// `reference_pressure`: what an altimeter that is set to this pressure shows. With the sea level's pressure it is the

@@ -18,7 +18,7 @@
 /// - Buffered, an event's time is the kernel's: its clock is set to the monotonic one where the kernel can (4.8 and
 ///   later), else converted from the time of day. A time that cannot be is replaced by that of the read, and told.
 /// - Buffered: the kernel does not tell of scans that it dropped, so `lost` is not detectable. But a buffer that was
-///   found full, and times that are further apart than the rate says, are told and recorded as a gap (silent).
+///   found full, and times that are further apart than the rate says, are reported and recorded as a gap (silent).
 /// - A device whose buffer another program has is an error (busy) that names it where that may be seen. One whose
 ///   buffer is on while nobody has it, as after a kill, is taken over, which is logged.
 ///

@@ -377,7 +377,7 @@ class InertialChip {
     return (*status & model_.fifo.over_mask) != 0;
   }
 
-  /// Whole samples (or words) into `bytes_`; `read`: so many bytes have come.
+  /// Whole samples (or words) into `bytes_`; `read`: the bytes that have come.
   Result<void> read_fifo(I2cDevice& chip, std::size_t filled, std::size_t& read) {
     const InertialFifo& fifo = model_.fifo;
     constexpr std::size_t longest = 1024;  // of a transfer: what all adapters can do

@@ -9,7 +9,7 @@
 /// range are unreadable, with that reason.
 ///
 /// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is told and set up again; ones and zeros, where nothing answers, are no such settings.
+/// meanwhile is reported and set up again; ones and zeros, where nothing answers, are no such settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Source: Maxim, 19-7534, register map and descriptions; AVGSEL and OCFAULT for times.
 ///

@@ -9,7 +9,7 @@
 /// to no temperature from -200 to 850 degrees, are unreadable, with that reason.
 ///
 /// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is told; ones and zeros, where nothing answers, are no such settings.
+/// meanwhile is reported; ones and zeros, where nothing answers, are no such settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Sources: Maxim, 19-6478, register map, fault detection cycle; IEC 60751 for
 /// temperatures (Callendar and Van Dusen).

@@ -14,7 +14,8 @@
 ///   and discrete inputs are bools.
 /// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...): the field is then
 ///   absent, as it is with a float that is no number. Without `no_value` such a float makes the reading unreadable.
-/// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are told by name.
+/// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are reported by
+///   name.
 ///
 /// In the library rtdata::modbus. Driver (driver.hpp): used on the bus's lane.
 #pragma once

@@ -117,7 +117,7 @@ class SamplePort {
   void publish(void* payload, Time time);
   /// With the instant at which the device took it.
   void publish_at(void* payload, MonotonicTime time);
-  /// The device reports that it has dropped so many samples.
+  /// The device reports that it has dropped `count` samples.
   void lost(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
