@@ -150,9 +150,10 @@ class GpioRequest {
   virtual int set(bool value) noexcept = 0;
   /// Readable while edges wait; never blocks.
   virtual int descriptor() const noexcept = 0;
-  /// Those that wait, as many as there is room for. The number of them, or a negative errno.
+  /// Takes the edges that wait, as many as there is room for. Returns their number, or a negative errno.
   virtual int read(std::span<GpioRawEdge> edges) noexcept = 0;
-  /// Whether its chip is still there, which not every kernel tells who waits for edges. Must not wait.
+  /// Whether its chip is still there, since not every kernel wakes up those who wait for edges when it goes. Must not
+  /// block.
   virtual bool is_there() noexcept = 0;
 };
 
@@ -232,7 +233,7 @@ class GpioEdges : public Handle {
   GpioEdges(Loop& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback,
             const std::shared_ptr<GpioBackend>& backend);
 
-  /// Of the line, now.
+  /// The level of the line, now.
   Result<bool> read() const;
   /// Calls back for what waits now instead of in the next turn.
   void take_waiting();

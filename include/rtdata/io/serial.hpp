@@ -68,7 +68,7 @@ struct SerialPortConfig {
         parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
-  /// That `timeout` is longer than `answer_timeout`.
+  /// Checks that `timeout` is longer than `answer_timeout`.
   friend void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems);
 };
 
@@ -125,12 +125,12 @@ class SerialPort : public Bus {
   /// Named as its device. SetupError (bad-argument): settings that there are not.
   explicit SerialPort(SerialPortConfig config);
   SerialPort(std::string name, SerialPortConfig config);
-  /// Of another transport; `device` and `serial` are not used.
+  /// With another transport; `device` and `serial` are not used.
   SerialPort(std::string name, std::shared_ptr<SerialTransport> transport, SerialPortConfig config = {});
 
   SerialDevice device(const SerialDevice::Place& place = {}) const;
   static std::string text_of(const SerialDevice::Place&) { return {}; }
-  /// Of writes and reads. Any thread.
+  /// The counts of writes and reads. Any thread.
   TransferCounts counts() const { return counts_of(all); }
 
  private:

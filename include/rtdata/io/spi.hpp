@@ -121,7 +121,7 @@ class SpiBus : public Bus {
   /// Named as its device. A chip select is opened by the first transfer, and again after the controller was gone.
   explicit SpiBus(SpiConfig config);
   SpiBus(std::string name, SpiConfig config);
-  /// Of another transport; `device` is not used.
+  /// With another transport; `device` is not used.
   SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config = {});
 
   /// SetupError (bad-argument): a mode, or a number of bits, that there is not.

@@ -41,7 +41,7 @@
 
 namespace rtdata {
 
-/// Of the channels, in their order; the description of the events says how many there are, and what they are called.
+/// The voltages of the channels, in their order; their number and names are in the description of the events.
 struct OptionalVoltages {
   std::array<std::optional<double>, detail::most_channels> voltages{};
 };
@@ -139,7 +139,7 @@ class Ads1x15 {
     return restarted_after(chip.write_word(settings_register, settings_of(config_, config_.channels[next_]) | begin));
   }
 
-  /// Of one channel: at the slowest that the chip's clock may be (-10 %), and for waking up.
+  /// The conversion of one channel with the slowest clock that the chip may have (-10 %), and waking up.
   Duration conversion_time() const noexcept {
     return std::chrono::nanoseconds{1'000'000'000 / config_.data_rate * 10 / 9} + std::chrono::microseconds{50};
   }

@@ -215,7 +215,7 @@ struct Ms5611Prom {
   /// A PROM of zeros has a right checksum.
   bool is_usable() const noexcept { return checksum() == (words[7] & 15) && words[1] != 0 && words[5] != 0; }
 
-  /// Of the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
+  /// Computes it from the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
   Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
     if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
       return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};

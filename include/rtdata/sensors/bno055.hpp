@@ -144,7 +144,7 @@ class Bno055 {
   }
 
   static constexpr std::uint8_t first_register = 0x08;
-  /// Of the registers from 0x08 on, to 0x35 at least. Errors: bad-data (no orientation).
+  /// `bytes`: the registers from 0x08 on, to 0x35 at least. Errors: bad-data (no orientation).
   static Result<OrientationReading> decode(std::span<const std::uint8_t> bytes, Bno055Mode mode) {
     const auto at = [&](unsigned number, unsigned index, double scale) {
       const std::size_t place_of = number - first_register + 2 * index;

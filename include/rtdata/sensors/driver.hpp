@@ -81,7 +81,7 @@ class DescribedValue {
 template <class T>
 class Samples {
  public:
-  /// With the time at which the read began.
+  /// Adds a sample with the time at which the read began.
   void add(T value) { samples_.push_back({std::move(value), std::nullopt}); }
   /// With its own time; one in the future becomes that at which the read ended, one that is not after the sample before
   /// 1 ns more than that one's.

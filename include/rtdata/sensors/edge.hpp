@@ -58,7 +58,7 @@ struct EdgeConfig {
   }
 };
 
-/// Of the most that is read at once.
+/// How long the longest read takes.
 ReadTime read_time(const EdgeConfig& config);
 
 class EdgeSensor : public AnySensor {

@@ -98,7 +98,8 @@ struct IioBufferConfig {
   }
 };
 
-/// Of the events of a sensor with these channels. Errors: bad-argument (none; what is no channel), bad-description.
+/// The description of the events of a sensor with these channels. Errors: bad-argument (no channel, or an unknown one),
+/// bad-description.
 Result<std::shared_ptr<const Description>> iio_description(const std::vector<std::string>& channels);
 
 /// What no parameter says by itself: that the channels are some, and that the watermark is no longer than the buffer.

@@ -118,7 +118,7 @@ class Ina {
     return *reading;
   }
 
-  /// Of the registers of shunt voltage and bus voltage. Errors: out-of-range.
+  /// `shunt`, `bus`: the registers of shunt voltage and bus voltage. Errors: out-of-range.
   static Result<PowerReading> decode(std::uint16_t shunt, std::uint16_t bus, const Config& config) {
     const Model& model = of(config.model);
     const int code = static_cast<std::int16_t>(shunt);

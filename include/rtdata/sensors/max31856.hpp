@@ -109,7 +109,7 @@ class Max31856 {
     return *reading;
   }
 
-  /// Of all its registers. Errors: bad-data (the thermocouple), out-of-range (temperatures).
+  /// `registers`: all of the chip. Errors: bad-data (the thermocouple), out-of-range (temperatures).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 16> registers) {
     const unsigned fault = registers[15];
     const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };

@@ -62,13 +62,13 @@ class MhZ19 {
     return *reading;
   }
 
-  /// Of the bytes but the first and the last.
+  /// The checksum of all bytes but the first and the last.
   static constexpr std::uint8_t checksum(std::span<const std::uint8_t, 9> bytes) noexcept {
     unsigned sum = 0;
     for (std::size_t i = 1; i < 8; ++i) sum += bytes[i];
     return static_cast<std::uint8_t>((256 - sum % 256) % 256);
   }
-  /// Of an answer to command 0x86. Errors: bad-data.
+  /// `answer`: to command 0x86. Errors: bad-data.
   static Result<Co2Reading> decode(std::span<const std::uint8_t, 9> answer) {
     constexpr unsigned most = 10000;
     const auto refuse = [](std::string why) {

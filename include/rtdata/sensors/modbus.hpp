@@ -89,7 +89,7 @@ class Modbus {
                     "the bytes of numbers of more than one register, the highest called a"),
           parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
     }
-    /// That the fields can be read and described.
+    /// Checks that the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
   };
   using Value = DescribedValue;

@@ -173,7 +173,7 @@ class Nau7802 {
     return tared(code);
   }
 
-  /// Of the three data registers.
+  /// The converter's code, of the three data registers.
   static std::int32_t decode(std::span<const std::uint8_t, 3> bytes) noexcept {
     return static_cast<std::int32_t>(static_cast<std::uint32_t>(bytes[0]) << 24 |
                                      static_cast<std::uint32_t>(bytes[1]) << 16 |

@@ -113,9 +113,9 @@ class SamplePort {
  public:
   /// Publishes with the time of the read; the payload may be moved from. Once for each sample that the read brought.
   void publish(void* payload) { publish(payload, time_); }
-  /// With the device's own time.
+  /// Publishes with the device's own time.
   void publish(void* payload, Time time);
-  /// With the instant at which the device took it.
+  /// Publishes with the instant at which the device took it.
   void publish_at(void* payload, MonotonicTime time);
   /// The device reports that it has dropped `count` samples.
   void lost(std::uint64_t count);
@@ -153,7 +153,7 @@ class SensorDevice {
   virtual ~SensorDevice() = default;
   virtual Result<void> open() { return {}; }
   virtual void close() {}
-  /// Of one reading; may be asked for before `open`.
+  /// How long one reading takes; may be called before `open`.
   virtual ReadTime read_time() const { return {}; }
   virtual Sampled sample(SamplePort& port) = 0;
 };

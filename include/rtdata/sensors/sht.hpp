@@ -101,7 +101,7 @@ class Sht {
     }
     return static_cast<std::uint8_t>(sum);
   }
-  /// Of temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
+  /// `bytes`: temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
   static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {
     if (checksum(bytes.subspan<0, 2>()) != bytes[2] || checksum(bytes.subspan<3, 2>()) != bytes[5])
       return Error{Errc::bad_data, what, "", "a checksum is wrong", "look at its wires, and `model`"};

@@ -163,7 +163,7 @@ struct RowFilter {
   std::optional<Time> from = {};   ///< first time taken, as recorded
   std::optional<Time> until = {};  ///< first time not taken any more
   std::uint64_t limit = 0;         ///< at most so many rows; 0: no limit
-  /// Of each origin, the events numbered 1, 1 + every, 1 + 2 * every and so on.
+  /// Thins out: only the events 1, 1 + every, 1 + 2 * every and so on of each origin.
   std::uint64_t every = 1;
 };
 
@@ -223,7 +223,7 @@ class Recording {
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
   /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
-  /// Those of whom texts were stored with escapes, since they were no UTF-8. Formats before 5 have none.
+  /// The origins with texts that were no UTF-8 and were stored with escapes. Formats before 5 have none.
   Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
   Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
