@@ -52,8 +52,8 @@ struct TransferCounts {
   Duration longest{0};
 };
 
-/// The counts of one place: its devices add to them, `Bus::accounts` reads them. Any thread; without a lock.
-class TransferAccount {
+/// The counts of one place: its devices add to them, `Bus::place_counts` reads them. Any thread; without a lock.
+class TransferCounter {
  public:
   void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept;
   TransferCounts counts() const noexcept;
@@ -64,7 +64,7 @@ class TransferAccount {
 };
 
 /// A place, such as "address 0x76", and its counts.
-struct PlaceAccount {
+struct PlaceCounts {
   std::string place;
   TransferCounts counts;
 };
@@ -82,7 +82,7 @@ class Bus {
   /// destroyed. The empty place can be reserved any number of times. SetupError (busy): the place is taken.
   std::shared_ptr<void> claim(const std::string& place);
   /// The counts of all places that a device was asked for, sorted by place. Any thread.
-  std::vector<PlaceAccount> accounts() const;
+  std::vector<PlaceCounts> place_counts() const;
   /// The counts of one place; zeros where there was no device. Any thread.
   TransferCounts counts_of(const std::string& place) const;
   const std::shared_ptr<detail::LaneThread>& lane_thread() const noexcept { return lane_thread_; }
@@ -91,7 +91,7 @@ class Bus {
   Bus(std::string name, Duration give_up_after);
   ~Bus();
   /// The counts of this place, shared by all devices there, which may outlive the bus.
-  std::shared_ptr<TransferAccount> account_of(const std::string& place) const;
+  std::shared_ptr<TransferCounter> counter_of(const std::string& place) const;
 
  private:
   struct Places;
@@ -104,8 +104,8 @@ class Bus {
 /// What all devices on buses have.
 class BusDevice {
  public:
-  /// `account`: the counts of its place, from `Bus::account_of`; null: nothing is counted.
-  explicit BusDevice(std::shared_ptr<TransferAccount> account = nullptr) : account_(std::move(account)) {}
+  /// `counter`: the counts of its place, from `Bus::counter_of`; null: nothing is counted.
+  explicit BusDevice(std::shared_ptr<TransferCounter> counter = nullptr) : counter_(std::move(counter)) {}
   /// Called when a job with this device was given up: if that job ever goes on, it must not touch the bus. Any thread.
   void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
@@ -115,11 +115,11 @@ class BusDevice {
  protected:
   /// A transfer has ended.
   void count(Duration took, bool is_good, std::uint64_t retries = 0) const noexcept {
-    if (account_ != nullptr) account_->add(took, is_good, retries);
+    if (counter_ != nullptr) counter_->add(took, is_good, retries);
   }
 
  private:
-  std::shared_ptr<TransferAccount> account_;
+  std::shared_ptr<TransferCounter> counter_;
   std::shared_ptr<std::atomic<bool>> is_abandoned_ = std::make_shared<std::atomic<bool>>(false);
 };
 

@@ -116,8 +116,8 @@ class I2cDevice : public BusDevice {
  private:
   friend class I2cBus;
   struct Core;
-  I2cDevice(std::shared_ptr<Core> core, I2cAddress address, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), address_(address) {}
+  I2cDevice(std::shared_ptr<Core> core, I2cAddress address, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), address_(address) {}
   Error failure(int errno_value) const;
   std::shared_ptr<Core> core_;
   I2cAddress address_;

@@ -99,8 +99,8 @@ class ModbusDevice : public BusDevice {
  private:
   friend class ModbusBus;
   struct Core;
-  ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), unit_(unit) {}
+  ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), unit_(unit) {}
   template <class Ask>
   Result<void> ask(Ask&& ask);
   Error failure(int number, const char* libmodbus_text) const;

@@ -110,8 +110,8 @@ class SerialDevice : public BusDevice {
  private:
   friend class SerialPort;
   struct Core;
-  SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)) {}
+  SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)) {}
   Result<void> check_wanted() const;
   /// Adds what has come to `pending_`; false: nothing came by then.
   Result<bool> receive(MonotonicTime until);

@@ -109,8 +109,8 @@ class SpiDevice : public BusDevice {
  private:
   friend class SpiBus;
   struct Core;
-  SpiDevice(std::shared_ptr<Core> core, SpiPlace place, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), place_(place) {}
+  SpiDevice(std::shared_ptr<Core> core, SpiPlace place, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), place_(place) {}
   std::shared_ptr<Core> core_;
   SpiPlace place_;
 };
