@@ -114,6 +114,7 @@ class CsvCodec final : public Codec {
   explicit CsvCodec(CsvConfig config) : config_(config) {}
 
   std::string_view name() const noexcept override { return "csv"; }
+  bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     row_.clear();

@@ -218,6 +218,7 @@ bool is_floating(const Leaf& leaf) { return leaf.kind == Kind::f64 || leaf.kind 
 class InfluxCodec final : public Codec {
  public:
   std::string_view name() const noexcept override { return "influx"; }
+  bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     for (const std::string_view text : {event.topic(), event.origin()}) {

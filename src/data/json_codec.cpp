@@ -187,6 +187,8 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
 class JsonCodec final : public Codec {
  public:
   std::string_view name() const noexcept override { return "json"; }
+  std::string_view extension() const noexcept override { return "jsonl"; }  // as a whole it is no JSON text
+  bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     const Plan& plan = plans_.of(event.description());

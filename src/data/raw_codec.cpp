@@ -45,12 +45,12 @@ Error too_long(const std::string& where, std::size_t size) {
 
 /// The values of a payload, in their order, as encoding takes them.
 struct Plan {
-  /// Numbers, which always fit, of so many bytes, and values of every other sort.
+  /// Numbers by their size in bytes, which always fit, and values of every other sort.
   enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
   struct Step {
     Sort sort = Sort::field;
     std::size_t offset = 0;        ///< bytes from the start of the payload
-    std::size_t count = 1;         ///< of numbers: so many lie one after the other
+    std::size_t count = 1;         ///< of numbers: how many lie one after the other
     const Field* field = nullptr;  ///< of another sort; owned by the description
     std::string where;             ///< of this field, for errors
   };

@@ -8,7 +8,7 @@
 
 namespace rtdata {
 
-void TransferAccount::add(Duration took, bool is_good, std::uint64_t retries) noexcept {
+void TransferCounter::add(Duration took, bool is_good, std::uint64_t retries) noexcept {
   constexpr auto relaxed = std::memory_order_relaxed;
   transfers_.fetch_add(1, relaxed);
   if (!is_good) failed_.fetch_add(1, relaxed);
@@ -19,7 +19,7 @@ void TransferAccount::add(Duration took, bool is_good, std::uint64_t retries) no
   }
 }
 
-TransferCounts TransferAccount::counts() const noexcept {
+TransferCounts TransferCounter::counts() const noexcept {
   constexpr auto relaxed = std::memory_order_relaxed;
   return {transfers_.load(relaxed), failed_.load(relaxed), retried_.load(relaxed), Duration{busy_.load(relaxed)},
           Duration{longest_.load(relaxed)}};
@@ -28,7 +28,7 @@ TransferCounts TransferAccount::counts() const noexcept {
 struct Bus::Places {
   struct Place {
     bool is_claimed = false;
-    std::shared_ptr<TransferAccount> account = std::make_shared<TransferAccount>();
+    std::shared_ptr<TransferCounter> counter = std::make_shared<TransferCounter>();
   };
   std::mutex mutex;
   std::map<std::string, Place> all;
@@ -55,22 +55,22 @@ std::shared_ptr<void> Bus::claim(const std::string& place) {
           }};
 }
 
-std::shared_ptr<TransferAccount> Bus::account_of(const std::string& place) const {
+std::shared_ptr<TransferCounter> Bus::counter_of(const std::string& place) const {
   const std::lock_guard lock(places_->mutex);
-  return places_->all[place].account;
+  return places_->all[place].counter;
 }
 
-std::vector<PlaceAccount> Bus::accounts() const {
-  std::vector<PlaceAccount> accounts;
+std::vector<PlaceCounts> Bus::place_counts() const {
+  std::vector<PlaceCounts> all;
   const std::lock_guard lock(places_->mutex);
-  for (const auto& [name, place] : places_->all) accounts.push_back({name, place.account->counts()});
-  return accounts;
+  for (const auto& [name, place] : places_->all) all.push_back({name, place.counter->counts()});
+  return all;
 }
 
 TransferCounts Bus::counts_of(const std::string& place) const {
   const std::lock_guard lock(places_->mutex);
   const auto found = places_->all.find(place);
-  return found != places_->all.end() ? found->second.account->counts() : TransferCounts{};
+  return found != places_->all.end() ? found->second.counter->counts() : TransferCounts{};
 }
 
 void BusDevice::wait(Duration duration) const noexcept { detail::lane_sleep(duration); }

@@ -127,6 +127,7 @@ class Finder {
   Result<Place> by_name(const std::vector<const GpioChipInfo*>& among) const {
     std::optional<Place> found;
     std::string places;
+    bool is_ambiguous = false;
     std::vector<std::string_view> names;
     for (const GpioChipInfo* chip : among) {
       for (std::size_t i = 0; i < chip->lines.size(); ++i) {
@@ -136,7 +137,7 @@ class Finder {
         if (!found) {
           found = Place{chip->path, static_cast<unsigned>(i), chip->lines[i]};
         } else {
-          is_ambiguous_ = true;
+          is_ambiguous = true;
         }
       }
     }
@@ -146,7 +147,7 @@ class Finder {
                    names.empty() ? "the lines have no names here: " + listed(chips_) : "no line has this name",
                    names.empty() ? "give its number, such as \"gpiochip0:17\"" : hint + "; " + list_advice);
     }
-    if (std::exchange(is_ambiguous_, false))
+    if (is_ambiguous)
       return error(Errc::bad_argument, "several lines have this name: " + places, "write one of these instead");
     return *std::move(found);
   }
@@ -154,7 +155,6 @@ class Finder {
   const std::vector<GpioChipInfo> chips_;
   std::string line_;
   std::string chip_;
-  mutable bool is_ambiguous_ = false;
 };
 
 Error failure_of(int error_number, const char* what, const std::string& place) {
@@ -293,14 +293,14 @@ class GpioEdgesNode final : public Node {
 
   Result<void> open() {
     GpioInput asked = settings_;
-    is_settled_here_ = settings_.debounce > Duration{0} && !backend_->debounces();
-    if (is_settled_here_) asked.edges = GpioEdgeKind::both;
+    software_debounce_ = settings_.debounce > Duration{0} && !backend_->debounces();
+    if (software_debounce_) asked.edges = GpioEdgeKind::both;
     from_ = loop()->now();
     Error error;
     request_ = take_gpio_input(*backend_, asked, true, place_, error);
     if (request_ == nullptr) return error;
     name_ = "GPIO line " + place_;
-    if (is_settled_here_) {
+    if (software_debounce_) {
       const int value = request_->value();
       if (value < 0) return failure_of(-value, "cannot read the GPIO line", place_);
       level_ = value != 0;
@@ -358,7 +358,7 @@ class GpioEdgesNode final : public Node {
             std::to_string(counts_.lost - lost_before) + " came faster than they were read",
             "let nothing hold this loop, give it a tier of its own, or set `debounce`"});
     } else if (const std::size_t kept = backend_->kept_edges();
-               !backend_->numbers_edges() && kept != 0 && count >= kept && !is_settled_here_) {
+               !backend_->numbers_edges() && kept != 0 && count >= kept && !software_debounce_) {
       ++counts_.overflows;
       tell({Errc::backlog, "edges may be lost", place_,
             "the kernel's store of " + std::to_string(kept) +
@@ -377,8 +377,8 @@ class GpioEdgesNode final : public Node {
       counts_.lost += step - 1;
     }
     MonotonicTime time{Duration{edge.time}};
-    if (time > now || time < from_) time = now;  // of another clock
-    if (!is_settled_here_) return give({edge.is_rising, time, number_ += step});
+    if (time > now || time < from_) time = now;  // the kernel stamped it with another clock
+    if (!software_debounce_) return give({edge.is_rising, time, number_ += step});
     ++bounces_;
     last_bounce_ = time;
     settle_.start_at(later(time, settings_.debounce));
@@ -388,7 +388,7 @@ class GpioEdgesNode final : public Node {
     loop()->call_user(name_, [&] { callback_(edge); });
   }
 
-  /// The level has lasted long enough, and is read again, since edges may have been dropped.
+  /// The debounce time has passed without an edge. Reads the level anew, since edges may have been dropped.
   void settle() {
     Call call(*this);
     if (request_ == nullptr) return;
@@ -442,14 +442,14 @@ class GpioEdgesNode final : public Node {
   FdWatch watch_;
   Timer look_;
   Timer settle_;
-  MonotonicTime from_{};  // no edge of this line is older
+  MonotonicTime from_{};  // when the line was taken: no edge is older
   std::uint32_t last_number_ = 0;
   std::uint64_t number_ = 0;
   GpioEdgeCounts counts_;
-  bool is_settled_here_ = false;  // `debounce` is
-  bool level_ = false;            // that has lasted
-  std::uint64_t bounces_ = 0;     // since then
-  MonotonicTime last_bounce_{};
+  bool software_debounce_ = false;  // the backend does not debounce: done here
+  bool level_ = false;              // the debounced level
+  std::uint64_t bounces_ = 0;       // raw edges since the last check of the level
+  MonotonicTime last_bounce_{};     // the time of the last raw edge
   std::optional<Error> failure_;
   Callback<void(const GpioEdge&)> callback_;
   Handler<ErrorReport> on_error_;

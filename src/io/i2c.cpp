@@ -139,7 +139,7 @@ I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cCon
 I2cDevice I2cBus::device(const I2cDevice::Place& place) const {
   if (std::string mistake = mistake_in(place.address); !mistake.empty())
     throw SetupError({Errc::bad_argument, "cannot use this address", "bus " + name(), std::move(mistake), ""});
-  return {core_, place.address, account_of(text_of(place))};
+  return {core_, place.address, counter_of(text_of(place))};
 }
 
 }  // namespace rtdata

@@ -326,7 +326,7 @@ ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
   if (place.unit < 1 || place.unit > last_unit)
     throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
                       "units have the numbers 1 to 247, not " + std::to_string(place.unit), ""});
-  return {core_, place.unit, account_of("unit " + std::to_string(place.unit))};
+  return {core_, place.unit, counter_of("unit " + std::to_string(place.unit))};
 }
 
 }  // namespace rtdata

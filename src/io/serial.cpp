@@ -170,6 +170,6 @@ SerialPort::SerialPort(std::string name, std::shared_ptr<SerialTransport> transp
   if (const auto flags = detail::control_flags(core_->config.serial); !flags) throw SetupError(flags.error());
 }
 
-SerialDevice SerialPort::device(const SerialDevice::Place&) const { return {core_, account_of(all)}; }
+SerialDevice SerialPort::device(const SerialDevice::Place&) const { return {core_, counter_of(all)}; }
 
 }  // namespace rtdata

@@ -90,7 +90,7 @@ SpiDevice SpiBus::device(const SpiPlace& place) const {
   if (!is_good)
     throw SetupError({Errc::bad_argument, "cannot use this chip", "bus " + name() + ", " + text_of(place),
                       "there are modes 0 to 3, words of 4 to 32 bits, and clocks above 0", ""});
-  return {core_, place, account_of(text_of(place))};
+  return {core_, place, counter_of(text_of(place))};
 }
 
 bool SpiBus::reads_on_loop() const noexcept { return core_->config.reads_on_loop; }

@@ -30,11 +30,11 @@ class TcpStream {
   TcpStream& operator=(const TcpStream&) = delete;
   ~TcpStream();
 
-  /// Closes what was, and connects to the first of the host's addresses that answers; each has `limit` to do so. A
-  /// numeric address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
+  /// Closes the connection before, if any, and connects to the first of the host's addresses that answers; each has
+  /// `limit` to do so. A numeric address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
   void connect(const std::string& host, std::uint16_t port, Duration limit);
   bool is_connecting() const noexcept { return is_connecting_; }
-  /// Blocks until `opened` has been called, at most so long. For set-up only.
+  /// Blocks until `opened` has been called, for `at_most`. For set-up only.
   void wait(Duration at_most);
   void close() noexcept;
   /// As read(2), never blocks.

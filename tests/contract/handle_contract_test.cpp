@@ -1,5 +1,5 @@
 // The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in
-// HANDLES.
+// HANDLES: docs_test.py holds the public headers to that, but for those that it has a reason to leave out.
 #include <doctest/doctest.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -18,16 +18,22 @@
 #include "data/payloads.hpp"
 #include "loop/core/loop_core.hpp"
 #include "rtdata/io/fake_gpio.hpp"
+#include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
+#include "rtdata/sensors/iio.hpp"
+#include "rtdata/sensors/levels.hpp"
+#include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
@@ -151,6 +157,44 @@ struct OfAnalogSensor {
   }
   void provoke(Loop&, Type&) {}
 };
+struct OfW1Sensor {
+  using Type = W1Sensor;  // as the one before: there is no such thermometer
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "w", .rate = 1_kHz}, {.device = "28-1", .root = "/nowhere"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfIioSensor {
+  using Type = IioSensor;
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "i", .rate = 1_kHz}, {.device = "adc", .channels = {"voltage0"}, .root = "/nowhere"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfDriverSensor {
+  using Type = DriverSensor<Lm75>;  // on a bus without a chip
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "d", .rate = 1_kHz}, bus);
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+  I2cBus bus{"i2c1", std::make_shared<FakeI2c>()};
+};
+struct OfLevelsSensor {
+  using Type = LevelsSensor;  // of a chip that is not there
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "v", .rate = 1_kHz}, {.lines = {{.name = "x", .line = 3}}}, pins);
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+  std::shared_ptr<FakeGpio> pins = std::make_shared<FakeGpio>();
+};
 struct OfHostSensor {
   using Type = HostSensor;  // inline; its /proc/stat is none
   OfHostSensor() {
@@ -251,8 +295,8 @@ struct OfSink {
 
 #define HANDLES                                                                                                  \
   OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
-      OfAnalogSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, \
-      OfSink
+      OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, \
+      OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

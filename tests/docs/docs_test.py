@@ -100,6 +100,24 @@ def check_links(source):
                 problem(page.relative_to(source), f"a link to {target}, which is not there")
 
 
+def check_paths(source):
+    """What architecture.md has in backticks and looks like a file or a folder is there; a bare name, anywhere."""
+    page = "docs/architecture.md"
+    names = {path.name for folder in ("src", "include", "tests", "docs", "script", "examples")
+             for path in (source / folder).rglob("*")}
+    text = (source / page).read_text()
+    for number, line in enumerate(text.splitlines(), 1):
+        for word in " ".join(re.findall(r"`([^`]+)`", line)).split():
+            if re.fullmatch(r"[\w-]+\.(?:cpp|hpp|py|md|sh|sources|json|c)", word):
+                is_there = word in names
+            elif re.fullmatch(r"(?:src|include|tests|docs|script|examples)/[\w./-]*", word):
+                is_there = (source / word).exists()
+            else:
+                continue
+            if not is_there:
+                problem(f"{page}:{number}", f"there is no {word}")
+
+
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
     header = (source / "include/rtdata/data/problem.hpp").read_text()
@@ -185,10 +203,15 @@ def check_types(source, program, elsewhere):
                 problem("docs/configuration.md", f"the default of {key} of {name} is {default!r}, not {wanted!r}")
 
 
+LITERAL = r'"(?:[^"\\\n]|\\.)*"'
+
+
 def test_names(source):
+    """Of all test cases; a name may be several literals, one after the other."""
     names = []
     for file in sorted((source / "tests").rglob("*.cpp")):
-        names += re.findall(r'TEST_CASE(?:_TEMPLATE)?\(\s*"([^"]+)"', file.read_text())
+        for literals in re.findall(rf"TEST_CASE(?:_TEMPLATE)?\(\s*((?:{LITERAL}\s*)+)", file.read_text()):
+            names.append("".join(literal[1:-1] for literal in re.findall(LITERAL, literals)).replace('\\"', '"'))
     return names
 
 
@@ -199,7 +222,34 @@ def tests_of(identifier, names):
     return [name for name in names if ids & set(re.findall(r"\b(?:US|NFR|FW)-\d+", name))]
 
 
+# Types of handles that handle_contract_test.cpp need not try, and why.
+NOT_TRIED = {
+    "AnySensor": "the base of sensors",
+    "AnyFeed": "the base of feeds",
+    "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
+    "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
+    "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
+    "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",
+    "SqliteSink": "a Sink with a writer; sink_contract_test.cpp tries it",
+}
+
+
 def check_handles(source):
+    contract = "tests/contract/handle_contract_test.cpp"
+    text = (source / contract).read_text()
+    listed = re.findall(r"\bOf\w+", re.search(r"#define HANDLES((?:.*\\\n)*.*)", text)[1])
+    tried = set()
+    for entry in listed:
+        found = re.search(rf"struct {entry}\b[^{{]*{{\n(?:.*\n)*?  using Type = (\w+)", text)
+        tried.add(found[1] if found else entry)
+    types = set()
+    for header in sorted((source / "include").rglob("*.hpp")):
+        types |= set(re.findall(r"^class (\w+)(?: final)? : public (?:Handle|AnySensor|AnyFeed|Sink)\b",
+                                header.read_text(), re.M))
+    for name in sorted(types - tried - set(NOT_TRIED)):
+        problem(contract, f"HANDLES lacks {name}")
+    for name in sorted(set(NOT_TRIED) & tried | set(NOT_TRIED) - types):
+        problem("tests/docs/docs_test.py", f"NOT_TRIED need not have {name}")
     names = test_names(source)
     for test in re.findall(r"`(handle rule [^`]+)`", (source / "docs/handles.md").read_text()):
         if test not in names:
@@ -239,6 +289,7 @@ def main():
         return 0 if program else 1
     check_blocks(source, build, compiler, program)
     check_links(source)
+    check_paths(source)
     check_errors(source)
     check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)

@@ -135,6 +135,8 @@ const std::vector<SinkKind>& sink_kinds() {
   static const std::vector<SinkKind> kinds = {
       {"file, JSON lines", [] { return std::make_unique<FileStore>("jsonl"); }},
       {"file, CSV", [] { return std::make_unique<FileStore>("csv"); }},
+      {"file, CBOR", [] { return std::make_unique<FileStore>("cbor"); }},
+      {"file, lines of InfluxDB", [] { return std::make_unique<FileStore>("influx"); }},
       {"file, raw bytes", [] { return std::make_unique<FileStore>("raw"); }},
       {"SQLite", [] { return std::make_unique<SqliteStore>(); }},
       {"console", [] { return std::make_unique<ConsoleStore>(); }},

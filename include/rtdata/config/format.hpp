@@ -66,7 +66,7 @@ class ConfigFormats {
   void add(std::unique_ptr<ConfigFormat> format);
   /// The format of this file name; null when none has its extension. Valid as long as this object.
   const ConfigFormat* find(std::string_view file) const;
-  /// Of all formats, each once.
+  /// The extensions of all formats, each once.
   std::vector<std::string> extensions() const;
 
  private:
@@ -107,9 +107,9 @@ class ConfigBuilder {
   /// False when the nesting is too deep: a problem is added, and reading should stop.
   bool begin_object(Position position);
   bool begin_array(Position position);
-  /// Of the next value, in an object.
+  /// The key of the next value, in an object.
   void key(std::string_view key, Position position);
-  /// Of the innermost object or array.
+  /// The innermost object or array ends.
   void end();
 
   void null(Position position);

@@ -69,7 +69,7 @@ class PartObject {
   std::unique_ptr<Holder> holder_;
 };
 
-/// That a part uses another, because one of its parameters names it (`names_part`, parameter.hpp).
+/// A use of another part, which a parameter names (`names_part`, parameter.hpp).
 struct PartUse {
   std::string kind;  ///< "bus"; "topic": whatever publishes it
   std::string name;
@@ -77,19 +77,19 @@ struct PartUse {
   ConfigItem item;                 ///< that names it
 };
 
-/// Of a part that publishes: what is known before it is made.
+/// What a part publishes, as far as it is known before the part is made.
 struct PublishedTopic {
   std::string topic;                               ///< never empty
   std::shared_ptr<const Description> description;  ///< null: known only once it is made
   std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
 };
 
-/// Of a part that stores events.
+/// What a part stores, and where.
 struct StoredTopics {
   std::vector<std::string> topics;
   std::string path;            ///< the file it writes; "-" for standard output, empty for none
   Duration close_deadline{0};  ///< how long closing may wait for it
-  /// Of the topics that it is to take, an error for each that it cannot; empty: not known before it is made.
+  /// Returns an error for each of the topics that the part cannot store; empty: not known before it is made.
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
   /// The file that a topic's events go to; empty: all go to `path`.
   std::function<std::string(std::string_view topic)> file_of_topic = {};
@@ -118,9 +118,9 @@ struct PartPlan {
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 
-  /// What takes a new value of a key of the item while the part runs, by that key; the plan that it is called of has
-  /// the value. A part of which another key is changed is made anew. May throw SetupError: then the old value is given
-  /// again.
+  /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
+  /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
+  /// may throw SetupError: then that of the old plan is called, which applies the old value again.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
   /// The tier that it runs on; empty: the main loop.
@@ -152,7 +152,7 @@ class Parts {
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
-  /// Of all, in that order. Valid until the system changes.
+  /// The plans of all parts, in that order. Valid until the system changes.
   std::vector<const PartPlan*> plans() const;
 
  private:

@@ -68,7 +68,7 @@ struct PartKind {
   /// A plan is made from the item and, where parts are written by name, their name.
   TypeRegistry<PartPlan, const std::string&> types;
   Does does = Does::nothing_known;
-  /// That items of every type have: what is known of one whose type is not.
+  /// The parameters that every type of this kind has: all that is known of an item whose type is unknown.
   std::vector<ParameterInfo> common = {};
 };
 

@@ -1,9 +1,9 @@
 /// Codec: events to bytes and back, in any format.
 ///
 /// Shipped: "json" (one object a line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row an
-/// event), "influx" (a line of InfluxDB's protocol). A format of your own
-/// is a class that derives from `Codec`, added to a `CodecRegistry` under its name; whatever takes formats by name
-/// (files, network sinks, exports) then takes it too.
+/// event), "influx" (a line of InfluxDB's protocol). A format of your own is a class that derives from `Codec`, added
+/// to a `CodecRegistry` under its name; whatever takes formats by name (files, network sinks, exports) then takes it
+/// too.
 ///
 /// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
 /// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),
@@ -51,6 +51,11 @@ class Codec {
   virtual ~Codec() = default;
 
   virtual std::string_view name() const noexcept = 0;
+  /// How the names of its files end: "csv" of "climate.csv". Unless overridden: the name.
+  virtual std::string_view extension() const noexcept { return name(); }
+  /// Whether it writes a line of text an event, in which bytes of texts that are no UTF-8 are escaped
+  /// (docs/formats.md). File sinks count and report these texts. Unless overridden: no.
+  virtual bool is_text() const noexcept { return false; }
   /// Appends the bytes of one event.
   virtual Result<void> encode(const EventView& event, std::vector<std::byte>& out) = 0;
   /// Reads exactly one event; anything missing or left over is an error.

@@ -188,7 +188,7 @@ constexpr Kind integer_kind() {
   return static_cast<Kind>(static_cast<int>(first) + log);
 }
 
-/// Of a value that is not optional, no array and no struct.
+/// Whether T is a single value: not optional, no array and no struct.
 template <class T>
 inline constexpr bool is_scalar = std::is_same_v<T, bool> || std::is_same_v<T, char> || is_integer<T> ||
                                   std::is_same_v<T, float> || std::is_same_v<T, double> || is_text<T> ||

@@ -17,8 +17,7 @@
 ///     };
 ///
 /// From it follow reading that reports every mistake (`read_config`), the list for people (`parameters_of`), the JSON
-/// Schema
-/// (`schema_of`) and writing (`write_config`), all in read.hpp.
+/// Schema (`schema_of`) and writing (`write_config`), all in read.hpp.
 ///
 /// A member may be bool, char, an integer, float, double, std::string, Duration or another std::chrono duration, Rate,
 /// an enumeration with a `describe` or with `choices`, a struct with `parameters` of its own, a ConfigItem (anything,

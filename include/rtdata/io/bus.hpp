@@ -43,7 +43,7 @@ namespace detail {
 class LaneThread;
 }
 
-/// What the device at one place has cost its bus.
+/// Statistics of the transfers with the device at one place of a bus.
 struct TransferCounts {
   std::uint64_t transfers = 0;  ///< with those that failed, and without retries
   std::uint64_t failed = 0;     ///< after all retries
@@ -52,8 +52,8 @@ struct TransferCounts {
   Duration longest{0};
 };
 
-/// The counts of one place: its devices add to them, `Bus::accounts` reads them. Any thread; without a lock.
-class TransferAccount {
+/// The counts of one place: its devices add to them, `Bus::place_counts` reads them. Any thread; without a lock.
+class TransferCounter {
  public:
   void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept;
   TransferCounts counts() const noexcept;
@@ -63,8 +63,8 @@ class TransferAccount {
   std::atomic<std::int64_t> busy_{0}, longest_{0};  // ns
 };
 
-/// "address 0x76", and what it has cost.
-struct PlaceAccount {
+/// A place, such as "address 0x76", and its counts.
+struct PlaceCounts {
   std::string place;
   TransferCounts counts;
 };
@@ -75,23 +75,23 @@ class Bus {
   Bus& operator=(const Bus&) = delete;
   /// As errors and the lane show it: "i2c1".
   const std::string& name() const noexcept { return name_; }
-  /// Of each job of a sensor on it.
+  /// The limit of each job of a sensor on this bus.
   Duration give_up_after() const noexcept { return give_up_after_; }
 
-  /// Of a place on the bus; free again when the last copy goes. An empty one can be had by many. SetupError (busy): it
-  /// is taken.
+  /// Reserves a place on the bus for one sensor; it is released when the last copy of the returned pointer is
+  /// destroyed. The empty place can be reserved any number of times. SetupError (busy): the place is taken.
   std::shared_ptr<void> claim(const std::string& place);
-  /// What each place has cost, by name: of all that devices were asked for. Any thread.
-  std::vector<PlaceAccount> accounts() const;
-  /// Zeros where there was no device. Any thread.
+  /// The counts of all places that a device was asked for, sorted by place. Any thread.
+  std::vector<PlaceCounts> place_counts() const;
+  /// The counts of one place; zeros where there was no device. Any thread.
   TransferCounts counts_of(const std::string& place) const;
   const std::shared_ptr<detail::LaneThread>& lane_thread() const noexcept { return lane_thread_; }
 
  protected:
   Bus(std::string name, Duration give_up_after);
   ~Bus();
-  /// Of this place, one for all devices there: for the device, which may outlive the bus.
-  std::shared_ptr<TransferAccount> account_of(const std::string& place) const;
+  /// The counts of this place, shared by all devices there, which may outlive the bus.
+  std::shared_ptr<TransferCounter> counter_of(const std::string& place) const;
 
  private:
   struct Places;
@@ -104,22 +104,22 @@ class Bus {
 /// What all devices on buses have.
 class BusDevice {
  public:
-  /// `account`: of its place, from `Bus::account_of`; null: nothing is counted.
-  explicit BusDevice(std::shared_ptr<TransferAccount> account = nullptr) : account_(std::move(account)) {}
-  /// Its result is not wanted any more: a job that hung and comes back must leave the bus alone. Any thread.
+  /// `counter`: the counts of its place, from `Bus::counter_of`; null: nothing is counted.
+  explicit BusDevice(std::shared_ptr<TransferCounter> counter = nullptr) : counter_(std::move(counter)) {}
+  /// Called when a job with this device was given up: if that job ever goes on, it must not touch the bus. Any thread.
   void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
-  /// Blocks for so long, as chips need after a reset. On a manual loop, virtual time passes.
+  /// Blocks for this duration, as chips need after a reset. On a manual loop, virtual time passes.
   void wait(Duration duration) const noexcept;
 
  protected:
   /// A transfer has ended.
   void count(Duration took, bool is_good, std::uint64_t retries = 0) const noexcept {
-    if (account_ != nullptr) account_->add(took, is_good, retries);
+    if (counter_ != nullptr) counter_->add(took, is_good, retries);
   }
 
  private:
-  std::shared_ptr<TransferAccount> account_;
+  std::shared_ptr<TransferCounter> counter_;
   std::shared_ptr<std::atomic<bool>> is_abandoned_ = std::make_shared<std::atomic<bool>>(false);
 };
 

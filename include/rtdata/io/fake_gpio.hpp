@@ -30,7 +30,8 @@ class FakeGpio final : public GpioBackend {
   /// Its lines are called `prefix` and their number; without one they have no names.
   void add_chip(const std::string& name, std::size_t lines, const std::string& prefix = {},
                 const std::string& label = "fake");
-  /// Those who have lines of it are told no more than the kernel tells them: with `hangs_up`, that it has ended.
+  /// Takes the chip away. Whoever has lines of it sees what the kernel would show: with `hangs_up`, a hang-up, else
+  /// nothing.
   void unplug(const std::string& chip, bool hangs_up = false);
   /// As a chip of that name that is new.
   void plug_in(const std::string& chip);

@@ -47,7 +47,7 @@ class FakeI2cChip {
   /// It does not acknowledge until it is plugged in again.
   void unplug();
   void plug_in();
-  /// Each transfer takes so long, in the time of the lane.
+  /// How long each transfer takes, in the time of the lane.
   void set_duration(Duration duration);
   std::uint64_t transfers() const;
 

@@ -28,7 +28,7 @@ class FakeSerial final : public SerialTransport {
   void on_write(std::function<std::string(std::string_view request)> answer);
   /// The device sends by itself.
   void send(std::string_view bytes);
-  /// Each answer begins so long after its request, in the time of the lane.
+  /// The time from each request to its answer, of the lane.
   void set_delay(Duration delay);
   /// The port is gone until it is plugged in again; what was under way is lost.
   void unplug();

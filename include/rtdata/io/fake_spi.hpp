@@ -26,7 +26,7 @@ class FakeSpi final : public SpiTransport {
   void on_transfer(unsigned chip_select, Chip chip);
   /// The next transfers with this chip fail with this errno.
   void fail(unsigned chip_select, std::uint64_t count, int errno_value);
-  /// Each transfer with this chip takes so long, in the time of the lane.
+  /// How long each transfer with this chip takes, in the time of the lane.
   void set_duration(unsigned chip_select, Duration duration);
   std::uint64_t transfers(unsigned chip_select) const;
 

@@ -17,7 +17,7 @@
 /// - libgpiod 2: the kernel numbers the edges of a line and keeps 1024 that were not read yet; those that it drops, the
 ///   oldest, are counted. `debounce` is done by the kernel.
 /// - libgpiod 1: it keeps 16, drops the newest, and tells of neither: `lost_is_known()` is false. A full store is
-///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for so long.
+///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for that time.
 /// - The calls go to the kernel and return in microseconds, but for a chip behind a slow bus (an expander on I2C),
 ///   which is waited for.
 ///
@@ -91,7 +91,7 @@ struct GpioInput {
   GpioBias bias = GpioBias::as_is;
   bool active_low = false;
   GpioEdgeKind edges = GpioEdgeKind::both;  ///< which of them count; of GpioEdges only, as is `debounce`
-  Duration debounce{0};                     ///< a level that lasts for less is none; 0: every edge counts
+  Duration debounce{0};                     ///< shorter levels are ignored as bounces; 0: every edge counts
   std::string consumer = "rtdata";          ///< as others see who has the line; the kernel keeps 31 bytes of it
 
   friend constexpr auto parameters(type_tag<GpioInput>) {
@@ -150,20 +150,21 @@ class GpioRequest {
   virtual int set(bool value) noexcept = 0;
   /// Readable while edges wait; never blocks.
   virtual int descriptor() const noexcept = 0;
-  /// Those that wait, as many as there is room for. The number of them, or a negative errno.
+  /// Takes the edges that wait, as many as there is room for. Returns their number, or a negative errno.
   virtual int read(std::span<GpioRawEdge> edges) noexcept = 0;
-  /// Whether its chip is still there, which not every kernel tells who waits for edges. Must not wait.
+  /// Whether its chip is still there, since not every kernel wakes up those who wait for edges when it goes. Must not
+  /// block.
   virtual bool is_there() noexcept = 0;
 };
 
 class GpioBackend {
  public:
   virtual ~GpioBackend() = default;
-  /// Of the edges it keeps so many that are not read; 0: not known.
+  /// How many unread edges of a line its buffer holds; 0: unknown.
   virtual std::size_t kept_edges() const noexcept = 0;
-  /// Its edges have numbers.
+  /// Whether `GpioRawEdge::number` is set.
   virtual bool numbers_edges() const noexcept = 0;
-  /// It does `debounce` itself.
+  /// Whether it does `debounce` itself; if not, the library does it.
   virtual bool debounces() const noexcept = 0;
   virtual std::vector<GpioChipInfo> chips() = 0;
   /// Null, with an errno: EBUSY when somebody has the line.
@@ -221,7 +222,7 @@ struct GpioEdgeCounts {
   std::uint64_t overflows = 0;  ///< times that the kernel's store was full: without numbers, edges may have been lost
 };
 
-/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is told, and there are no more;
+/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is called, and there are no more;
 /// make another when it is back.
 class GpioEdges : public Handle {
  public:
@@ -232,7 +233,7 @@ class GpioEdges : public Handle {
   GpioEdges(Loop& loop, GpioInput settings, Callback<void(const GpioEdge&)> callback,
             const std::shared_ptr<GpioBackend>& backend);
 
-  /// Of the line, now.
+  /// The level of the line, now.
   Result<bool> read() const;
   /// Calls back for what waits now instead of in the next turn.
   void take_waiting();

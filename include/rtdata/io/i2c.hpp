@@ -33,7 +33,7 @@
 
 namespace rtdata {
 
-/// Of 7 bits. In configurations 118 or "0x76".
+/// An address of 7 bits. In configurations 118 or "0x76".
 struct I2cAddress {
   static constexpr unsigned first = 0x08;  ///< those below, and above the last, are reserved
   static constexpr unsigned last = 0x77;
@@ -116,8 +116,8 @@ class I2cDevice : public BusDevice {
  private:
   friend class I2cBus;
   struct Core;
-  I2cDevice(std::shared_ptr<Core> core, I2cAddress address, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), address_(address) {}
+  I2cDevice(std::shared_ptr<Core> core, I2cAddress address, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), address_(address) {}
   Error failure(int errno_value) const;
   std::shared_ptr<Core> core_;
   I2cAddress address_;
@@ -129,7 +129,7 @@ class I2cBus : public Bus {
   /// Named as its device. The adapter is opened by the first transfer, and again after it was gone.
   explicit I2cBus(I2cConfig config);
   I2cBus(std::string name, I2cConfig config);
-  /// Of another transport; `device` is not used.
+  /// With another transport; `device` is not used.
   I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config = {});
 
   /// SetupError (bad-argument): no address of 7 bits.

@@ -57,7 +57,8 @@ struct IioQuantity {
   double factor = 1;         ///< from the kernel's unit to this one
   std::string_view kernels;  ///< the kernel's unit, for people
 };
-/// Of "accel_x" that of "accel". Null: no type of the kernel's begins so, or what follows is no index or modifier.
+/// The quantity of a channel: of "accel_x", that of "accel". Null: the kernel has no type of this name, or what follows
+/// is no index or modifier.
 const IioQuantity* iio_quantity(std::string_view channel) noexcept;
 /// All that there are, sorted.
 std::span<const IioQuantity> iio_quantities() noexcept;
@@ -146,8 +147,8 @@ class IioLayout {
     std::size_t position = 0;   ///< of its first value in what `decode` writes
     bool is_timestamp = false;  ///< then the two above mean nothing
   };
-  /// Of the channels that are on, in any order. Errors: bad-data (an index twice, a size that is no power of two, for
-  /// which kernels differ; a time that is not one number of 64 bits).
+  /// The layout of a scan of these channels, in any order. Errors: bad-data (an index twice, a size that is no power of
+  /// two, for which kernels differ; a time that is not one number of 64 bits).
   static Result<IioLayout> make(std::vector<Channel> channels);
 
   IioLayout() = default;
@@ -208,7 +209,7 @@ class IioCapture {
   Result<std::size_t> read(std::span<std::byte> to);
   /// Scans a second that trigger or device are set to; 0: not known.
   double frequency() const noexcept { return frequency_; }
-  /// Of the timestamps: "monotonic", or another, "realtime" with kernels before 4.8.
+  /// The clock of the timestamps: "monotonic", or another, "realtime" with kernels before 4.8.
   const std::string& clock() const noexcept { return clock_; }
   /// What was unusual: that the buffer was on and nobody had it.
   const std::vector<std::string>& notes() const noexcept { return notes_; }

@@ -64,7 +64,7 @@ struct ModbusConfig {
         parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
-  /// That there is a device or a host, and that `timeout` is longer than `answer_timeout`.
+  /// Checks that there is a device or a host, and that `timeout` is longer than `answer_timeout`.
   friend void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems);
 };
 
@@ -99,8 +99,8 @@ class ModbusDevice : public BusDevice {
  private:
   friend class ModbusBus;
   struct Core;
-  ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), unit_(unit) {}
+  ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), unit_(unit) {}
   template <class Ask>
   Result<void> ask(Ask&& ask);
   Error failure(int number, const char* libmodbus_text) const;

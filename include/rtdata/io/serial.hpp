@@ -68,7 +68,7 @@ struct SerialPortConfig {
         parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
-  /// That `timeout` is longer than `answer_timeout`.
+  /// Checks that `timeout` is longer than `answer_timeout`.
   friend void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems);
 };
 
@@ -90,7 +90,7 @@ class SerialDevice : public BusDevice {
   Result<std::uint8_t> read_byte(std::optional<Duration> timeout = {});
   /// What comes before `delimiter`, which is taken too. What comes after it is kept for the next read.
   Result<std::string> read_until(char delimiter, std::optional<Duration> timeout = {}, std::size_t most = 4096);
-  /// What is there already, or what comes first: up to so many bytes, at least one.
+  /// Reads what has come, or waits for what comes first: at least one byte, as many as fit.
   Result<std::size_t> read_some(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
   /// Drops what came unasked or too late, sends the request, and reads all of the answer.
   Result<void> transact(std::span<const std::uint8_t> request, std::span<std::uint8_t> answer,
@@ -110,8 +110,8 @@ class SerialDevice : public BusDevice {
  private:
   friend class SerialPort;
   struct Core;
-  SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)) {}
+  SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)) {}
   Result<void> check_wanted() const;
   /// Adds what has come to `pending_`; false: nothing came by then.
   Result<bool> receive(MonotonicTime until);
@@ -125,12 +125,12 @@ class SerialPort : public Bus {
   /// Named as its device. SetupError (bad-argument): settings that there are not.
   explicit SerialPort(SerialPortConfig config);
   SerialPort(std::string name, SerialPortConfig config);
-  /// Of another transport; `device` and `serial` are not used.
+  /// With another transport; `device` and `serial` are not used.
   SerialPort(std::string name, std::shared_ptr<SerialTransport> transport, SerialPortConfig config = {});
 
   SerialDevice device(const SerialDevice::Place& place = {}) const;
   static std::string text_of(const SerialDevice::Place&) { return {}; }
-  /// Of writes and reads. Any thread.
+  /// The counts of writes and reads. Any thread.
   TransferCounts counts() const { return counts_of(all); }
 
  private:

@@ -109,8 +109,8 @@ class SpiDevice : public BusDevice {
  private:
   friend class SpiBus;
   struct Core;
-  SpiDevice(std::shared_ptr<Core> core, SpiPlace place, std::shared_ptr<TransferAccount> account)
-      : BusDevice(std::move(account)), core_(std::move(core)), place_(place) {}
+  SpiDevice(std::shared_ptr<Core> core, SpiPlace place, std::shared_ptr<TransferCounter> counter)
+      : BusDevice(std::move(counter)), core_(std::move(core)), place_(place) {}
   std::shared_ptr<Core> core_;
   SpiPlace place_;
 };
@@ -121,7 +121,7 @@ class SpiBus : public Bus {
   /// Named as its device. A chip select is opened by the first transfer, and again after the controller was gone.
   explicit SpiBus(SpiConfig config);
   SpiBus(std::string name, SpiConfig config);
-  /// Of another transport; `device` is not used.
+  /// With another transport; `device` is not used.
   SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config = {});
 
   /// SetupError (bad-argument): a mode, or a number of bits, that there is not.

@@ -59,7 +59,7 @@ class ManualClock : public Clock {
   void pass(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
-  /// As if a service synchronised the time of day to so much; none: as if it had stopped.
+  /// As if a service kept the time of day with this accuracy; none: as if it had stopped.
   void set_accuracy(std::optional<Duration> accuracy) noexcept { accuracy_ = accuracy; }
 
  private:

@@ -41,7 +41,7 @@ struct LaneQueue;
 
 /// The time for code that runs on a lane: the machine's, or on a manual loop the virtual time of the job.
 MonotonicTime lane_now() noexcept;
-/// Holds the lane for so long; on a manual loop that much virtual time passes for the job.
+/// Blocks the lane for `duration`; on a manual loop that much virtual time passes for the job.
 void lane_sleep(Duration duration) noexcept;
 
 /// Work for a lane. The loop and the lane's thread share it, since a job that was given up may still finish later:

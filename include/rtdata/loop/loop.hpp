@@ -81,8 +81,8 @@ class Loop {
     /// 0: in a fixed order, without delays. Any other: what can happen at one instant happens in an order that the seed
     /// chooses, and what threads would do a little later may happen later, see `jitter`.
     std::uint64_t seed = 0;
-    /// With a seed: a loop sees what another one has sent at most so much later, in its order; a lane's job takes at
-    /// most so much longer, within its limit.
+    /// With a seed, the longest delay after which a loop sees what another one has sent, in its order, and by which a
+    /// lane's job takes longer, within its limit.
     Duration jitter = std::chrono::milliseconds{1};
   };
   static constexpr std::size_t post_backlog = 10'000;  ///< functions given to `post` that may wait without a report
@@ -107,7 +107,8 @@ class Loop {
   /// callbacks, also from those that are called while it does not run (`open` of a device that is made, a report of
   /// that), as for `run_for`, `poll` and `advance`.
   void run();
-  /// Runs for so long (in virtual time on a manual loop), or until `stop`. What is due at the very end still happens.
+  /// Runs for `duration` (of virtual time on a manual loop), or until `stop`. What is due at the very end still
+  /// happens.
   void run_for(Duration duration);
   /// Runs what is due, posted or readable now, without waiting, and returns.
   void poll();

@@ -135,7 +135,7 @@ class Runtime {
   void note_place(std::string object, std::string place);
 
   std::vector<SensorStatus> sensors() const;
-  /// Those that were closed in this run first.
+  /// The status of all sinks; first those that were closed in this run.
   std::vector<SinkStatus> sinks() const;
   std::vector<TopicStatus> topics() const;
   /// The runtime's own first, then its tiers.

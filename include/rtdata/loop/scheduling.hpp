@@ -35,11 +35,11 @@ struct PriorityRange {
 };
 PriorityRange priority_range(SchedulingPolicy policy) noexcept;
 
-/// Of the calling thread.
+/// The scheduling of the calling thread.
 Scheduling current_scheduling() noexcept;
 
-/// Of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK). Errors:
-/// not-permitted, which says what to set; bad-argument for a priority out of range.
+/// Sets that of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK).
+/// Errors: not-permitted, which says what to set; bad-argument for a priority out of range.
 Result<void> set_scheduling(Scheduling scheduling) noexcept;
 
 }  // namespace rtdata

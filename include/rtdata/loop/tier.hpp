@@ -10,10 +10,9 @@
 ///
 /// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
 /// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
-/// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or as often as so much was
-/// published that it should begin. Only payloads
-/// that are trivially copyable cross: of others, subscribing on another loop is a SetupError, or is reported when it is
-/// by name.
+/// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or earlier when much was
+/// published. Only payloads that are trivially copyable cross: to subscribe to others on another loop is a SetupError,
+/// or is reported when it is done by name.
 ///
 /// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
 /// to set, and so does the log.
@@ -68,8 +67,8 @@ class Tier {
   };
 
   /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main`
-  /// belongs to a tier; a priority, a spin or a processor out of range; a name that is
-  /// taken; (bad-name): one that is empty, longer than 200 characters or has control characters.
+  /// belongs to a tier; a priority, a spin or a processor out of range; a name that is taken; (bad-name): a name that
+  /// is empty, longer than 200 characters or has control characters.
   Tier(Loop& main, Config config);
   /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;
   /// the log says which it is.

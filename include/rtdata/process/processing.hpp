@@ -69,7 +69,7 @@ struct Filter {
 
   /// The middle one of the last values; while there are fewer, of those, of an even number the mean of the middle two.
   static Filter median(unsigned of) { return {.type = FilterType::median, .of = of}; }
-  /// Of the last values; while there are fewer, of those.
+  /// The mean of the last `of` values; of all so far while there are fewer.
   static Filter mean(unsigned of) { return {.type = FilterType::mean, .of = of}; }
   /// y += weight * (x - y), beginning with the first value.
   static Filter exponential(double weight) { return {.type = FilterType::exponential, .weight = weight}; }
@@ -79,10 +79,10 @@ struct Filter {
   }
   /// Publishes at most one sample in a time, by the times of the samples.
   static Filter throttle(Duration time) { return {.type = FilterType::throttle, .time = time}; }
-  /// Publishes only what differs by so much or more from what was published last.
+  /// Publishes a sample only when it differs by this much or more from the last published one.
   static Filter delta(double by) { return {.type = FilterType::delta, .by = by}; }
-  /// Of the value at this place among the filters, a second: in `NAME.rate`, which is absent for the first sample, and
-  /// where no time has passed since the last one.
+  /// The change a second of the value as the filters before it give it, in `NAME.rate`, which is absent for the first
+  /// sample, and where no time has passed since the last one.
   static Filter rate_of_change() { return {.type = FilterType::rate_of_change}; }
 };
 

@@ -144,7 +144,7 @@ class Accelerometer {
   Result<void> read(I2cDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }
 
-  /// Of the registers 0x32 to 0x37.
+  /// `bytes`: the registers 0x32 to 0x37.
   static AccelerometerReading decode(std::span<const std::uint8_t> bytes, const Config& config) {
     return reading(InertialChip(config.chip(), accelerometer_models::all, config.settings()).decode(bytes));
   }

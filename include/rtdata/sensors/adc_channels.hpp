@@ -35,7 +35,7 @@ std::string field_of(const Channel& channel) {
   return name;
 }
 
-/// Those that are chosen, or, where none are, each of the first `count` inputs against ground.
+/// The chosen channels or, where none are chosen, each of the first `count` inputs against ground.
 template <class Channel, class Inputs>
 std::vector<Channel> chosen_or_all(std::vector<Channel> channels, const Inputs& inputs, std::size_t count) {
   if (!channels.empty()) return channels;
@@ -44,8 +44,8 @@ std::vector<Channel> chosen_or_all(std::vector<Channel> channels, const Inputs& 
   return channels;
 }
 
-/// Of a record "adc": a double a channel, in V. Errors: bad-description (too many channels, a name that is none or is
-/// there twice).
+/// The description of a record "adc", a double a channel, in V. Errors: bad-description (too many channels, a name that
+/// is none or is there twice).
 template <class Channel>
 Result<std::shared_ptr<const Description>> describe_channels(const std::vector<Channel>& channels,
                                                              DescriptionBuilder::Presence presence) {

@@ -15,8 +15,8 @@
 /// the chip.
 ///
 /// The chip has neither identity nor checksum. That it keeps its settings is looked at before and after each
-/// conversion, so that one that was reset meanwhile, or another chip, is told. An ADS1115 that is used as an ADS1015
-/// shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
+/// conversion, so that one that was reset meanwhile, or another chip, is noticed and reported. An ADS1115 that is used
+/// as an ADS1015 shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
 ///
 /// Sources: ADS111x SBAS444D and ADS101x SBAS473E, data sheets: 7.4.2.1 single shot, 7.5.4 data format, 8.1.2 and 8.1.3
 /// registers.
@@ -41,7 +41,7 @@
 
 namespace rtdata {
 
-/// Of the channels, in their order; the description of the events says how many there are, and what they are called.
+/// The voltages of the channels, in their order; their number and names are in the description of the events.
 struct OptionalVoltages {
   std::array<std::optional<double>, detail::most_channels> voltages{};
 };
@@ -99,7 +99,7 @@ class Ads1x15 {
   static Result<void> check(const Config& config) {
     const auto refused = [](std::string where, const auto& value, std::string advice) {
       return Error{Errc::bad_argument, "cannot use the ADS1x15 so", std::move(where),
-                   std::string(value) + " is nothing that it has", std::move(advice)};
+                   std::string(value) + " is not a value that it has", std::move(advice)};
     };
     for (std::size_t i = 0; i < config.channels.size(); ++i) {
       if (const auto input = detail::find_input(inputs, config.channels[i].input, i); !input) return input.error();
@@ -139,7 +139,7 @@ class Ads1x15 {
     return restarted_after(chip.write_word(settings_register, settings_of(config_, config_.channels[next_]) | begin));
   }
 
-  /// Of one channel: at the slowest that the chip's clock may be (-10 %), and for waking up.
+  /// The conversion of one channel with the slowest clock that the chip may have (-10 %), and waking up.
   Duration conversion_time() const noexcept {
     return std::chrono::nanoseconds{1'000'000'000 / config_.data_rate * 10 / 9} + std::chrono::microseconds{50};
   }

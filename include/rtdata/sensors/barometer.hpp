@@ -9,7 +9,8 @@
 ///
 /// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that
 /// are all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
-/// settings, or gives the value of a measurement that was skipped, is told as unreadable; the next tick sets it again.
+/// settings, or gives the value of a measurement that was skipped, is reported as unreadable; the next tick sets it
+/// again.
 ///
 /// `altitude` is the pressure altitude of the ICAO standard atmosphere (`pressure_altitude`), less that of
 /// `reference_pressure`: what an altimeter that is set to this pressure shows. With the sea level's pressure it is the
@@ -214,7 +215,7 @@ struct Ms5611Prom {
   /// A PROM of zeros has a right checksum.
   bool is_usable() const noexcept { return checksum() == (words[7] & 15) && words[1] != 0 && words[5] != 0; }
 
-  /// Of the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
+  /// Computes it from the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
   Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
     if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
       return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};
@@ -363,7 +364,7 @@ class Barometer {
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is nothing that it measures",
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside of what it measures",
                    "look at its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};

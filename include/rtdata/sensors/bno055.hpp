@@ -5,7 +5,7 @@
 /// The chip has a new orientation 100 times a second and no FIFO: each tick reads the last one, faster ticks read the
 /// same again. For some 0.6 s after it was switched on it does not answer, and is tried again. Until its fusion runs,
 /// there is nothing new; an orientation that is none (a quaternion whose length is not 1) is unreadable. A chip that
-/// has lost its settings is told and set up again; so is an error that the chip reports.
+/// has lost its settings is reported and set up again; so is an error that the chip reports.
 ///
 /// Orientation is only as good as the chip's calibration, which it makes while it is moved: `calibration_system` and
 /// the others go from 0 to 3.
@@ -144,7 +144,7 @@ class Bno055 {
   }
 
   static constexpr std::uint8_t first_register = 0x08;
-  /// Of the registers from 0x08 on, to 0x35 at least. Errors: bad-data (no orientation).
+  /// `bytes`: the registers from 0x08 on, to 0x35 at least. Errors: bad-data (no orientation).
   static Result<OrientationReading> decode(std::span<const std::uint8_t> bytes, Bno055Mode mode) {
     const auto at = [&](unsigned number, unsigned index, double scale) {
       const std::size_t place_of = number - first_register + 2 * index;

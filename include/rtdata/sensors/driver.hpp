@@ -11,7 +11,7 @@
 ///       explicit Lm75(const Lm75Config& config);
 ///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration; see below
 ///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
-///       rtdata::Duration conversion_time() const;               // ... which takes so long; the bus is free
+///       rtdata::Duration conversion_time() const;               // ... which takes this long; the bus is free
 ///       rtdata::Reading<Temperature> read(I2cDevice& chip);     // or Temperature, or Result<Temperature>
 ///       void close(I2cDevice& chip);                            // optional
 ///     };
@@ -81,12 +81,12 @@ class DescribedValue {
 template <class T>
 class Samples {
  public:
-  /// With the time at which the read began.
+  /// Adds a sample with the time at which the read began.
   void add(T value) { samples_.push_back({std::move(value), std::nullopt}); }
   /// With its own time; one in the future becomes that at which the read ended, one that is not after the sample before
   /// 1 ns more than that one's.
   void add(T value, MonotonicTime time) { samples_.push_back({std::move(value), time}); }
-  /// The chip has dropped so many before it was read (its FIFO was full).
+  /// The chip has dropped `count` samples before it was read (its FIFO was full).
   void lost(std::uint64_t count) { lost_ += count; }
   /// The chip gave something that cannot be decoded.
   void unreadable(Error error) { unreadable_.push_back(std::move(error)); }

@@ -8,8 +8,8 @@
 ///
 /// The event's time is the kernel's, of the edge. `count` goes on over outages; what happened during one is in its gap.
 ///
-/// - Edges that the kernel dropped are counted as lost with libgpiod 2, are in `count`, and are told. With libgpiod 1
-///   `lost` is not detectable: that some may be missing is told when the kernel's store was full.
+/// - Edges that the kernel dropped are counted as lost with libgpiod 2, are in `count`, and are reported. With libgpiod
+///   1 `lost` is not detectable: that some may be missing is reported when the kernel's buffer was full.
 /// - Bounces that are held back here (`debounce`, with libgpiod 1) are filtered.
 /// - A chip that goes away, or is not there at the start, makes the sensor faulted and is looked for again after
 ///   `retry_first`, doubling to `retry_longest`; the time without it is a gap (disconnected). Without its file it is
@@ -58,7 +58,7 @@ struct EdgeConfig {
   }
 };
 
-/// Of the most that is read at once.
+/// How long the longest read takes.
 ReadTime read_time(const EdgeConfig& config);
 
 class EdgeSensor : public AnySensor {

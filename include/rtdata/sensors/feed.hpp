@@ -65,8 +65,8 @@ class Feed : public AnyFeed {
   Feed(Loop& loop, FeedConfig config)
       : AnyFeed(detail::make_feed(loop, std::move(config), detail::payload_type<T>())) {}
 
-  /// With the time of now, or the given one; a time not after the last event's is moved to just after it, one in the
-  /// last day that can be said to the beginning of that.
+  /// Publishes with the current time, or the given one. A time that is not after the last event's is moved to just
+  /// after it; one in the last day that `Time` can represent is clamped to the beginning of that day.
   void publish(detail::PublishedAs<T> payload) { detail::feed_publish(node(), &payload); }
   void publish(detail::PublishedAs<T> payload, Time time) { detail::feed_publish(node(), &payload, time); }
 };

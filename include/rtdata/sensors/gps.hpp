@@ -115,7 +115,7 @@ struct GpsConfig {
 
 /// What no parameter says by itself: that there is a host.
 void check_config(const GpsConfig& config, const ConfigItem& item, Problems& problems);
-/// Of the most that is read at once, 4 KiB of short reports.
+/// How long the longest read takes: 4 KiB of short reports.
 ReadTime read_time(const GpsConfig& config);
 
 class GpsSensor : public AnySensor {

@@ -153,7 +153,7 @@ void check_config(const HostConfig& config, const ConfigItem& item, Problems& pr
 /// Some ten times what was measured (docs/tiers.md), since there are slower boards and machines with more processors.
 ReadTime read_time(const HostConfig& config);
 
-/// Of the quantity's payload.
+/// The description of the quantity's payload.
 std::shared_ptr<const Description> host_description(HostQuantity what);
 
 class HostSensor : public AnySensor {

@@ -18,7 +18,7 @@
 /// - Buffered, an event's time is the kernel's: its clock is set to the monotonic one where the kernel can (4.8 and
 ///   later), else converted from the time of day. A time that cannot be is replaced by that of the read, and told.
 /// - Buffered: the kernel does not tell of scans that it dropped, so `lost` is not detectable. But a buffer that was
-///   found full, and times that are further apart than the rate says, are told and recorded as a gap (silent).
+///   found full, and times that are further apart than the rate says, are reported and recorded as a gap (silent).
 /// - A device whose buffer another program has is an error (busy) that names it where that may be seen. One whose
 ///   buffer is on while nobody has it, as after a kill, is taken over, which is logged.
 ///
@@ -98,7 +98,8 @@ struct IioBufferConfig {
   }
 };
 
-/// Of the events of a sensor with these channels. Errors: bad-argument (none; what is no channel), bad-description.
+/// The description of the events of a sensor with these channels. Errors: bad-argument (no channel, or an unknown one),
+/// bad-description.
 Result<std::shared_ptr<const Description>> iio_description(const std::vector<std::string>& channels);
 
 /// What no parameter says by itself: that the channels are some, and that the watermark is no longer than the buffer.

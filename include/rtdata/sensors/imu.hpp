@@ -401,7 +401,7 @@ class Imu {
   Result<void> read(I2cDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }
 
-  /// Of a sample as the FIFO has it.
+  /// `bytes`: a sample as the FIFO has it.
   static ImuReading decode(std::span<const std::uint8_t> bytes, const Config& config) {
     return reading(InertialChip(config.chip(), imu_models::all, config.settings()).decode(bytes));
   }

@@ -9,7 +9,7 @@
 /// calculation of them, which has fewer bits, is not used. Voltages beyond the chip's range (shunt: INA219 0.32 V,
 /// INA226 0.08 V; bus: 32 V and 40.96 V, of which no more than 26 and 36 V are allowed), and what the chip says has
 /// overflowed, are unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
-/// lost its settings is told as unreadable and set up again. After a reset, the settings are those that are used.
+/// lost its settings is reported as unreadable and set up again. After a reset, the settings are those that are used.
 ///
 /// Sources: Texas Instruments INA219, SBOS448G: 8.6.2 configuration, 8.6.3.1 shunt voltage, 8.6.3.2 bus voltage,
 /// conversion ready and overflow. INA226, SBOS547A: 7.6.1 configuration, 7.6.2 shunt voltage, 7.6.3 bus voltage, 7.6.7
@@ -118,7 +118,7 @@ class Ina {
     return *reading;
   }
 
-  /// Of the registers of shunt voltage and bus voltage. Errors: out-of-range.
+  /// `shunt`, `bus`: the registers of shunt voltage and bus voltage. Errors: out-of-range.
   static Result<PowerReading> decode(std::uint16_t shunt, std::uint16_t bus, const Config& config) {
     const Model& model = of(config.model);
     const int code = static_cast<std::int16_t>(shunt);

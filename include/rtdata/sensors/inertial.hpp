@@ -82,7 +82,7 @@ struct InertialFifo {
 struct InertialLimits {
   double least = 0, most = 0;
 };
-/// Of acceleration X, Y, Z, then angular velocity.
+/// The limits of acceleration X, Y, Z, then of angular velocity.
 using InertialSixLimits = std::array<InertialLimits, 6>;
 
 /// The self-test: bits that make the chip push its own masses, and what must come of it.
@@ -377,7 +377,7 @@ class InertialChip {
     return (*status & model_.fifo.over_mask) != 0;
   }
 
-  /// Whole samples (or words) into `bytes_`; `read`: so many bytes have come.
+  /// Whole samples (or words) into `bytes_`; `read`: the bytes that have come.
   Result<void> read_fifo(I2cDevice& chip, std::size_t filled, std::size_t& read) {
     const InertialFifo& fifo = model_.fifo;
     constexpr std::size_t longest = 1024;  // of a transfer: what all adapters can do
@@ -521,8 +521,8 @@ class InertialChip {
     anchor(time);
   }
 
-  /// Those that it has taken since the last one that was read are lost. Whole periods are counted; what is left of one
-  /// goes on, so that no sample is counted twice or left out in the long run.
+  /// Counts the samples that the chip has taken since the last one that was read as lost. Whole periods are counted;
+  /// what is left of one goes on, so that no sample is counted twice or left out in the long run.
   template <class Value>
   void give_up_samples(MonotonicTime now, Samples<Value>& out) {
     if (now <= last_) return;

@@ -51,9 +51,10 @@ class Lm75 {
     if (!word) return word.error();
     const double degrees = decode(*word);
     if (degrees < least || degrees > most) {
-      return Unreadable{chip.error(Errc::out_of_range, "cannot read the LM75",
-                                   std::to_string(degrees) + " degrees is nothing that it measures",
-                                   "look at its wires, and whether this is an LM75")};
+      return Unreadable{
+          chip.error(Errc::out_of_range, "cannot read the LM75",
+                     std::to_string(degrees) + " degrees is outside of what it measures, -55 to 125 degrees",
+                     "look at its wires, and whether this is an LM75")};
     }
     return TemperatureReading{degrees};
   }

@@ -9,7 +9,7 @@
 /// range are unreadable, with that reason.
 ///
 /// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is told and set up again; ones and zeros, where nothing answers, are no such settings.
+/// meanwhile is reported and set up again; ones and zeros, where nothing answers, are no such settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Source: Maxim, 19-7534, register map and descriptions; AVGSEL and OCFAULT for times.
 ///
@@ -70,7 +70,7 @@ class Max31856 {
     for (const unsigned good : {1u, 2u, 4u, 8u, 16u})
       if (config.average == good) return {};
     return Error{Errc::bad_argument, "cannot use the MAX31856 so", "average",
-                 std::to_string(config.average) + " is nothing that it has", "take 1, 2, 4, 8 or 16"};
+                 std::to_string(config.average) + " is not a value that it has", "take 1, 2, 4, 8 or 16"};
   }
   explicit Max31856(const Config& config) : config_(config) {}
 
@@ -109,7 +109,7 @@ class Max31856 {
     return *reading;
   }
 
-  /// Of all its registers. Errors: bad-data (the thermocouple), out-of-range (temperatures).
+  /// `registers`: all of the chip. Errors: bad-data (the thermocouple), out-of-range (temperatures).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 16> registers) {
     const unsigned fault = registers[15];
     const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };

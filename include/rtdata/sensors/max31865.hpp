@@ -9,7 +9,7 @@
 /// to no temperature from -200 to 850 degrees, are unreadable, with that reason.
 ///
 /// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is told; ones and zeros, where nothing answers, are no such settings.
+/// meanwhile is reported; ones and zeros, where nothing answers, are no such settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Sources: Maxim, 19-6478, register map, fault detection cycle; IEC 60751 for
 /// temperatures (Callendar and Van Dusen).
@@ -141,7 +141,7 @@ class Max31865 {
     return *reading;
   }
 
-  /// Of all its registers. Errors: bad-data (the wires), out-of-range (no temperature has this resistance).
+  /// `registers`: all of the chip. Errors: bad-data (the wires), out-of-range (no temperature has this resistance).
   static Result<RtdReading> decode(std::span<const std::uint8_t, 8> registers, const Config& config) {
     const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
     const unsigned fault = registers[7], code = static_cast<unsigned>(registers[1] << 8 | registers[2]) >> 1;
@@ -186,7 +186,7 @@ class Max31865 {
   static double reference_of(const Config& config) noexcept {
     return config.reference_resistance.value_or(config.element == RtdElement::pt100 ? 430 : 4300);
   }
-  /// With the current on.
+  /// The configuration register, with the current switched on.
   static std::uint8_t settings_of(const Config& config) noexcept {
     return static_cast<std::uint8_t>(0x80 | (config.wires == 3 ? 0x10 : 0) | (config.mains == Mains::hz_50 ? 1 : 0));
   }

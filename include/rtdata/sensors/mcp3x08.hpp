@@ -34,7 +34,7 @@
 
 namespace rtdata {
 
-/// Of the channels, in their order; the description of the events says how many there are, and what they are called.
+/// The voltages of the channels, in their order; their number and names are in the description of the events.
 struct Voltages {
   std::array<double, detail::most_channels> voltages{};
 };

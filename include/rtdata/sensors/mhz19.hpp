@@ -64,13 +64,13 @@ class MhZ19 {
     return *reading;
   }
 
-  /// Of the bytes but the first and the last.
+  /// The checksum of all bytes but the first and the last.
   static constexpr std::uint8_t checksum(std::span<const std::uint8_t, 9> bytes) noexcept {
     unsigned sum = 0;
     for (std::size_t i = 1; i < 8; ++i) sum += bytes[i];
     return static_cast<std::uint8_t>((256 - sum % 256) % 256);
   }
-  /// Of an answer to command 0x86. Errors: bad-data.
+  /// `answer`: to command 0x86. Errors: bad-data.
   static Result<Co2Reading> decode(std::span<const std::uint8_t, 9> answer) {
     constexpr unsigned most = 10000;
     const auto refuse = [](std::string why) {
@@ -79,7 +79,7 @@ class MhZ19 {
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
-    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is nothing that it measures");
+    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside of what it measures, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }
 };

@@ -14,7 +14,8 @@
 ///   and discrete inputs are bools.
 /// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...): the field is then
 ///   absent, as it is with a float that is no number. Without `no_value` such a float makes the reading unreadable.
-/// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are told by name.
+/// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are reported by
+///   name.
 ///
 /// In the library rtdata::modbus. Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -88,7 +89,7 @@ class Modbus {
                     "the bytes of numbers of more than one register, the highest called a"),
           parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
     }
-    /// That the fields can be read and described.
+    /// Checks that the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
   };
   using Value = DescribedValue;

@@ -84,7 +84,8 @@ class Nau7802 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, const std::string& value, const char* advice) {
-      return Error{Errc::bad_argument, "cannot use the NAU7802 so", where, value + " is nothing that it has", advice};
+      return Error{Errc::bad_argument, "cannot use the NAU7802 so", where, value + " is not a value that it has",
+                   advice};
     };
     if (!detail::place_of(gains, config.gain))
       return refused("gain", std::to_string(config.gain), "take 1, 2, 4, 8, 16, 32, 64 or 128");
@@ -172,7 +173,7 @@ class Nau7802 {
     return tared(code);
   }
 
-  /// Of the three data registers.
+  /// The converter's code, of the three data registers.
   static std::int32_t decode(std::span<const std::uint8_t, 3> bytes) noexcept {
     return static_cast<std::int32_t>(static_cast<std::uint32_t>(bytes[0]) << 24 |
                                      static_cast<std::uint32_t>(bytes[1]) << 16 |

@@ -10,7 +10,7 @@
 /// A source of the time of day (`Runtime::note_wall_clock`, source "pps0"): a pulse tells when a second begins, not
 /// which. That is taken from the machine's clock while a service keeps it to better than 0.4 s, and only if the last
 /// five pulses came a second apart and begin a second of that clock, as exactly as it claims to be: pulses of another
-/// phase (the other edge, `pps-ktimer`) are not used, which is told once. `accuracy` 0: never.
+/// phase (the other edge, `pps-ktimer`) are not used, which is reported once. `accuracy` 0: never.
 ///
 /// What is read is /sys/class/pps/NAME/assert, which everybody may read and which does not block; kernels up to 6.12
 /// cannot be waited for, so that a pulse is noticed some milliseconds after it came. That moves no time.

@@ -60,7 +60,7 @@ class Query {
           parameter("fields", &Config::fields, "what is in the answer", required),
           parameter("separator", &Config::separator, "between the columns of CSV", only_with("format", "csv")));
     }
-    /// That there is one request, and that `fields` and the others go together.
+    /// Checks that there is one request, and that `fields` and the others go together.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
   };
   using Value = DescribedValue;

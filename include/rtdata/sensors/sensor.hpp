@@ -22,8 +22,8 @@
 ///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published,
 ///      repeated, filtered or unreadable (ledger.hpp).
 ///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
-///   opened
-///      again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between fail.
+///      opened again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between
+///      fail.
 ///   4. after `stop` or `close`: no event, no callback, no access to the device; queued deliveries are cancelled.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
@@ -113,11 +113,11 @@ class SamplePort {
  public:
   /// Publishes with the time of the read; the payload may be moved from. Once for each sample that the read brought.
   void publish(void* payload) { publish(payload, time_); }
-  /// With the device's own time.
+  /// Publishes with the device's own time.
   void publish(void* payload, Time time);
-  /// With the instant at which the device took it.
+  /// Publishes with the instant at which the device took it.
   void publish_at(void* payload, MonotonicTime time);
-  /// The device reports that it has dropped so many samples.
+  /// The device reports that it has dropped `count` samples.
   void lost(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
@@ -141,8 +141,8 @@ class SamplePort {
   const Tick* tick_;        // of a read on the loop
   bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
   Duration late_after_{0};  // of one that is begun: later than this it is late
-  Duration pushed_{0};      // its row is so much later than the read, to come after the row before
-  bool is_usable_ = false;  // a sample was handed over that can be decoded
+  Duration pushed_{0};      // added to the time of the read, so that timestamps strictly increase
+  bool is_usable_ = false;  // a sample that can be decoded was handed over
   bool has_sample_ = false;
   std::optional<Error> error_;
 };
@@ -153,7 +153,7 @@ class SensorDevice {
   virtual ~SensorDevice() = default;
   virtual Result<void> open() { return {}; }
   virtual void close() {}
-  /// Of one reading; may be asked for before `open`.
+  /// How long one reading takes; may be called before `open`.
   virtual ReadTime read_time() const { return {}; }
   virtual Sampled sample(SamplePort& port) = 0;
 };

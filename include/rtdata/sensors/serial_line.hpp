@@ -151,7 +151,7 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
 /// What no parameter says by itself: that `fields` and `sequence_field` go together, and that `separator` and `comment`
 /// are none of what columns hold.
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems);
-/// Of the most that is read at once, 1 KiB of short lines.
+/// How long the longest read takes: 1 KiB of short lines.
 ReadTime read_time(const SerialConfig& config);
 
 class SerialLineSensor : public AnySensor {

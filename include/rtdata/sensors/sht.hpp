@@ -6,7 +6,7 @@
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a
 /// checksum: a reading with a wrong one is unreadable. At opening, the SHT3x is asked for its status and the SHT4x for
-/// its serial number, which have checksums too: another chip, or the other model, is told. Addresses: 0x44 and 0x45
+/// its serial number, which have checksums too: another chip, or the other model, is an error. Addresses: 0x44 and 0x45
 /// (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data
 /// sheet has it (4.6).
 ///
@@ -101,7 +101,7 @@ class Sht {
     }
     return static_cast<std::uint8_t>(sum);
   }
-  /// Of temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
+  /// `bytes`: temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
   static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {
     if (checksum(bytes.subspan<0, 2>()) != bytes[2] || checksum(bytes.subspan<3, 2>()) != bytes[5])
       return Error{Errc::bad_data, what, "", "a checksum is wrong", "look at its wires, and `model`"};

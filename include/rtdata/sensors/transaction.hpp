@@ -74,7 +74,7 @@ class LaneDevice {
   virtual bool reads_on_loop() const { return false; }
   /// A transaction that takes longer is given up: each time that it is run.
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
-  /// Of one reading; may be asked for before it is opened.
+  /// How long one reading takes; may be called before the device is opened.
   virtual ReadTime read_time() const { return {}; }
   /// The error of a transaction that was given up.
   virtual Error given_up_error() const = 0;

@@ -9,10 +9,9 @@
 ///
 /// Not published, but unreadable: a wrong checksum; 85 °C as a thermometer shows it that has lost its supply and has
 /// not measured since (its byte 6 tells that from a measured one: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); all bytes
-/// 0, of a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet, "Operation
-/// - measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the kernel finds
-///   one
-/// that is plugged in within 10 s.
+/// 0, of a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet,
+/// "Operation - measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the
+/// kernel finds one that is plugged in within 10 s.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

@@ -1,4 +1,4 @@
-/// FileSink: events into a file: JSON lines, CSV, raw bytes, or any format of a CodecRegistry.
+/// FileSink: events into a file: JSON lines, CSV, CBOR, lines of InfluxDB, raw bytes, or any format of a CodecRegistry.
 ///
 ///     rtdata::FileSink recording(loop, {.path = "run.jsonl"});
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
@@ -76,7 +76,7 @@ struct FileConfig {
   std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "cbor", "influx", "raw", or a name of the registry
   FileSync sync = FileSync::at_close;
   FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
-  std::uint64_t keep = 0;    ///< so many of those before; the oldest are removed; 0: all
+  std::uint64_t keep = 0;    ///< how many earlier files are kept; 0: all
   std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
   SinkConfig sink = {};              ///< name: the file's by default
 

@@ -99,10 +99,11 @@ struct RecordedClock {
 /// recordings of that boot.
 ///
 /// A pair says the time of day at its instant to within its accuracy, and less well away from it: worse by 1 us for
-/// each second (1 ppm). A pair counts if none vouches better for its instant. From one that counts to the next the line
-/// is straight; before the first and after the last it is parallel to the monotonic one. It never goes back.
+/// each second (1 ppm). A pair is used if no other pair has a smaller error at its instant. From one such pair to the
+/// next the line is straight; before the first and after the last it is parallel to the monotonic one. It never goes
+/// back.
 ///
-/// Pairs of unknown accuracy count only when there are no others. Then a clock was set because it was wrong, so the
+/// Pairs of unknown accuracy are used only when there are no others. Then a clock was set because it was wrong, so the
 /// last one holds for the whole boot: an hour's step leaves neither a hole nor an hour twice. (One before 2020 was
 /// never set, and overrules none that was.)
 class UtcLine {
@@ -162,7 +163,7 @@ struct RowFilter {
   std::optional<Time> from = {};   ///< first time taken, as recorded
   std::optional<Time> until = {};  ///< first time not taken any more
   std::uint64_t limit = 0;         ///< at most so many rows; 0: no limit
-  /// Of each origin, the events numbered 1, 1 + every, 1 + 2 * every and so on.
+  /// Thins out: only the events 1, 1 + every, 1 + 2 * every and so on of each origin.
   std::uint64_t every = 1;
 };
 
@@ -222,7 +223,7 @@ class Recording {
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
   /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
-  /// Those of whom texts were stored with escapes, since they were no UTF-8. Formats before 5 have none.
+  /// The origins with texts that were no UTF-8 and were stored with escapes. Formats before 5 have none.
   Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
   Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;

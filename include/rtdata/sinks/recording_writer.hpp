@@ -80,17 +80,16 @@ struct LiveCounts {
   std::uint64_t dropped = 0;
 };
 
-/// How a writer wants what it stores, where each storing costs something however little it stores.
+/// How a writer wants its batches, when each costs something however small it is.
 struct StorePace {
-  /// 0: a batch as soon as `batch_rows` wait. Otherwise what came within `batch_time` is stored together, sooner when
-  /// it takes so much memory of the queue.
+  /// 0: a batch is stored as soon as `batch_rows` wait. Otherwise all that came within `batch_time` is one batch,
+  /// stored sooner when it takes this much of the queue's memory.
   std::size_t bytes = 0;
-  /// An account in which nothing but counts went on may wait so long, or until `account_events` came since the last
-  /// one.
+  /// The longest wait before an account in which only counts have changed is stored; sooner, once `account_events` have
+  /// come since the last one.
   Duration account_time{0};
   std::uint64_t account_events = 0;
-  /// `RecordingWriter::sync` is called when so much time has gone since the first storing after the last call; 0:
-  /// never.
+  /// `RecordingWriter::sync` is called this long after the first batch that was stored since its last call; 0: never.
   Duration sync_time{0};
 };
 
@@ -116,15 +115,17 @@ class RecordingWriter : public Writer {
   /// is that of the slots to come. An error: no event of the topic comes here, each is counted as refused, and the sink
   /// is faulted; the constructor throws it.
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
-  /// At set-up of a slot: where to count what is offered, or null for the sink's own memory. Of a writer that is opened
-  /// at set-up, not before it is open: then once for each slot that there is, in order.
+  /// Returns where the sink counts the events offered to a slot, or null: then it counts in its own memory. Called once
+  /// for each slot when the slot is made; with `Opening::at_set_up` not before `open` has returned, and then for all
+  /// slots made so far, in order.
   virtual LiveCounts* live_counts(std::uint32_t slot);
-  /// Until the last account is handed over: an origin's account as it stands, when something has happened that an event
-  /// does not show: a tick without one, a change of its schedule. A writer may keep it where it survives a kill.
-  /// `closed`: the gaps that have closed and may be in no account that is stored, as one; null: none.
+  /// Gives an origin's account as it is now, whenever it changes without an event being written: a tick that brought
+  /// none, a changed schedule. A writer may store it where it survives a kill. Not called after the last account was
+  /// handed over. `closed`: the gaps that have ended and may be missing from the stored accounts, joined into one;
+  /// null: none.
   virtual void keep(const OriginAccount& now, const Gap* closed);
-  /// Of a writer that is opened at set-up: what was counted before it was open is where `live_counts` and `keep` have
-  /// put it, and is kept up to date from here on.
+  /// With `Opening::at_set_up`, called after `open`, when all counts from before it have been moved to where
+  /// `live_counts` and `keep` put them: from here on they are up to date there.
   virtual void begin_counting() {}
 
   // ---- on the lane

@@ -174,7 +174,7 @@ class Writer {
   virtual Result<void> flush() { return {}; }
   /// The last call: what was written is made durable and the resources are released. Not after an `open` that failed.
   virtual Result<void> close() { return {}; }
-  /// What the sink asks once: itself, of a writer that does more than that.
+  /// The sink calls it once: `this` if the writer is a RecordingWriter, else null.
   virtual RecordingWriter* as_recording() noexcept { return nullptr; }
 };
 

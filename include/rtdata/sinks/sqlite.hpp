@@ -52,7 +52,7 @@ struct SqliteConfig {
   static constexpr std::uint64_t least_max_bytes = std::uint64_t{4} << 20;
 };
 
-/// Of these, which a recording cannot have a table for: an error each, `where` its topic.
+/// Returns an error, `where` its topic, for each topic that a recording cannot have a table for.
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
 /// Whether `other` goes with the recording `file`: its log, the log's index, its journal or its lock.

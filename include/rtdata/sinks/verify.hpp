@@ -41,7 +41,7 @@ enum class Verdict {
 };
 std::string_view name_of(Verdict verdict) noexcept;
 
-/// Of an origin without a schedule, from its gaps.
+/// The outages of an origin without a schedule, from its gaps.
 struct OriginOutages {
   std::string topic, origin;
   Outages outages;
@@ -68,7 +68,7 @@ struct VerifyReport {
   std::vector<RunReport> runs;
   std::vector<std::string> problems;  ///< that belong to no run
 
-  /// Of the whole file: the worst of its runs (recording counts as balanced).
+  /// The verdict of the whole file: the worst of its runs (recording counts as balanced).
   Verdict verdict() const noexcept;
   /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
   int exit_code() const noexcept;

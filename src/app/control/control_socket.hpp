@@ -118,11 +118,11 @@ class ControlClient {
     return *this;
   }
   ~ControlClient();
-  /// The answer to one line, waited for at most so long.
+  /// Sends a line and waits for its answer for `at_most`.
   Result<std::string> ask(std::string_view line, Duration at_most);
   /// Sends a line as far as that does not block; `receive` sends the rest.
   void send(std::string_view line);
-  /// The next answer, waited for at most so long; none: it is still to come.
+  /// Waits for the next answer for `at_most`; nothing: it has not come yet.
   Result<std::optional<std::string>> receive(Duration at_most);
 
  private:

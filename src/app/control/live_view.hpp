@@ -19,10 +19,10 @@ class LiveView {
  public:
   explicit LiveView(Loop& loop);
 
-  /// What to write to a terminal of so many columns and rows so that it shows how things stand, over what was shown
-  /// before. `note`: the last lines, such as the last error; may be empty.
+  /// The text and control sequences that draw the account over the frame before, on a terminal of this size. `note`:
+  /// the last lines, such as the last error; may be empty.
   std::string frame(const RunAccount& account, std::size_t columns, std::size_t rows, std::string_view note);
-  /// What to write at the end: the view goes, and the cursor is seen again.
+  /// The control sequences that remove the view and show the cursor again.
   std::string end();
 
  private:

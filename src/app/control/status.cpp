@@ -162,7 +162,7 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   const Runtime& runtime = loop_.runtime();
   shot->info = info_;
   for (const Info::Part& part : info_->parts)
-    shot->places.push_back(part.bus != nullptr ? part.bus->accounts() : std::vector<PlaceAccount>{});
+    shot->places.push_back(part.bus != nullptr ? part.bus->place_counts() : std::vector<PlaceCounts>{});
   shot->started = started_;
   shot->at = loop_.now();
   shot->running_for = shot->at - started_at_;

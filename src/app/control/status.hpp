@@ -85,7 +85,7 @@ class StatusSource {
   /// How things stood when a client asked.
   struct Snapshot {
     std::shared_ptr<const Info> info;
-    std::vector<std::vector<PlaceAccount>> places;  // beside the parts of `info`
+    std::vector<std::vector<PlaceCounts>> places;  // beside the parts of `info`
     Time started{};
     Duration running_for{0};
     MonotonicTime at{};

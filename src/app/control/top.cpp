@@ -50,7 +50,8 @@ std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_
 std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
 std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
 
-/// Lines of at most `columns` for people. `rows`: at most so many lines; sensors are left out for it, and that is said.
+/// The status as at most `rows` lines of at most `columns`. Sensors that find no room are left out, and their number is
+/// shown.
 std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::size_t rows) {
   const Json& instance = status.at("instance");
   std::vector<std::string> head, sensors, tail;

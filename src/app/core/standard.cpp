@@ -192,7 +192,8 @@ Registry standard_registry() {
       [](Loop& loop, const SqliteConfig& config) { return SqliteSink(loop, config); });
 #endif
   registry.add_sink<ShippedFileConfig>(
-      "file", "a file of JSON lines, CSV or raw bytes", [](const ShippedFileConfig& config) { return config.path; },
+      "file", "a file of JSON lines, CSV, CBOR, lines of InfluxDB or raw bytes",
+      [](const ShippedFileConfig& config) { return config.path; },
       [](Loop& loop, const ShippedFileConfig& config) { return FileSink(loop, config); });
   registry.add_sink<ConsoleConfig>(
       "console", "lines for people, on standard output",

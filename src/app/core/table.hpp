@@ -31,7 +31,7 @@ class Table {
 
 /// Characters (code points) of UTF-8 text.
 std::size_t width_of(std::string_view text) noexcept;
-/// At most so many characters; what is cut ends with "~". Control characters become '?'.
+/// The text cut to `width` characters; one that was cut ends with "~". Control characters become '?'.
 std::string fitted(std::string_view text, std::size_t width);
 /// "1.2 kHz", "12.5 Hz", "0 Hz", at most 9 characters.
 std::string frequency_text(double hertz);

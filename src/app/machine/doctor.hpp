@@ -37,7 +37,7 @@ std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* 
 /// Devices of the plan's parts: are they there, and may they be opened?
 /// Is a chip the kernel's, and has somebody else the port open?
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan);
-/// Of the groups that devices of ports and buses belong to: those that the user, or on a copy anybody, is not in.
+/// The groups that own ports and buses and that this user is not in; on a copy of a machine's files, that nobody is in.
 std::vector<Finding> examine_groups(const MachineFiles& files);
 
 }  // namespace rtdata::app

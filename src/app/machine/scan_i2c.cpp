@@ -103,7 +103,7 @@ std::string kernel_name(std::string_view adapter, unsigned address) {
   return name;
 }
 
-/// The chips that answer. Addresses that the kernel knows of are told already, and left alone.
+/// Adds the chips that answer. Addresses with a kernel driver are in the list already, and are not probed.
 void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_name, const std::string& bus_line) {
   const std::string path = "/dev/" + adapter;
   const I2cBus bus({.device = scanner.files.path(path)});

@@ -7,41 +7,47 @@
 #include <cstdio>
 #include <filesystem>
 #include <map>
+#include <memory>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/data/value.hpp"
 
 namespace rtdata::app {
 namespace {
 
 constexpr double seconds_per_day = 86400;
 
-/// Bytes of a value as text, without quotes and separators.
-double text_size(const Leaf& leaf) {
+/// What fields of this kind usually hold, as long as it usually is when it is written as text.
+Value typical_value(const Leaf& leaf) {
   switch (leaf.kind) {
     case Kind::boolean:
-      return 5;
+      return false;
     case Kind::character:
-      return 1;
+      return 'x';
+    case Kind::f64:
+      return 21.483271059;
+    case Kind::f32:
+      return 21.48327;
+    case Kind::text:
+      return std::string(std::min<std::size_t>((leaf.size - text_length_bytes) / 2, 200), 'x');
+    case Kind::enumeration:
+      if (!leaf.field->values.empty()) return std::string(leaf.field->values.front().name);
+      return std::int64_t{0};
     case Kind::i8:
     case Kind::u8:
-      return 3;
+      return std::int64_t{100};
     case Kind::i16:
     case Kind::u16:
-      return 4;
+      return std::int64_t{1000};
     case Kind::i32:
     case Kind::u32:
-      return 6;
-    case Kind::text:
-      return 2 + static_cast<double>(leaf.size) / 2;
-    case Kind::enumeration:
-      return 8;
-    case Kind::f64:
-      return 12;
-    case Kind::f32:
+      return std::int64_t{100'000};
     case Kind::i64:
     case Kind::u64:
     case Kind::record:
       break;
   }
-  return 9;
+  return std::int64_t{100'000'000};
 }
 
 /// Bytes of a value in a row of SQLite: integers take as many as their value needs.
@@ -60,26 +66,32 @@ double column_size(const Leaf& leaf) {
   }
 }
 
-/// Bytes of one event. The constants are what time, sequence, keys and separators take.
-double event_size(const PartPlan& sink, const PartPlan& sensor) {
+/// Bytes of one event as the format writes it; 0 when it does not take such events.
+double event_size(Codec& codec, const PartPlan& sensor) {
+  const Description& description = *sensor.publishes->description;
+  std::vector<std::byte> payload(description.size());
+  for (const Leaf& leaf : description.leaves()) {
+    if (!write(leaf, payload.data(), typical_value(leaf))) return 0;
+  }
+  const EventHeader header{from_nanoseconds(1'800'000'000'000'000'000), 100'000, sensor.name};
+  std::vector<std::byte> bytes;
+  if (!codec.encode(EventView(sensor.publishes->topic, header, description, payload), bytes)) return 0;
+  return static_cast<double>(bytes.size());
+}
+
+/// Bytes of one row of SQLite.
+double row_size(const PartPlan& sensor) {
+  double size = static_cast<double>(sensor.name.size()) + 24;  // with time, sequence and the row's own header
+  for (const Leaf& leaf : sensor.publishes->description->leaves()) size += column_size(leaf);
+  return size;
+}
+
+/// The format of a file sink; null when there is none of its name.
+std::unique_ptr<Codec> codec_of(const PartPlan& sink) {
   const ConfigItem* item = sink.item.find("format");
   const std::string* given = item != nullptr ? item->as_string() : nullptr;
-  const std::string format = sink.type == "sqlite" ? "sqlite" : given != nullptr ? *given : "jsonl";
-  double size = static_cast<double>(sensor.name.size());
-  size += format == "sqlite" ? 24 : format == "csv" ? 28 : format == "raw" ? 36 : 64;
-  if (format == "json" || format == "jsonl") size += static_cast<double>(sensor.publishes->topic.size());
-  for (const Leaf& leaf : sensor.publishes->description->leaves()) {
-    if (format == "sqlite") {
-      size += column_size(leaf);
-    } else if (format == "csv") {
-      size += text_size(leaf) + 1;
-    } else if (format == "raw") {
-      size += static_cast<double>(leaf.size);
-    } else {
-      size += text_size(leaf) + static_cast<double>(leaf.path.size()) + 4;
-    }
-  }
-  return size;
+  auto codec = CodecRegistry::standard().make(given == nullptr || *given == "jsonl" ? "json" : *given);
+  return codec ? std::move(*codec) : nullptr;
 }
 
 bool is_set(const ConfigItem& item, const char* key) {
@@ -123,14 +135,15 @@ std::vector<Growth> growth_of(const SystemPlan& plan) {
     if (part.stores) storing.push_back(&part);
   }
   for (const PartPlan* sink : storing) {
-    if (sink->type != "sqlite" && sink->type != "file") continue;
+    const std::unique_ptr<Codec> codec = sink->type == "file" ? codec_of(*sink) : nullptr;
+    if (sink->type != "sqlite" && codec == nullptr) continue;
     Growth growth{sink, 0, is_limited(*sink)};
     for (const PartPlan* sensor : publishing) {
       const PublishedTopic& published = *sensor->publishes;
       if (published.description == nullptr || !published.load || published.load->period <= Duration{0}) continue;
       if (!sink->stores->wants(published.topic)) continue;
       const double period = std::chrono::duration<double>(published.load->period).count();
-      growth.bytes_per_day += event_size(*sink, *sensor) / period * seconds_per_day;
+      growth.bytes_per_day += (codec ? event_size(*codec, *sensor) : row_size(*sensor)) / period * seconds_per_day;
     }
     if (growth.bytes_per_day > 0) all.push_back(growth);
   }

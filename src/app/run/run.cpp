@@ -293,12 +293,12 @@ class Run {
     }
   }
 
-  /// What each place on each bus has cost, and whether transfers failed.
+  /// Logs the transfer counts of each place on each bus.
   void tell_buses(const System& system) {
     for (const std::string& name : system.parts().names("bus")) {
       const Bus* bus = system.parts().find<Bus>("bus", name);
       if (bus == nullptr) continue;
-      for (const auto& [place, counts] : bus->accounts()) {
+      for (const auto& [place, counts] : bus->place_counts()) {
         if (counts.transfers == 0) continue;
         log_.write(counts.failed > 0 ? LogLevel::warning : LogLevel::info, "bus " + name,
                    place + ": " + std::to_string(counts.transfers) + " transfers, " + std::to_string(counts.failed) +

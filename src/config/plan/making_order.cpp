@@ -9,7 +9,7 @@
 namespace rtdata::config_detail {
 namespace {
 
-/// Walks along the uses, depth first, with a stack of its own, since a chain of them may be long.
+/// A depth-first topological sort of the parts by what they use. Not recursive, since a chain of uses may be long.
 class MakingOrder {
  public:
   MakingOrder(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& problems)
@@ -60,12 +60,12 @@ class MakingOrder {
         continue;
       }
       const Used& used = used_[step.part][step.next++];
-      if (states_[used.part] == State::under_way) tell_circle(steps, used);
+      if (states_[used.part] == State::under_way) report_cycle(steps, used);
       if (states_[used.part] == State::not_seen) enter(used.part);
     }
   }
 
-  void tell_circle(const std::vector<Step>& steps, const Used& closing) {
+  void report_cycle(const std::vector<Step>& steps, const Used& closing) {
     const PartPlan& first = parts_[closing.part];
     std::string message = "it uses itself: " + first.object();
     std::size_t i = steps.size();

@@ -7,8 +7,8 @@
 
 namespace rtdata::config_detail {
 
-/// Brings each part behind those that it uses, and leaves the others in their order. Parts that use each other in a
-/// circle are a mistake. `neighbours` knows all of them.
+/// Sorts the parts topologically: each stands behind those that it uses, otherwise they keep their order. Parts that
+/// use each other in a cycle are a mistake, which is reported. All parts must have been added to `neighbours`.
 void put_in_making_order(std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& problems);
 
 }  // namespace rtdata::config_detail

@@ -15,8 +15,8 @@
 
 namespace rtdata::config_detail {
 
-/// What was probably meant is looked for among all names: for so many mistakes, so that telling many takes a time that
-/// grows with their number alone.
+/// A wrong name gets a suggestion, which takes a search among all names: done for this many mistakes at most, so that
+/// the time to report many of them grows no faster than their number.
 inline constexpr std::size_t most_suggestions = 100;
 
 /// Knows what the parts have taken: names, topics with their payloads, and files. A part is added when it has been
@@ -35,9 +35,9 @@ class Neighbours {
   /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read
   /// files.
   void check_stored_topics(Problems& problems);
-  /// The topics that are there are stored already, by all that are there.
+  /// Marks all topics added so far as checked, for all sinks added so far: `check_stored_topics` skips them.
   void assume_stored();
-  /// Parts that it uses and that are not there, or are of a wrong type.
+  /// Reports each part that `part` uses and that does not exist or has a wrong type.
   void check_uses(const PartPlan& part, Problems& problems);
   /// The log is a file of its own. `at`: the item that names it.
   void add_log(const LogSettings& log, const ConfigItem& at, Problems& problems);
@@ -46,7 +46,7 @@ class Neighbours {
   const PartPlan* find(std::string_view kind, std::string_view name) const;
   /// Each topic, with the first part that publishes on it and knows its payload.
   const std::map<std::string, const PartPlan*, std::less<>>& topics() const noexcept { return topics_; }
-  /// All that publish on it.
+  /// All parts that publish on this topic.
   const std::vector<const PartPlan*>& publishers(const std::string& topic) const;
 
  private:
@@ -58,8 +58,8 @@ class Neighbours {
   };
   struct Storing {
     const PartPlan* part;
-    std::size_t files = 0;   ///< so many of topic_names_ have been looked at for their files
-    std::size_t stored = 0;  ///< and so many for whether they can be stored
+    std::size_t files = 0;   ///< the number of topic_names_ whose files have been checked
+    std::size_t stored = 0;  ///< the number of topic_names_ for which `check_stored_topics` is done
   };
 
   void check_name(const PartPlan& part, Problems& problems);

@@ -33,11 +33,7 @@ std::string listed(const std::vector<std::string>& names) {
   return text;
 }
 
-}  // namespace
-
-namespace {
-
-/// Why the text is not what it stands for; empty: it is.
+/// Why the text breaks the rule of its kind; empty: it does not.
 std::string mistake_in(std::string_view text, TextIs is) {
   switch (is) {
     case TextIs::permissions:

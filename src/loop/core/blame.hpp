@@ -13,7 +13,7 @@ class LoopCore;
 /// Thread: the loop's.
 class Blame {
  public:
-  /// Takes longer callbacks for held.
+  /// A callback that takes longer than `limit` is counted and reported as holding the loop.
   Blame(LoopCore& loop, Duration limit);
   Blame(const Blame&) = delete;
   Blame& operator=(const Blame&) = delete;

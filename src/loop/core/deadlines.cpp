@@ -63,7 +63,7 @@ void Deadlines::spin() noexcept {
 }
 
 void Deadlines::fire_due() {
-  // Deadlines that come due meanwhile fire at once, but after so many rounds I/O gets its turn.
+  // Deadlines that come due meanwhile fire at once, but after `rounds` rounds I/O gets its turn.
   constexpr int rounds = 4;
   if (firing_) return;
   firing_ = true;

@@ -54,12 +54,14 @@ class Deliveries {
   enum class Left {
     nothing,
     later,   // the budget was spent
-    circle,  // handlers went on publishing for each other
+    circle,  // the rounds were spent: handlers kept publishing events for each other
   };
   Left deliver(Budget budget);
-  /// A delivery that may last up to `limit` makes way for what is due. The end of time: it makes way for nothing.
+  /// Whether deliveries have to stop now: their time budget, which ends at `limit`, is spent, or a deadline of the loop
+  /// is due. With `MonotonicTime::max()` as `limit` they never have to.
   bool must_pause(MonotonicTime now, MonotonicTime limit) const noexcept;
-  /// In virtual time handlers in a circle are bounded by rounds at one instant: another instant begins.
+  /// Called when virtual time moves on: handlers that publish for each other get a limited number of rounds at each
+  /// instant, and the count begins anew.
   void begin_instant() noexcept { rounds_ = 0; }
 
  private:

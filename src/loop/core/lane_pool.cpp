@@ -101,8 +101,8 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   std::atomic<LaneJob*> sent{nullptr};        // the newest first
   std::atomic<std::ptrdiff_t> unserved{0};    // in `sent` and `ready`; below 0 while one is counted after it is taken
   std::atomic<std::uint64_t> leader{0};       // the leadership now; 0: nobody leads
-  std::atomic<std::uint64_t> leaderships{0};  // so many there were
-  std::atomic<std::uint64_t> led_jobs{0};     // so many jobs leaders have begun
+  std::atomic<std::uint64_t> leaderships{0};  // the number of them so far
+  std::atomic<std::uint64_t> led_jobs{0};     // the number of jobs that leaders have begun
   std::atomic<std::uint64_t> in_led_job{0};   // the leadership that runs a job; 0: none
   std::atomic<std::ptrdiff_t> sleeping{0};    // threads that nobody has woken yet
   std::atomic<std::ptrdiff_t> threads{0};     // without those that hang

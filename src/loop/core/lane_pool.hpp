@@ -66,7 +66,7 @@ struct LaneQueue {
   bool is_busy = false;         // one of them runs, or waits for a thread in `LanePool::State::slow`
   bool has_own_thread = false;  // what runs it does not lead
   std::uint64_t led_by = 0;     // the leadership under which one of them runs
-  unsigned mistrust = 1;        // so many quick jobs are to come before it is known to be quick
+  unsigned mistrust = 1;        // the number of quick jobs until it counts as quick
   LaneQueue* next_slow = nullptr;
   std::atomic<std::ptrdiff_t> behind{0};  // threads that hang; below 0: one comes back just when it is left behind
 };

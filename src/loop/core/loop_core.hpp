@@ -63,7 +63,7 @@ class LoopCore {
   ManualClock* manual_clock() noexcept { return manual_; }
   /// Those of a manual loop and its tiers; null in real time.
   VirtualThreads* virtual_threads() const noexcept { return threads_; }
-  /// Whether it is set, waited for at most so long; in the loop's time.
+  /// Waits until the latch is set, for `at_most` of the loop's time. Returns whether it is.
   bool wait_for(const Latch& latch, Duration at_most) noexcept;
   bool is_attached() const noexcept { return uv.is_attached(); }
   Schedule& schedule() noexcept { return schedule_; }

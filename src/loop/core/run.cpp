@@ -190,7 +190,7 @@ void LoopCore::look_at_io() {
 }
 
 void LoopCore::settle() {
-  // As in real time, deadlines come before deliveries, also when a handler took so long that one came due.
+  // As in real time, deadlines come before deliveries, also when one came due while a handler ran.
   bool is_some_left = false;
   do {
     call_own("clock", [&] { runtime.clock_log.look(); });

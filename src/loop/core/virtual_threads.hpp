@@ -68,7 +68,7 @@ class VirtualThreads {
   bool wait_for_news(MonotonicTime until, const std::function<bool()>& has_news) noexcept;
   /// Lets the others do all that they can do at this instant.
   void wait_for_others() noexcept;
-  /// This thread takes so long: the others run meanwhile.
+  /// This thread takes `duration` of virtual time, in which the others run.
   void sleep(Duration duration) noexcept;
   /// A point at which the processor may be taken away: with a seed another thread may run first.
   void preempt() noexcept;

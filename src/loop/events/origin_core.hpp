@@ -64,11 +64,12 @@ class OriginCore {
   /// `count` ticks, the first of them due at `first`, were skipped.
   void miss(std::uint64_t count, std::string_view reason, MonotonicTime first) noexcept;
 
-  // Without a schedule: a stretch in which nothing could come, or nothing came. Nothing when one is under way, or none.
+  // For an origin without a schedule: the begin and the end of a time in which it could publish nothing, or did not.
+  // The first does nothing while such a time lasts, the second does nothing otherwise.
   void begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept;
   void end_absence(MonotonicTime to) noexcept;
 
-  /// So far: one that lasts up to `now`.
+  /// All so far; one that still lasts is counted with its time up to `now`.
   Outages outages(Time now) const noexcept;
   bool had_outage() const noexcept { return ended_outages().number > 0; }
   /// Those that have ended; one that lasts is counted, without its time.

@@ -70,9 +70,10 @@ class Exchange {
   };
   bool is_wanted(std::string_view topic) const noexcept;
 
-  std::uint64_t lost = 0;           ///< events of topics that cannot be what they are elsewhere; which was reported
-  bool tiers_were_balanced = true;  ///< those that have ended
-  bool tiers_had_loss = false;      ///< the same
+  std::uint64_t lost = 0;  ///< events from other loops that were dropped: this loop could not make their topic, since
+                           ///< its payload differs here, which was reported
+  bool tiers_were_balanced = true;  ///< of the tiers that have ended
+  bool tiers_had_loss = false;      ///< of the tiers that have ended
 
  private:
   RuntimeCore& runtime_;

@@ -1,4 +1,5 @@
-// How many changes of one object stand for themselves: some in a row, and one more each minute. The others are joined.
+// Limits how many changes of one object are reported singly (a token bucket): 16 in a row, and one more each minute.
+// The caller joins the others.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +14,7 @@ class Allowance {
   static constexpr unsigned most = 16;
   static constexpr Duration regained_after = std::chrono::minutes{1};
 
-  /// `now`: since any instant, always the same.
+  /// `now`: the time since an epoch of the caller's choice, which must be the same in all calls.
   bool has_some(Duration now) noexcept {
     const Duration passed = span_between(MonotonicTime{since_}, MonotonicTime{now});
     if (left_ < most && passed >= regained_after) {
@@ -23,7 +24,7 @@ class Allowance {
     }
     return left_ > 0;
   }
-  /// When it has some, if none is spent.
+  /// When the next change may be reported singly, if none is spent until then.
   Duration has_some_from() const noexcept {
     return left_ > 0 ? since_ : later(MonotonicTime{since_}, regained_after).time_since_epoch();
   }

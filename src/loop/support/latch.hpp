@@ -25,7 +25,7 @@ class Latch {
     const std::lock_guard lock(mutex_);
     return is_set_;
   }
-  /// Whether it is set, waited for at most so long.
+  /// Waits until it is set, for `at_most`. Returns whether it is.
   bool wait(Duration at_most) const noexcept {
     std::unique_lock lock(mutex_);
     constexpr Duration longest = std::chrono::hours{24 * 365};  // now and it are not to overflow

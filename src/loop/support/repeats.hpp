@@ -24,7 +24,7 @@ struct Joined {
 template <class What>
 class Repeats {
  public:
-  /// `apart`: those within so long after one that was reported are joined in any case.
+  /// `apart`: the shortest time between two reports of the same key; those in between are joined.
   explicit Repeats(Duration apart) : apart_(apart) {}
 
   /// The report to make now, joined with those alike that were held back; nothing: this one is held back too.

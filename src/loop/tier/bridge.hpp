@@ -23,7 +23,7 @@ namespace rtdata::detail {
 
 class Bridge {
  public:
-  /// While neither loop turns, or on both threads at once as far as anybody can tell: at set-up.
+  /// Called at set-up, while neither loop runs, or while one waits for the other.
   Bridge(LoopCore& from, LoopCore& to, std::size_t ring_bytes);
   /// As above.
   ~Bridge();
@@ -34,9 +34,9 @@ class Bridge {
   LoopCore& to() const noexcept { return to_; }
 
   // On either thread, while none of the loops turns
-  /// What was sent crosses.
+  /// The receiving side takes all records that are in the ring.
   void hand_over();
-  /// All that is left to send, which the sending loop did not come to, crosses.
+  /// Sends the accounts that the sending loop has not sent yet, and lets the receiving side take all of it.
   void finish();
 
  private:

@@ -54,7 +54,7 @@ class ByteRing {
   }
   std::size_t published() const noexcept { return published_; }
   bool has_unpublished() const noexcept { return head() != published_; }
-  /// Whether what was not published, with so many bytes more, is enough for the reader to be busy with.
+  /// Whether the unpublished records and `bytes` more are enough to publish and wake the reader for.
   bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst_; }
   /// A record of more may find no room although the ring is empty.
   std::size_t longest_record() const noexcept { return (mask_ + 1 - kept_) / 2; }
@@ -63,11 +63,11 @@ class ByteRing {
 
   /// Sees what has been published up to now. Seldom, as `publish`.
   void look() noexcept { known_head_ = published_head_.load(std::memory_order_acquire); }
-  /// The same, but no more than the writer had published when `published` was this; what was seen stays seen.
+  /// The same, up to the position `published` only, which the writer had given. Never goes back.
   void look_up_to(std::size_t published) noexcept {
     if (is_beyond(published, known_head_)) known_head_ = published;
   }
-  /// Up to where it sees.
+  /// The position up to which the reader sees records.
   std::size_t seen() const noexcept { return known_head_; }
   /// The oldest record of those seen, or null. Valid until `pop`.
   const std::byte* front() noexcept {
@@ -82,7 +82,7 @@ class ByteRing {
     return std::min(known_head_ - own_tail_, mask_ + 1 - (own_tail_ & mask_));
   }
   void pop(std::size_t bytes) noexcept { own_tail_ += bytes; }
-  /// Gives what was popped back to the writer.
+  /// Frees the popped records for the writer.
   void release() noexcept { tail_.store(own_tail_, std::memory_order_release); }
 
  private:

@@ -18,7 +18,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// Touches so many bytes of the stack, so that none of its pages is fetched later.
+/// Touches this much of the stack, so that no page fault on it comes later.
 [[gnu::noinline]] void touch_stack(std::size_t bytes) {
   auto* memory = static_cast<volatile char*>(alloca(bytes));
   for (std::size_t i = 0; i < bytes; i += 1024) memory[i] = 0;

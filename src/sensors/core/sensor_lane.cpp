@@ -57,7 +57,7 @@ void SensorNode::start_on_lane() {
   if (!submitted && settings().is_required) refusal = submitted.error();
   if (lane_side()->opening == nullptr && !refusal) {
     lane_side()->refusal = nullptr;
-    return started(submitted);  // who is told may close this sensor
+    return started(submitted);  // the handler may close this sensor
   }
   if (is_starting() && (loop()->is_being_set_up() || settings().is_required)) wait_for_start();
   lane_side()->refusal = nullptr;

@@ -82,7 +82,7 @@ void SensorNode::start() {
 
 void SensorNode::started(const Result<void>& opened) {
   device_is_open_ = static_cast<bool>(opened);
-  begin_schedule();  // before anybody is told, who may stop it
+  begin_schedule();  // before a handler runs, which may stop it
   if (opened) {
     set_health(Health::ok, nullptr);  // what it was before it stopped is over
   } else {
@@ -331,7 +331,7 @@ void SensorNode::count_failed(const SamplePort& port, const Error& error, const 
 
 void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
   count_failed(port, error, tick);
-  failed(error, tick.now);  // only now, since who is told may stop the sensor
+  failed(error, tick.now);  // only now, since the handler may stop the sensor
 }
 
 void SensorNode::recovered() {

@@ -124,7 +124,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void failed(const Error& error, MonotonicTime now);
   /// Whether a read has failed only because its processing found no sample usable: opening the device again is no help.
   bool is_unusable(Sampled sampled) const noexcept { return is_unusable_ && sampled != Sampled::failed; }
-  /// A part of what was read was no use.
+  /// Reports that what was read is unusable though the device answered: the sensor is degraded, the device stays open.
   void complain(const Error& error);
   void cancel_transaction() noexcept;
 
@@ -141,7 +141,7 @@ class SensorNode final : public SourceNode, public RateMember {
     Lane* lane = nullptr;                      // the loop's; found when the device is opened
     std::shared_ptr<Transaction> opening;      // under way
     bool is_for_start = false;                 // of the opening: begun by start(), not by a tick
-    std::optional<Error>* refusal = nullptr;   // where start() wants the error of the opening; null: it is told
+    std::optional<Error>* refusal = nullptr;   // where start() wants the error of the opening; null: it is reported
     std::shared_ptr<Transaction> transaction;  // under way, or for the next read
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick

@@ -112,7 +112,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
     if (!is_open()) return;  // closed by who was told that there is no memory
   }
   if (health == health_) return;
-  Call call(*this);  // who is told may close this
+  Call call(*this);  // the handler may close this
   LoopCore& on = *loop();
   health_ = health;
   if (health == Health::ok && on_demand_ != nullptr) on_demand_->reason.clear();

@@ -33,7 +33,7 @@ class StreamNode : public SourceNode {
   virtual void open_stream() = 0;
   /// Ends the connection, or the attempt.
   virtual void close_stream() noexcept = 0;
-  /// What is told when nothing has come for `silence`.
+  /// The error to report when nothing has come for `silence`.
   virtual Error silence_error() const = 0;
   /// It has been told.
   virtual void fell_silent() {}
@@ -49,7 +49,7 @@ class StreamNode : public SourceNode {
   void heard();
   /// A sample that could be used.
   void succeed();
-  /// A sample that came and was decoded. False: its processing found it unusable, which is told.
+  /// A sample that came and was decoded. False: its processing found it unusable, which is reported.
   bool take_or_fail(void* payload, Time time);
   /// One that came and could not be.
   void fail(const Error& error);

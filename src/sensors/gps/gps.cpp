@@ -132,7 +132,7 @@ class GpsNode final : public StreamNode {
   /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
   void take_lines(std::size_t from) {
     std::size_t begin = 0;
-    // Who is told of something may stop the sensor, and start it again.
+    // A handler may stop the sensor, and start it again.
     const auto is_same = [this, connection = connections_] { return is_open() && connections_ == connection; };
     while (is_same()) {
       const auto end = line_.find('\n', std::max(begin, from));

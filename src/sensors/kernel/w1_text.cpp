@@ -51,7 +51,8 @@ Result<double> parse_w1(std::string_view text) {
                    "it has lost its supply: look at its wires");
   }
   if (thousandths < -55000 || thousandths > 125000) {
-    return refused(Errc::out_of_range, std::to_string(thousandths) + "/1000 degrees is nothing that it measures",
+    return refused(Errc::out_of_range,
+                   std::to_string(thousandths) + "/1000 degrees is outside of what it measures, -55 to 125 degrees",
                    "look at its wires");
   }
   return static_cast<double>(thousandths) * 1e-3;

@@ -36,7 +36,7 @@ struct NmeaFixes::Columns {
   std::size_t count = 0;
 
   std::string_view at(std::size_t i) const noexcept { return i < count ? text[i] : std::string_view(); }
-  Error bad(std::size_t i, const char* why) const {
+  Error bad(std::size_t i, const std::string& why) const {
     return failure(Errc::bad_data, name, "\"" + std::string(at(i).substr(0, 20)) + "\" " + why);
   }
   /// Nothing when the field is empty.
@@ -51,7 +51,8 @@ struct NmeaFixes::Columns {
     const std::string_view word = at(i);
     if (word.empty()) return std::optional<unsigned>();
     unsigned value = 0;
-    if (read_number(word, value) != std::errc{} || value > most) return bad(i, "is no number that may stand here");
+    if (read_number(word, value) != std::errc{} || value > most)
+      return bad(i, "is not a number from 0 to " + std::to_string(most));
     return std::optional<unsigned>(value);
   }
   /// "4804.14539" and the hemisphere after it: degrees and minutes.
@@ -185,7 +186,7 @@ Result<void> NmeaFixes::read_vtg(const Columns& columns, Draft& draft) const {
   RTDATA_NMEA_TAKE(track, columns.number(1));
   RTDATA_NMEA_TAKE(knots, columns.number(5));
   RTDATA_NMEA_TAKE(kilometres, columns.number(7));
-  if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC says the time of what it says
+  if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC's velocity comes with its time: it is preferred
   if (track) draft.fix.track = track;
   if (knots) draft.fix.speed = *knots * knot;
   if (kilometres && !knots) draft.fix.speed = *kilometres * kilometre_per_hour;

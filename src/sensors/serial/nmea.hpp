@@ -16,20 +16,21 @@ namespace rtdata::detail {
 
 /// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
 ///
-/// GGA and RMC say the time: one with another time than that before it, or of a kind that was there already, begins a
-/// fix. VTG and GSA say none, and belong to the last that did. A fix is complete with the sentence that was the last of
-/// those before it, or else when the next one begins. GSV gives the number of visible satellites for those that follow.
+/// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
+/// begins a new fix. VTG and GSA carry no time and belong to the current fix. A fix is complete with the sentence that
+/// ended the fixes before it, or else when the next one begins. GSV gives the number of satellites in view, which all
+/// later fixes have.
 class NmeaFixes {
  public:
   explicit NmeaFixes(std::string_view device);
 
   using Publish = std::function<void(const GpsFix& fix, Time time)>;
-  /// A line without its end, which was read at that time. Errors: bad-data (no sentence, its checksum, its text),
-  /// not-a-number, out-of-range; then nothing of it is used.
+  /// Takes a line without its line end, which was read at `time`. Errors: bad-data (no sentence, a wrong checksum or
+  /// field), not-a-number, out-of-range; then nothing of the line is used.
   Result<void> take(std::string_view line, Time time, const Publish& publish);
-  /// What there is of a fix, as the last before the line is closed.
+  /// Publishes the current fix, complete or not: called before the serial line is closed.
   void finish(const Publish& publish);
-  /// As if nothing had come: the line was opened anew.
+  /// Forgets all sentences: called when the serial line was opened anew.
   void reset() noexcept;
 
   /// The exclusive or of the bytes between `$` and `*`.
@@ -37,7 +38,7 @@ class NmeaFixes {
 
  private:
   enum class Sentence : std::uint8_t { gga, rmc, vtg, gsa, count };
-  /// Where in a fix a sentence is: of its kind the so many-th.
+  /// The position of a sentence in its fix: its type, and its number among those of that type, from 1.
   struct Step {
     Sentence sentence = Sentence::gga;
     unsigned number = 0;
@@ -55,12 +56,12 @@ class NmeaFixes {
 
   struct Draft {
     GpsFix fix;
-    std::optional<std::int64_t> time_of_day;  // ns, by the last sentence that says it
-    bool is_void = false;                     // a sentence says that there is no fix
+    std::optional<std::int64_t> time_of_day;  // ns, from the last sentence that carries it
+    bool is_void = false;                     // a sentence states that there is no fix
     bool has_rmc_velocity = false;
     std::optional<std::uint8_t> gsa_mode;
   };
-  /// In which talker's messages so many satellites are visible.
+  /// The number of satellites in view of one talker (constellation), from its GSV sentences.
   struct Visible {
     std::array<char, 2> talker{};
     std::uint16_t count = 0;

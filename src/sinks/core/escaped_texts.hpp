@@ -27,7 +27,7 @@ class EscapedTexts {
   }
   /// By slot, since the batch began.
   const std::map<std::uint32_t, std::uint64_t>& in_batch() const noexcept { return in_batch_; }
-  /// It is stored; before, it may come again.
+  /// The batch is stored: counts its texts. One that failed comes again, and is not counted before.
   void end_batch(const Batch& batch) {
     for (const auto& [slot, count] : in_batch_) {
       total_ += count;
@@ -44,7 +44,7 @@ class EscapedTexts {
     in_batch_.clear();
   }
   std::uint64_t total() const noexcept { return total_; }
-  /// Of the origins whose first one was stored since the last call.
+  /// A warning that names the origins whose first such text was stored since the last call.
   std::optional<Error> take_warning() { return std::exchange(warning_, std::nullopt); }
 
  private:

@@ -43,7 +43,8 @@ void SinkNode::attach() {
     }
   }
   job_->sink = this;
-  // What tiers published before is not this recording's. One that does not answer is not waited for.
+  // Events that tiers published before this are not recorded: takes them from the rings first, and waits for each tier
+  // for a limited time only.
   const Exchange::Interest until_all_is_attached(runtime, config_.topics);
   const std::string unknown = runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty()) unknown_ = "it began although " + unknown;

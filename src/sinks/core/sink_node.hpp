@@ -63,7 +63,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   Health health() const noexcept { return health_; }
 
  private:
-  /// Of the sink, in this order.
+  /// The states of the sink's life, in this order.
   enum class Life {
     made,      // not on the runtime yet, or could not be opened
     attached,  // takes events
@@ -71,7 +71,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     closed,    // the writer is closed
     left,      // off the runtime: the last counts hold
   };
-  /// Of the lane.
+  /// What the lane is doing.
   enum class Work {
     idle,
     opening,
@@ -84,7 +84,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
    public:
     explicit Job(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
     void run() noexcept override {
-      came_of_it = queue_->work(turn);
+      result = queue_->work(turn);
       turn.pause = Duration{0};
     }
     void done(Outcome outcome) override {
@@ -93,7 +93,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     SinkNode* sink = nullptr;  // null once the sink is gone
     // The lane's from submission until `done`.
     SinkTurn turn;
-    SinkTurnResult came_of_it;
+    SinkTurnResult result;
 
    private:
     const std::shared_ptr<SinkQueue> queue_;
@@ -148,8 +148,8 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void work_done(LaneJob::Outcome outcome);
   /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
   void go_on_after(const SinkTurnResult& turn);
-  /// Tells what came of it. Handlers may do anything to this sink, its closing included.
-  void tell_of(const SinkTurnResult& turn, Health before);
+  /// Reports and logs the result. Handlers may do anything to this sink, its closing included.
+  void report_result(const SinkTurnResult& turn, Health before);
   Error no_thread() const;
 
   // ---- closing: sink_closing.cpp
@@ -186,19 +186,19 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   bool is_between_parts_ = false;          // of an account
   std::optional<MonotonicTime> early_at_;  // when the account of new origins is due
   bool is_account_due_ = false;
-  bool is_last_told_ = false;     // the last account
-  MonotonicTime account_at_{};    // when the last one was begun
-  MonotonicTime next_early_{};    // not before then
-  std::uint64_t slots_told_ = 0;  // that the last one had
-  std::string unknown_;           // what the last one does not know
-  bool had_no_memory_ = false;    // for something that belongs into the next
+  bool is_last_told_ = false;     // the final account of the run was handed over
+  MonotonicTime account_at_{};    // when the latest account was begun
+  MonotonicTime next_early_{};    // an early account is made no sooner
+  std::uint64_t slots_told_ = 0;  // the number of slots in the latest account
+  std::string unknown_;           // what the latest account cannot know
+  bool had_no_memory_ = false;    // an entry of the next account could not be allocated
 
   // health
   Health health_ = Health::ok;
-  Health told_health_ = Health::ok;  // as published
+  Health told_health_ = Health::ok;  // as last published
   std::string reason_;
-  std::string fault_;     // for good: it wants a topic that it cannot take
-  bool is_told_ = false;  // the last error, by the one before it
+  std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
+  bool error_already_reported_ = false;  // the last error is the same as the one before it
 
   // the end
   std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain

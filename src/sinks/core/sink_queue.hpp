@@ -26,7 +26,7 @@ struct RecordHeader {
   std::int64_t time;
   std::uint64_t sequence;
 };
-/// Of header and padded payload.
+/// The size of a record in a chunk: its header and its padded payload.
 constexpr std::size_t record_bytes_of(std::size_t payload_bytes) noexcept {
   return sizeof(RecordHeader) + (payload_bytes + 7) / 8 * 8;
 }
@@ -54,8 +54,8 @@ struct alignas(64) Slot {
   std::uint64_t dropped_oldest = 0;
 };
 
-/// The lane's counts of a slot, and what it needs to know. Apart from it and small, since it is touched for each
-/// record.
+/// The lane's counts of a slot, and what the lane needs to know of it. Small and apart from the slot, since the lane
+/// touches it for each record.
 struct SlotStored {
   std::atomic<std::uint64_t> stored{0};  // changed between two steps of the queue's revision
   std::atomic<std::uint64_t> refused{0};
@@ -87,7 +87,7 @@ struct SinkTurn {
   Duration pause{0};  ///< before the work
 };
 
-/// What came of it.
+/// The result of a turn of work.
 struct SinkTurnResult {
   SinkTurn::Task task = SinkTurn::Task::store;
   Result<void> result;

@@ -117,7 +117,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
   Call call(*this);
   if (std::exchange(work_, Work::idle) == Work::opening) work_timer_.stop();
   if (outcome == LaneJob::Outcome::finished && is_attached()) {  // else too late: counted as lost
-    const SinkTurnResult turn = std::exchange(job_->came_of_it, {});
+    const SinkTurnResult turn = std::exchange(job_->result, {});
     if (is_setting_up_ && !turn.result) {
       set_up_error_ = turn.result.error();
       return;
@@ -128,7 +128,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     }
     const Health before = health_;
     go_on_after(turn);
-    tell_of(turn, before);
+    report_result(turn, before);
     if (is_open() && turn.has_closed()) finish_drain();
   }
   tell_health();  // at the end, since this sink may take the event itself
@@ -138,10 +138,10 @@ void SinkNode::go_on_after(const SinkTurnResult& turn) {
   if (!turn.topic_fault.empty()) fault_for_good(turn.topic_fault);
   if (!turn.result) {
     health_ = Health::faulted;
-    is_told_ = false;
+    error_already_reported_ = false;
     note([&] {
       std::string reason = loop()->runtime.hide(turn.result.error().text());
-      is_told_ = is_closing() && reason == reason_;
+      error_already_reported_ = is_closing() && reason == reason_;
       reason_ = std::move(reason);
     });
     if (!turn.has_ended) return retry_later(Work::waiting);
@@ -167,7 +167,7 @@ void SinkNode::go_on_after(const SinkTurnResult& turn) {
   }
 }
 
-void SinkNode::tell_of(const SinkTurnResult& turn, Health before) {
+void SinkNode::report_result(const SinkTurnResult& turn, Health before) {
   const auto log = [&](LogLevel level, const std::string& text) {
     note([&] { loop()->runtime.log(level, object_name(), text); });
   };
@@ -187,7 +187,7 @@ void SinkNode::tell_of(const SinkTurnResult& turn, Health before) {
   if (is_open() && turn.warning) report(*turn.warning, 1);
   // While it closes, it is tried often: an error like the last one is reported at the end, with the number of lost
   // events.
-  if (is_open() && !turn.result && !is_told_) report(turn.result.error(), 1);
+  if (is_open() && !turn.result && !error_already_reported_) report(turn.result.error(), 1);
   if (is_open() && turn.result && before != Health::ok && health_ == Health::ok) log(LogLevel::info, "ok again");
 }
 

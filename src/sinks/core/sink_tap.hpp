@@ -24,14 +24,14 @@ class SinkTap final : public Tap {
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
   void expect(OriginCore& origin) override;
   void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
-  /// A gap of it has closed. `accounts`: how many have been handed over.
+  /// A gap of the origin has closed. `accounts`: the number of accounts handed over so far.
   void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
-  /// A segment of it has ended, as it is recorded. It is kept until the next begins: it may be in no account that is
-  /// stored.
+  /// A segment of the origin has ended; `segment` is the part to record. The writer keeps it until the next one begins,
+  /// since no stored account may have it yet.
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
-  /// The queue has moved the counts of all slots: they, and what is kept, go on there.
+  /// The queue has moved the counts of all slots into the writer's memory: counts there from here on.
   void move_counts() noexcept;
-  /// What is kept of an origin is changed no more.
+  /// From here on the origins' accounts that the writer keeps are not changed any more.
   void end() noexcept { is_ended_ = true; }
 
   TopicCore& topic() const noexcept { return topic_; }
@@ -44,7 +44,7 @@ class SinkTap final : public Tap {
   }
   /// The part of a segment that came due since this was attached; `scheduled` 0: none.
   Segment since_attached(const OriginCore& origin, Segment segment) const noexcept;
-  /// Notes that it is handed over. False: it says what the one before said.
+  /// Notes that this account is handed over. False: it equals the one handed over before.
   bool is_news(const OriginCore& origin, const OriginAccount& account);
 
  private:
@@ -62,10 +62,10 @@ class SinkTap final : public Tap {
     SensorCounts counts;
     Segment segment;  // under way
   };
-  /// Gaps that have closed, as one, since the first of them may be in no account that is stored.
+  /// The gaps that have closed and may be missing from the stored accounts, joined into one.
   struct Closed {
     Gap gap;
-    std::uint64_t accounts = 0;  // that were handed over when the last of them closed
+    std::uint64_t accounts = 0;  // the number handed over when the last of them closed
     bool is_any = false;
   };
   enum class Now { at_an_event, between_events };

@@ -70,7 +70,7 @@ class FileWriter final : public RecordingWriter {
       : config_(config),
         codec_(std::move(codec)),
         header_codec_(std::move(header_codec)),
-        is_text_(codec_->name() == "json" || codec_->name() == "csv" || codec_->name() == "influx"),
+        is_text_(codec_->is_text()),
         permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
         rotation_(config) {
     const std::size_t mark = config_.path.find(topic_mark);
@@ -267,7 +267,7 @@ class FileWriter final : public RecordingWriter {
   const FileConfig config_;
   std::unique_ptr<Codec> codec_;         // for all files
   std::unique_ptr<Codec> header_codec_;  // loop
-  const bool is_text_;                   // a format of ours that escapes what is no UTF-8
+  const bool is_text_;                   // texts that are no UTF-8 are escaped, and reported
   const mode_t permissions_;
   bool is_pattern_ = false;
   // loop

@@ -111,7 +111,8 @@ Result<void> CsvRows::append_by_codec(std::string& out, Time time) {
   return {};
 }
 
-/// Null when the row is unusual. `out` has `longest_` bytes of room at `to`, and gets more for texts.
+/// Writes the current row to `to`, which points into `out`; returns the end, or null for a row that is unusual. `out`
+/// has room for `longest_` bytes there, and is enlarged for texts.
 char* CsvRows::put_row(char* to, Time time, std::string& out) {
   sqlite3_stmt* const row = statement_.raw();
   const auto make_room = [&](std::size_t more) {
@@ -161,7 +162,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
       case Kind::text: {
         if (type != SQLITE_TEXT) return nullptr;
         const std::string_view text = value_text(value);
-        if (text.size() > 4 * column.leaf->size) return nullptr;  // what cannot have fitted
+        if (text.size() > 4 * column.leaf->size) return nullptr;  // too long, even with escapes
         make_room(2 * text.size() + 2);
         if (is_plain(text)) {
           to = copy_short(to, text.data(), text.size());

@@ -148,8 +148,7 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
                             std::to_string(header.sequence) + ", " + count.refusal.where;
       continue;
     }
-    // JSON objects are lines of their own.
-    if (codec.name() == "json" && (bytes.empty() || bytes.back() != std::byte{'\n'})) bytes.push_back(std::byte{'\n'});
+    if (codec.is_text() && (bytes.empty() || bytes.back() != std::byte{'\n'})) bytes.push_back(std::byte{'\n'});
     ++count.rows;
     if (bytes.size() < flush_bytes) continue;
     if (auto done = flush(); !done) return std::move(done).error();
@@ -187,8 +186,7 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
 }
 
 /// Where the rows of one description go.
-Result<std::filesystem::path> file_of(const RecordedTopic& topic, const ExportConfig& config,
-                                      const std::string& folder) {
+Result<std::filesystem::path> file_of(const RecordedTopic& topic, const Codec& codec, const std::string& folder) {
   std::filesystem::path path(folder);
   for (const auto& segment : std::filesystem::path(topic.topic)) {
     if (segment == "." || segment == "..") {
@@ -198,7 +196,7 @@ Result<std::filesystem::path> file_of(const RecordedTopic& topic, const ExportCo
     path /= segment;
   }
   if (topic.version > 1) path += "~" + std::to_string(topic.version);
-  path += config.format == "json" ? ".jsonl" : "." + config.format;  // an object a line is no JSON text as a whole
+  path += "." + std::string(codec.extension());
   return path;
 }
 
@@ -226,7 +224,7 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
   if (!snapshot) return std::move(snapshot).error();
   auto topics = taken_topics(recording, config.filter);
   if (!topics) return std::move(topics).error();
-  if (config.format == "csv" && topics->size() > 1) {
+  if (is_csv(config) && topics->size() > 1) {
     const bool is_one_topic = topics->front().topic == topics->back().topic;
     std::string names;
     for (std::size_t i = 0; i < topics->size() && i < 5; ++i) names += (i == 0 ? "" : ", ") + (*topics)[i].topic;
@@ -245,13 +243,15 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
 
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
                                               const std::string& folder, const CodecRegistry& registry) {
+  auto codec = codec_of(config, registry);
+  if (!codec) return std::move(codec).error();
   auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
   auto topics = taken_topics(recording, config.filter);
   if (!topics) return std::move(topics).error();
   std::vector<std::filesystem::path> paths;
   for (const RecordedTopic& topic : *topics) {
-    auto path = file_of(topic, config, folder);
+    auto path = file_of(topic, **codec, folder);
     if (!path) return std::move(path).error();
     paths.push_back(std::move(*path));
   }
@@ -262,8 +262,6 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
   for (std::size_t i = 0; i < topics->size(); ++i) {
     const RecordedTopic& topic = (*topics)[i];
     const std::filesystem::path& path = paths[i];
-    auto codec = codec_of(config, registry);
-    if (!codec) return std::move(codec).error();
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     if (failed)

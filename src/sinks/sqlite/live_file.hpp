@@ -38,7 +38,7 @@ class Kept {
     std::atomic_signal_fence(std::memory_order_seq_cst);
     state_.store(settled | staged_bit, std::memory_order_release);
   }
-  /// What is staged is the value from here on; nothing when nothing is.
+  /// Makes the staged value the value; does nothing when none is staged.
   void settle() noexcept {
     const std::uint64_t state = state_.load(std::memory_order_relaxed);
     if ((state & staged_bit) != 0) state_.store((state & settled_mask) == 1 ? 2 : 1, std::memory_order_release);
@@ -148,11 +148,11 @@ class LiveFile {
   /// The checksums of the run's account, which are not in the recording before it ends. The lane's.
   Kept<RunSums>& sums() noexcept;
 
-  // Of slots that it has.
+  // The slot must exist.
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }
   LiveSlot& slot(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].slots[offset_of(slot)]; }
 
-  /// What it counted is in the recording: the file is gone. The counts stay readable until destruction.
+  /// Deletes the file, once its counts are in the recording. They stay readable until destruction.
   void remove() noexcept;
 
  private:

@@ -11,7 +11,7 @@ constexpr std::int64_t most_rows = 10'000;     // in a step, of all tables toget
 constexpr std::int64_t least_rows = 500;       // and of each
 constexpr std::int64_t steps_of_a_span = 128;  // the time that is recorded is deleted in steps of this part of it
 constexpr int most_shift = 8;
-constexpr std::int64_t least_pages = 16;  // that are freed in a transaction, if there are so many
+constexpr std::int64_t least_pages = 16;  // freed in one transaction, if there are as many
 
 }  // namespace
 

@@ -14,9 +14,9 @@ struct RecordingFile {
 
   /// Like Database::prepare; what does not fit the schema is damaged.
   Result<sqlite::Statement> prepare(const std::string& sql) const;
-  /// Of its layout; it may be an older one than that of this program.
+  /// The version of its layout, which may be older than that of this program.
   Result<std::int64_t> version() const { return database.integer("PRAGMA user_version"); }
-  /// Of the first run whose texts have escapes; the runs after it have them too.
+  /// The number of the first run whose texts have escapes; all later runs have them too.
   Result<std::int64_t> first_run_with_escapes() const;
   Error damaged(std::string where, std::string why) const;
 };

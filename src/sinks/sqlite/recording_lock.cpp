@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::size_t longest_note = 4096;
 
-/// Of the lock of a recording: those who may write the one may open the other, to read and write.
+/// The permissions of a recording's lock file: whoever may write the recording may read and write it.
 mode_t lock_mode(mode_t recording) noexcept {
   mode_t mode = 0600;
   if ((recording & S_IWGRP) != 0) mode |= 0060;

@@ -11,15 +11,16 @@ Duration offset_of(const RecordedClock& pair) {
   return pair.realtime.time_since_epoch() - pair.monotonic.time_since_epoch();
 }
 
-/// Of pairs of known accuracy, in order of time: those for whose instant no other vouches better.
+/// From pairs of known accuracy, in order of time, those that are used: no other pair has a smaller error at the
+/// instant of one of them.
 std::vector<RecordedClock> best_of(const std::vector<RecordedClock>& pairs) {
   constexpr double drift = 1e-6;
-  std::vector<double> vouched(pairs.size(), std::numeric_limits<double>::infinity());  // by the best of the others
+  std::vector<double> by_others(pairs.size(), std::numeric_limits<double>::infinity());  // the smallest error, ns
   const auto walk = [&](std::size_t from, std::ptrdiff_t step) {
     double best = std::numeric_limits<double>::infinity();
     for (std::size_t i = from, last = from; i < pairs.size(); last = i, i += static_cast<std::size_t>(step)) {
       best += drift * static_cast<double>(std::chrono::abs(pairs[i].monotonic - pairs[last].monotonic).count());
-      vouched[i] = std::min(vouched[i], best);
+      by_others[i] = std::min(by_others[i], best);
       best = std::min(best, static_cast<double>(pairs[i].accuracy->count()));
     }
   };
@@ -27,7 +28,7 @@ std::vector<RecordedClock> best_of(const std::vector<RecordedClock>& pairs) {
   walk(pairs.size() - 1, -1);  // ends by running below 0
   std::vector<RecordedClock> best;
   for (std::size_t i = 0; i < pairs.size(); ++i) {
-    if (static_cast<double>(pairs[i].accuracy->count()) <= vouched[i]) best.push_back(pairs[i]);
+    if (static_cast<double>(pairs[i].accuracy->count()) <= by_others[i]) best.push_back(pairs[i]);
   }
   return best;
 }
@@ -48,7 +49,7 @@ std::vector<RecordedClock> rising(const std::vector<RecordedClock>& pairs) {
   return kept;
 }
 
-/// Of pairs of unknown accuracy: what was set last.
+/// The offset of pairs of unknown accuracy: that after the last time the clock was set.
 Duration last_set(const std::vector<RecordedClock>& pairs) {
   constexpr Time plausible{std::chrono::sys_days{std::chrono::year{2020} / 1 / 1}};
   constexpr Duration noise = std::chrono::milliseconds{1};  // of reading two clocks

@@ -53,7 +53,7 @@ struct Checksums {
   /// Hashes the tables of the account. `problems`: rows of runs that are not there.
   Result<void> scan_accounts(const RecordingFile& file, const std::vector<std::int64_t>& runs,
                              std::vector<std::string>& problems);
-  /// Of ranges that have other columns than their table, which has so many.
+  /// Adds to `strays` each checksum that covers fewer than the fixed columns or more than `columns`, all of `table`.
   void check_widths(const std::string& table, int columns);
   RangeCheck* find(std::string_view table, std::int64_t run, const std::string& origin);
 };

@@ -12,9 +12,9 @@ namespace rtdata::detail {
 
 /// For an origin of which each read brought one sample with the time of the read, in a closed run: each tick of its
 /// schedule is a row or lies in exactly one gap. The row of the n-th tick that lies in none begins at that tick or
-/// later, and before the tick after the next one that was taken; where reads brought nothing new, each row has so many
-/// ticks more to choose from. Where there is no such choice, the rows are as late as the ledger says, and so many of
-/// them.
+/// later, and before the tick after the next one that was taken; each read that brought nothing new lets a row begin
+/// one tick later still. Where each row has just one tick, the number of late rows and the sum of their lateness are
+/// those of the ledger.
 class TickCheck {
  public:
   static constexpr std::size_t most_sentences = 5;
@@ -39,8 +39,7 @@ class TickCheck {
   std::uint64_t more() const noexcept { return mistakes_ - sentences_.size(); }
 
  private:
-  /// Ticks in a row of one segment, of which so many were taken: all of them, or those that are in no gap that was
-  /// joined.
+  /// Successive ticks of one segment, of which `taken` were taken: all of them, or all but those in joined gaps.
   struct Stretch {
     std::size_t segment;
     std::int64_t first;  // due
@@ -61,7 +60,7 @@ class TickCheck {
                    std::size_t& next_gap);
   void add_stretch(std::size_t segment, const Segment& of, std::int64_t first_tick, std::uint64_t ticks,
                    std::uint64_t missing);
-  /// Of the n-th tick that was taken; null when there are not so many.
+  /// The stretch with the n-th taken tick; null when there are fewer.
   const Stretch* find(std::uint64_t n, std::size_t& near) const;
   void mistake(std::string sentence);
 
