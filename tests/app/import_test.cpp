@@ -24,6 +24,7 @@ void check_verifies(const Folder& folder, const std::string& recording) {
   Process verify(folder, program, {"verify", recording});
   CHECK(verify.end() == 0);
   CHECK(has(verify.out, "balanced"));
+  CHECK_MESSAGE(!has(verify.out, "outside"), verify.out);
 }
 
 }  // namespace
@@ -46,7 +47,7 @@ TEST_SUITE("app") {
     CHECK(has(import.out, "  imu.ax [m/s2]: imu_ax, number, may be absent"));
     CHECK(has(import.out, "  count: count, integer"));
     CHECK(has(import.out, "  never: never, no values: left out"));
-    CHECK(import.err.empty());
+    CHECK_MESSAGE(import.err.empty(), import.err);
     check_verifies(folder, "bench.db");
     Process rows(folder, program, {"export", "bench.db", "--utc", "--units"});
     CHECK(rows.end() == 0);
@@ -94,6 +95,8 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(has(import.err, why), import.err);
     };
     refuses({"good.csv", "--time", "time"}, "did you mean time_s?");
+    folder.write("unit.csv", "t [ms],v\n1,2\n");
+    refuses({"unit.csv", "--time", "t"}, "says ms");
     refuses({"good.csv", "--time", "time_s", "--scale", "0s"}, "not above 0");
     refuses({"good.csv", "--time", "time_s", "--scale", "fast"}, "fast");
     refuses({"good.csv", "--time", "time_s", "--start", "noon"}, "noon");

@@ -256,7 +256,7 @@ const GoodChip good_chips[] = {
      [](Wires& wires) {
        const std::array<std::uint8_t, 2> word{0x66, 0x66};
        const std::array<std::uint8_t, 2> status{0x80, 0x10};
-       wires.i2c.chip(0x44).set(0xf4, {status[0], status[1], Sht::checksum(status)});  // after the pointer of the question
+       wires.i2c.chip(0x44).set(0xf4, {status[0], status[1], Sht::checksum(status)});
        wires.i2c.chip(0x44).set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
        wires.i2c.chip(0x44).on_write(0x24, [](std::uint16_t) {});
      },

@@ -84,7 +84,7 @@ struct BarometerReading {
     return record("barometer", field("pressure", &BarometerReading::pressure, "Pa"),
                   field("temperature", &BarometerReading::temperature, "Cel"),
                   field("altitude", &BarometerReading::altitude, "m"),
-                  field("humidity", &BarometerReading::humidity, "%RH"));
+                  field("humidity", &BarometerReading::humidity, "%"));
   }
 };
 

@@ -17,6 +17,7 @@
 #include "rtdata/data/value.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 
@@ -171,7 +172,10 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
   std::vector<std::string_view> headings;
   for (const detail::CsvCell& cell : cells) found.columns.push_back({.heading = cell.text, .name = {}, .unit = {}});
   for (const Column& column : found.columns) headings.push_back(column.heading);
-  const auto at = std::find(headings.begin(), headings.end(), options.time_column);
+  const auto is_it = [&](std::string_view heading) {  // with its unit or without
+    return heading == options.time_column || heading.substr(0, heading.find(" [")) == options.time_column;
+  };
+  const auto at = std::find_if(headings.begin(), headings.end(), is_it);
   if (at == headings.end())
     return refused(options.file, "it has no column " + options.time_column,
                    detail::suggestion(options.time_column, headings));
@@ -220,8 +224,9 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
 
 Result<std::uint64_t> record(const ImportOptions& options, const Found& found, Duration scale, Time start,
                              std::uint64_t& moved) {
-  Loop loop{Loop::Manual{}, {.name = "import"}};
-  loop.manual_clock().set_realtime(found.first);
+  ManualClock clock(found.first - Duration{1});
+  Runtime runtime({.name = std::filesystem::path(options.file).filename().string(), .clock = &clock});
+  Loop loop(runtime, {.name = "import"});
   std::optional<Error> failed;
   loop.on_error([&](const ErrorReport& report) {
     if (!failed) failed = report.error;
@@ -284,6 +289,12 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
     if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
     auto found = look_at(named, *scale, start);
     if (!found) return fail(found.error());
+    const Column& time = found->columns[found->time_column];
+    if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != *scale && time.can_be_number)
+      return fail(
+          refused(named.file,
+                  "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " + to_string(*scale),
+                  "write --scale \"1 " + time.unit + "\", or change the heading"));
     std::uint64_t moved = 0;
     const auto rows = record(named, *found, *scale, start, moved);
     if (!rows) return fail(rows.error());
