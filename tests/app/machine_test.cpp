@@ -192,7 +192,7 @@ TEST_SUITE("app") {
     board.file("/dev/ttyUSB0");
     const std::string text = starter_file(registry, "first.json", board.root);
     CAPTURE(text);
-    CHECK(text.find("/sys/bus/w1/devices/28-0000075565ad/temperature") != std::string::npos);
+    CHECK(text.find(R"("type": "w1", "rate": "0.5 Hz", "device": "28-0000075565ad")") != std::string::npos);
     CHECK(text.find("in_voltage0_raw") != std::string::npos);
     CHECK(text.find("\n//   i2c: /dev/i2c-1, bcm?2835\n") != std::string::npos);
     CHECK(text.find("\n//   serial: /dev/serial/by-id/usb?\"x\", ttyUSB0\n") != std::string::npos);

@@ -231,9 +231,10 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, D
   loop.on_error([&](const ErrorReport& report) {
     if (!failed) failed = report.error;
   });
+  // First, since a wrong name is refused before there is a file.
+  AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
   // Time passes as fast as it goes: what is stored together is a matter of memory, not of time.
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
-  AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
   Table table(options.file);
   std::vector<detail::CsvCell> cells;
   (void)table.next(cells);
