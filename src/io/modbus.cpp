@@ -119,6 +119,8 @@ struct ModbusDevice::Core {
     modbus_t* const context;
     const int fd;
     const bool is_tty;
+    unsigned late_unit = 0;             // of which an answer did not come in time; 0: of none
+    MonotonicTime late_until{};         // it may still come
     std::atomic<bool> is_in_use{true};  // by who has made it, at first
     MonotonicTime last_frame{};         // when it ended
   };
@@ -248,12 +250,21 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
     if (connection.is_tty) {
       const Duration quiet = detail::lane_now() - connection.last_frame;
       if (quiet < core_->silence) wait(core_->silence - quiet);
+      // An answer of this unit that did not come in time may still come: it would be taken for the next one's.
+      if (connection.late_unit == unit_ && connection.late_until > detail::lane_now())
+        wait(connection.late_until - detail::lane_now());
+      connection.late_unit = 0;
     }
     ::modbus_set_slave(connection.context, static_cast<int>(unit_));
     ::modbus_flush(connection.context);  // what came too late, or unasked
     errno = 0;
     if (ask(connection.context) < 0) number = errno != 0 ? errno : EIO;
     connection.last_frame = detail::lane_now();
+    if (connection.is_tty && number == ETIMEDOUT) {
+      connection.late_unit = unit_;
+      const Duration spare = (core_->config.timeout - core_->config.answer_timeout) / 2;
+      connection.late_until = connection.last_frame + std::min(2 * core_->config.answer_timeout, spare);
+    }
     // After an answer that did not come, or was none, what comes next over TCP may be anything.
     const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
     core_->release(*use,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -34,7 +35,20 @@ struct SerialDevice::Core {
       : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
   const std::string bus;
   const std::shared_ptr<SerialTransport> transport;
+  /// An answer that did not come in time may still come: the next request waits for it, to drop it.
+  void expect_late_answer(MonotonicTime now) noexcept {
+    const Duration spare = (config.timeout - config.answer_timeout) / 2;
+    const Duration most = std::min(late_answers * config.answer_timeout, spare);
+    late_until.store((now + most).time_since_epoch().count(), std::memory_order_relaxed);
+  }
+  MonotonicTime take_late_until() noexcept {
+    return MonotonicTime{Duration{late_until.exchange(0, std::memory_order_relaxed)}};
+  }
   const SerialPortConfig config;
+
+ private:
+  static constexpr int late_answers = 2;    // so many times its `answer_timeout`
+  std::atomic<std::int64_t> late_until{0};  // ns of the monotonic line; 0: none is awaited
 };
 
 Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -56,6 +70,16 @@ Result<void> SerialDevice::look_at() {
 Result<void> SerialDevice::drop_input() {
   pending_.clear();
   if (auto wanted = check_wanted(); !wanted) return wanted;
+  // From the first byte of a late answer on, until the line is still.
+  constexpr Duration stillness = std::chrono::milliseconds{20};
+  std::array<std::uint8_t, 512> late{};
+  for (MonotonicTime until = core_->take_late_until(); until > detail::lane_now();) {
+    const Result<std::size_t> got = core_->transport->read(late, until - detail::lane_now());
+    if (!got) return got.error();
+    if (auto wanted = check_wanted(); !wanted) return wanted;
+    if (*got == 0) break;
+    until = std::min(until, detail::lane_now() + stillness);
+  }
   return core_->transport->drop_input();
 }
 
@@ -87,6 +111,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     const Result<bool> came = receive(until);
     if (!came) return came.error();
     if (*came) continue;
+    core_->expect_late_answer(until);
     return error(Errc::timed_out, cannot_read,
                  std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
                      to_string(patience),
@@ -136,6 +161,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
     const Result<bool> came = receive(until);
     if (!came) return came.error();
     if (*came) continue;
+    core_->expect_late_answer(until);
     return error(Errc::timed_out, cannot_read,
                  pending_.empty()
                      ? "nothing came in " + to_string(patience)

@@ -305,6 +305,8 @@ TEST_CASE("US-36 edge: with libgpiod 1 lost is not detectable, and a full store 
   CHECK_FALSE(sensor.counts().lost_is_known);
   CHECK(sensor.health() == Health::degraded);
   CHECK(bench.errors == std::vector<std::string>{"backlog"});
+  CHECK(sensor.status().outages.number == 1);  // how many are missing is not known
+  CHECK(bench.loop.runtime().has_loss());
   EdgeSensor button(bench.loop, {.name = "button"}, {.input = {.line = 3, .debounce = 5ms}}, bench.pins);
   Wire wire{bench.loop, *bench.pins, 3};
   for (int i = 0; i < 3; ++i) {

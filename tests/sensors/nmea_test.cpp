@@ -67,7 +67,7 @@ TEST_SUITE("sensors") {
     CHECK(reader.got.empty());  // what the last one is, is not known yet
     reader.body(at(rmc, "092836"));
     REQUIRE(reader.got.size() == 1);
-    const GpsFix& fix = reader.got[0];
+    const GpsFix fix = reader.got[0];
     CHECK(reader.times[0] == Time(Duration(6)));  // of its last sentence
     CHECK(fix.device == "/dev/gps");
     CHECK(fix.mode == 3);

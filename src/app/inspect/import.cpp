@@ -78,8 +78,11 @@ struct Column {
   std::string heading, name, unit;
   // What all its cells can be.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
+  bool has_large = false;
   std::size_t longest = 1;
 
+  /// Integers of which some would change as doubles stay texts.
+  void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
   void look_at(const detail::CsvCell& cell) {
     if (cell.text.empty() && !cell.quoted) {
       has_empty = true;
@@ -89,7 +92,12 @@ struct Column {
     longest = std::max(longest, cell.text.size());
     std::int64_t integer = 0;
     double number = 0;
-    can_be_integer = can_be_integer && detail::read_number(cell.text, integer) == std::errc{};
+    const std::errc as_integer = detail::read_number(cell.text, integer);
+    const bool is_integer = as_integer == std::errc{};
+    constexpr std::int64_t exact = std::int64_t{1} << 53;  // a double holds all integers up to this
+    has_large = has_large || as_integer == std::errc::result_out_of_range ||
+                (is_integer && (integer > exact || integer < -exact));
+    can_be_integer = can_be_integer && is_integer;
     can_be_number = can_be_number && detail::read_number(cell.text, number) == std::errc{};
   }
   std::string type() const {
@@ -200,6 +208,7 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
     for (std::size_t i = 0; i < cells.size(); ++i) found.columns[i].look_at(cells[i]);
   }
   if (found.rows == 0) return refused(options.file, "it has no rows", "");
+  for (Column& column : found.columns) column.look_at_all();
   DescriptionBuilder builder("import");
   for (std::size_t i = 0; i < found.columns.size(); ++i) {
     const Column& column = found.columns[i];

@@ -65,6 +65,10 @@ class EdgeNode final : public StreamNode {
     origin_.counts.lost += now.lost - accounted_.lost;
     origin_.counts.received += now.filtered - accounted_.filtered;
     origin_.counts.filtered += now.filtered - accounted_.filtered;
+    if (now.overflows != accounted_.overflows) {  // how many are missing is not known: a gap says so
+      origin_.begin_absence(Gap::Kind::silent, id(Errc::backlog), last_);
+      origin_.end_absence(loop()->now());
+    }
     accounted_ = now;
   }
   void take(const GpioEdge& edge) {
@@ -72,6 +76,7 @@ class EdgeNode final : public StreamNode {
     heard();
     settle_accounts();
     count_ = before_ + edge.number;
+    last_ = edge.time;
     EdgeReading reading{edge.level, count_};
     ++origin_.counts.received;
     ++origin_.counts.published;
@@ -94,6 +99,7 @@ class EdgeNode final : public StreamNode {
   GpioEdges edges_;
   std::uint64_t count_ = 0;
   std::uint64_t before_ = 0;  // count_ when the line was taken
+  MonotonicTime last_{};      // of the last edge
   GpioEdgeCounts accounted_;
 };
 
