@@ -70,6 +70,7 @@ void check_recording(const std::vector<std::function<void()>>& things, const std
     });
     loop.run();
     act.close();
+    sensor.stop();  // a tick may come due while the loop closes
     counts = sensor.counts();
     close_balanced(loop);
   }

@@ -199,7 +199,7 @@ TEST_SUITE("drivers") {
     be_quiet(loop);
     const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": ")" + device("I2C") +
                              R"("}, "none": {"type": "i2c", "device": ")" + link + R"("}}, "sensors": [
-          {"name": "air", "type": "bmp280", "rate": "20 Hz", "bus": "i2c1", "retry_longest": "200 ms"},
+          {"name": "air", "type": "barometer", "rate": "20 Hz", "bus": "i2c1", "retry_longest": "200 ms"},
           {"name": "power", "type": "ina", "rate": "20 Hz", "bus": "none", "model": "ina226", "retry_longest": "200 ms"}]})";
     std::map<std::string, int> told;
     loop.on_error(
