@@ -640,7 +640,7 @@ TEST_SUITE("data") {
       CHECK(codec->first_event(std::span(bytes).first(size)) == (size < one ? 0 : one));
     std::mt19937_64 random(1);
     for (int i = 0; i < 20'000; ++i) {
-      Bytes garbage(random() % 40);
+      Bytes garbage(static_cast<std::size_t>(random() % 40));
       for (auto& byte : garbage) byte = static_cast<std::byte>(random());
       REQUIRE(codec->first_event(garbage) <= garbage.size());
       if (const auto event = codec->decode(garbage, *description_of<Small>()); !event)
