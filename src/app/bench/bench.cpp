@@ -63,7 +63,7 @@ Json json_of(Ticks& ticks) {
           {"p99_ns", at(0.99)},   {"p99_9_ns", at(0.999)},  {"max_ns", at(1)}};
 }
 
-bool is_tmpfs(const std::string& path) {
+[[maybe_unused]] bool is_tmpfs(const std::string& path) {
   struct statfs found {};
   return ::statfs(path.c_str(), &found) == 0 && static_cast<unsigned long>(found.f_type) == 0x01021994UL;
 }
