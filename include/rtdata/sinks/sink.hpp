@@ -50,6 +50,12 @@ constexpr auto describe(type_tag<WhenFull>) {
                      value("drop_oldest", WhenFull::drop_oldest));
 }
 
+/// Where a sink that goes through a recording begins, at its first start.
+enum class From { now, beginning };
+constexpr auto describe(type_tag<From>) {
+  return enumeration("from", value("now", From::now), value("beginning", From::beginning));
+}
+
 struct SinkConfig {
   std::string name = {};                            ///< in reports and the ledger; each kind has a default
   std::vector<std::string> topics = {"#"};          ///< patterns; topics made later are taken too
@@ -61,6 +67,10 @@ struct SinkConfig {
   Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
   Duration retry_longest = std::chrono::seconds{10};      ///< both above 0; Duration::max(): not before it closes
   Duration close_deadline = std::chrono::seconds{10};     ///< how long closing waits for what is queued
+  /// The name of a recording (SqliteSink) of the same loop: events are taken from there once they are committed, and
+  /// the position is kept in it, so that nothing is lost while the peer is away. Empty: from memory.
+  std::string through = {};
+  From from = From::now;  ///< with `through`, when the recording has no position of this sink yet
 
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
@@ -79,7 +89,10 @@ struct SinkConfig {
                   range(1ms, 1h)),
         parameter("retry_longest", &SinkConfig::retry_longest, "the delay doubles up to this", range(1ms, 24h)),
         parameter("close_deadline", &SinkConfig::close_deadline, "how long closing waits for what is queued",
-                  range(0ms, 24h)));
+                  range(0ms, 24h)),
+        parameter("through", &SinkConfig::through,
+                  "name of a recording: events are taken from there, and wait there while the peer is away"),
+        parameter("from", &SinkConfig::from, "with `through`, at the first start: what comes now, or all there is"));
   }
 };
 
@@ -89,6 +102,7 @@ struct SlotInfo {
   std::string origin;
   std::string topic;
   std::shared_ptr<const Description> description;
+  std::string run = {};  ///< uuid of the run that the events are of; only where they leave the machine: senders have it
 };
 
 /// One event as a writer gets it. Valid until `write` returns.
@@ -103,6 +117,7 @@ struct Record {
 
 struct Account;
 class RecordingWriter;
+class Sender;
 
 namespace detail {
 class SinkQueue;
@@ -176,6 +191,8 @@ class Writer {
   virtual Result<void> close() { return {}; }
   /// The sink calls it once: `this` if the writer is a RecordingWriter, else null.
   virtual RecordingWriter* as_recording() noexcept { return nullptr; }
+  /// The same for a Sender (sender.hpp).
+  virtual Sender* as_sender() noexcept { return nullptr; }
 };
 
 class Sink : public Handle {
