@@ -102,7 +102,7 @@ struct SlotInfo {
   std::string origin;
   std::string topic;
   std::shared_ptr<const Description> description;
-  std::string run = {};  ///< uuid of the run that the events are of; only where they leave the machine: senders have it
+  std::string run = {};  ///< uuid of the run that the events are of; with `through` that of the recording
 };
 
 /// One event as a writer gets it. Valid until `write` returns.
@@ -113,6 +113,10 @@ struct Record {
   std::span<const std::byte> payload;
   /// Valid as long as this record is.
   EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
+  /// The same with its run: for what leaves the machine.
+  EventView keyed_view() const noexcept {
+    return EventView(info->topic, header, *info->description, payload, info->run);
+  }
 };
 
 struct Account;
