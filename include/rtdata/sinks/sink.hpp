@@ -91,7 +91,8 @@ struct SinkConfig {
         parameter("close_deadline", &SinkConfig::close_deadline, "how long closing waits for what is queued",
                   range(0ms, 24h)),
         parameter("through", &SinkConfig::through,
-                  "name of a recording: events are taken from there, and wait there while the peer is away"),
+                  "name of a recording: events are taken from there, and wait there while the peer is away",
+                  names_part("sink", "sqlite")),
         parameter("from", &SinkConfig::from, "with `through`, at the first start: what comes now, or all there is"));
   }
 };
