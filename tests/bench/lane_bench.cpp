@@ -221,7 +221,6 @@ void bench_many_files(Report& report) {
 // ---- converters on one bus
 
 constexpr rtdata::Duration conversion = std::chrono::milliseconds{8};
-constexpr rtdata::Duration asked_every = std::chrono::microseconds{100};
 
 /// Begins a conversion by a register, which has its result later.
 class Adc {
@@ -239,8 +238,7 @@ class Adc {
   }
 };
 
-/// In virtual time, in which the bus takes as long as at 400 kHz, and all else no time. They are asked as often as they
-/// can answer: at 125 Hz, the tick that comes while the last conversion is fetched would be missed.
+/// In virtual time, in which the bus takes as long as at 400 kHz, and all else no time.
 void bench_adcs(Report& report) {
   if (!report.wants("four_adcs")) return;
   constexpr unsigned count = 4;
@@ -252,7 +250,7 @@ void bench_adcs(Report& report) {
   for (unsigned i = 0; i < count; ++i) {
     wires->chip(0x48 + i).set_duration(std::chrono::microseconds{75});
     sensors.emplace_back(
-        loop, rtdata::SensorConfig{.name = "adc" + std::to_string(i), .rate = rtdata::Rate::from_period(asked_every)},
+        loop, rtdata::SensorConfig{.name = "adc" + std::to_string(i), .rate = rtdata::Rate::from_period(conversion)},
         bus, rtdata::I2cDevice::Place{0x48 + i});
   }
   loop.advance(time);

@@ -102,6 +102,23 @@ TEST_SUITE("config") {
                          SetupError);
   }
 
+  TEST_CASE("US-17 a type that the program was built without is told apart from one that nobody knows") {
+    Sensors registry = sensors();
+    registry.leave_out("modbus", "this program was built without libmodbus");
+    const auto problems_of_type = [&registry](const std::string& type) {
+      const ConfigItem item = parse_config("{\"type\": \"" + type + "\"}", "f.json").or_throw();
+      Problems problems;
+      (void)registry.check(item, problems);
+      return problems.text();
+    };
+    CHECK(problems_of_type("modbus").find("no sensor type \"modbus\": this program was built without libmodbus") !=
+          std::string::npos);
+    CHECK(problems_of_type("modbas").find("built without") == std::string::npos);
+    CHECK(registry.types().size() == 2);
+    registry.add<Gps>("modbus", "one of the program's own", [](int&, const Gps&) { return Made(); });
+    CHECK(problems_of_type("modbus").empty());
+  }
+
   TEST_CASE("US-17 types are listed with parameters and schema") {
     const Sensors registry = sensors();
     REQUIRE(registry.types().size() == 2);

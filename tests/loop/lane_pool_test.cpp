@@ -181,6 +181,26 @@ TEST_SUITE("loop") {
     CHECK(std::is_sorted(order.begin(), order.end()));
   }
 
+  TEST_CASE("NFR-1 a job that has ended is told of, although the next of its device hangs on the same thread") {
+    Bench bench(4);
+    Lane& lane = bench.quick_lane();
+    Lane& other = bench.quick_lane();
+    Stuck first;
+    bool is_first_done = false, is_other_done = false;
+    REQUIRE(lane.submit(job(first.work(), [&](Outcome) { is_first_done = true; })));
+    REQUIRE(other.submit(job({}, [&](Outcome) { is_other_done = true; })));
+    run_until(bench.loop, [&] { return is_other_done; });  // another thread leads
+    bench.hang(lane);
+    bench.ask(other);          // the new leader has put the second job behind the first
+    bench.loop.run_for(20ms);  // until it does not look after its threads any more
+    first.release();
+    run_until(bench.loop, [&] { return is_first_done; });
+    CHECK(bench.told.empty());
+    bench.stuck.release();
+    bench.loop.run();
+    CHECK(bench.told == std::vector<Outcome>{Outcome::finished});
+  }
+
   TEST_CASE("each lane runs one job at a time, in order, whichever thread has it") {
     Duration quick{0};
     std::size_t threads = 4;

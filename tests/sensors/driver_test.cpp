@@ -15,6 +15,9 @@
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/sht.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/verify.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -52,6 +55,26 @@ struct Bench {
   Bench() {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+  }
+};
+
+/// A converter that needs as long as there is between two ticks at 125 Hz.
+struct SlowCode {
+  double code = 0;
+  friend constexpr auto describe(type_tag<SlowCode>) { return record("slow_code", field("code", &SlowCode::code)); }
+};
+class SlowAdc {
+ public:
+  struct Config {};
+  using Value = SlowCode;
+  using Device = I2cDevice;
+  explicit SlowAdc(const Config&) {}
+  Result<void> start(Device& chip) { return chip.write_register(1, 1); }
+  Duration conversion_time() const { return 8ms; }
+  Result<SlowCode> read(Device& chip) {
+    const auto code = chip.read_word(0);
+    if (!code) return code.error();
+    return SlowCode{static_cast<double>(*code)};
   }
 };
 
@@ -309,6 +332,61 @@ TEST_SUITE("sensors") {
     }
     const auto log = bench.wires->log();
     for (std::size_t i = 1; i < log.size(); ++i) CHECK(log[i].began >= log[i - 1].began + log[i - 1].took);
+  }
+
+  TEST_CASE("NFR-4 a tick that comes while a converter converts is begun late, not missed, and the recording says so") {
+    ScratchDirectory folder;
+    const std::string path = folder.file("run.db");
+    {
+      Bench bench;
+      SqliteSink sink(bench.loop, {.path = path, .sink = {.batch_time = 3ms}});  // accounts while ticks are kept, too
+      std::vector<DriverSensor<SlowAdc>> all;
+      for (unsigned i = 0; i < 4; ++i) {
+        bench.wires->chip(0x48 + i).set_duration(75us);
+        all.emplace_back(bench.loop, SensorConfig{.name = "adc" + std::to_string(i), .rate = 125_Hz}, bench.bus,
+                         I2cDevice::Place{0x48 + i});
+      }
+      bench.loop.advance(4s);
+      for (DriverSensor<SlowAdc>& one : all) {
+        const SensorCounts counts = one.counts();
+        CHECK(counts.published >= 475);
+        CHECK(counts.missed <= 25);
+        CHECK(counts.late > counts.taken / 2);
+        CHECK(counts.failed == 0);
+        CHECK(counts.in_flight <= 1);
+      }
+      all[0].stop();  // with a tick that is kept, as are the next two
+      all[1].set_rate(100_Hz);
+      all[2].close();
+      all[0].start();
+      bench.loop.advance(100ms);
+      CHECK(all[1].counts().scheduled == all[1].counts().taken + all[1].counts().missed + all[1].counts().in_flight);
+      bench.loop.close();
+      CHECK(bench.loop.runtime().balances());
+      CHECK(bench.errors.empty());
+    }
+    const VerifyReport report = verify(Recording::open(path).or_throw()).or_throw();
+    CHECK(report.problems.empty());
+    CHECK(report.verdict() == Verdict::balanced);
+  }
+
+  TEST_CASE("a tick that was kept is failed where the read before it makes the device faulted") {
+    Bench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x48);
+    DriverSensor<SlowAdc> adc(bench.loop, {.name = "adc", .rate = 125_Hz, .faulted_after = 1}, bench.bus,
+                              I2cDevice::Place{0x48});
+    bench.loop.advance(4ms);
+    chip.unplug();
+    bench.loop.advance(20ms);
+    const SensorCounts counts = adc.counts();
+    CHECK(adc.health() == Health::faulted);
+    CHECK(counts.scheduled == counts.failed + counts.taken);
+    CHECK(counts.missed == 0);
+    chip.plug_in();
+    bench.loop.advance(10s);
+    CHECK(adc.health() == Health::ok);
+    bench.loop.close();
+    CHECK(bench.loop.runtime().balances());
   }
 
   TEST_CASE("NFR-1 a chip that hangs is given up, its readings alone; a dead one does not starve the bus") {

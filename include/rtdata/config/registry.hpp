@@ -308,6 +308,11 @@ class Registry {
     add_type<C>(kind, type, std::move(doc), std::move(plan));
   }
 
+  /// A type that this program lacks (TypeRegistryBase::leave_out).
+  void leave_out(std::string_view kind, std::string type, std::string why) {
+    kind_named(kind).types.leave_out(std::move(type), std::move(why));
+  }
+
   const TypeRegistryBase& sensors() const { return types("sensor"); }
   const TypeRegistryBase& sinks() const { return types("sink"); }
   const TypeRegistryBase& buses() const { return types("bus"); }

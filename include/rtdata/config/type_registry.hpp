@@ -36,6 +36,11 @@ class TypeRegistryBase {
   std::vector<TypeInfo> types() const;
   /// Nothing when there is no such type.
   std::optional<TypeInfo> find(std::string_view type) const;
+  /// A type that this program lacks, as it was built without a library, is named with the reason, where somebody asks
+  /// for it. `why`: "this program was built without libmodbus". It may be added all the same, with another meaning.
+  void leave_out(std::string type, std::string why);
+  /// Why a type is left out; null: it is not known as one that is.
+  const std::string* why_left_out(std::string_view type) const noexcept;
   /// The JSON Schema (draft-07) of an item of any type.
   std::string schema() const { return rtdata::schema(types()); }
 
@@ -70,6 +75,7 @@ class TypeRegistryBase {
   std::string what_;
   std::vector<ParameterInfo> common_;
   std::vector<Type> types_;
+  std::vector<std::pair<std::string, std::string>> left_out_;  // type and reason
 };
 
 template <class Product, class... Context>

@@ -73,18 +73,6 @@ std::optional<Duration> span_of(const std::string& option, const std::string& te
   return std::nullopt;
 }
 
-/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
-CLI::Validator at_least(std::int64_t least) {
-  const auto check = [least](const std::string& text) {
-    std::int64_t number = 0;
-    const char* const end = text.data() + text.size();
-    const auto [stopped, failed] = std::from_chars(text.data(), end, number);
-    const bool is_good = failed == std::errc{} && stopped == end && number >= least;
-    return is_good ? std::string() : text + " must be a whole number from " + std::to_string(least) + " on";
-  };
-  return CLI::Validator(check, "");
-}
-
 Action prepare_run(CLI::App& command) {
   struct Given {
     app::RunOptions options;
@@ -234,6 +222,18 @@ Action prepare_doctor(CLI::App& command) {
 }
 
 #ifdef RTDATA_WITH_SQLITE
+/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
+CLI::Validator at_least(std::int64_t least) {
+  const auto check = [least](const std::string& text) {
+    std::int64_t number = 0;
+    const char* const end = text.data() + text.size();
+    const auto [stopped, failed] = std::from_chars(text.data(), end, number);
+    const bool is_good = failed == std::errc{} && stopped == end && number >= least;
+    return is_good ? std::string() : text + " must be a whole number from " + std::to_string(least) + " on";
+  };
+  return CLI::Validator(check, "");
+}
+
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
   command.footer(

@@ -199,6 +199,17 @@ Registry standard_registry() {
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },
       [](Loop& loop, const ConsoleConfig& config) { return ConsoleSink(loop, config); });
+#ifndef RTDATA_WITH_GPIO
+  for (const char* type : {"counter", "edge", "gpio"})
+    registry.leave_out("sensor", type, "this program was built without libgpiod");
+#endif
+#ifndef RTDATA_WITH_MODBUS
+  for (const char* kind : {"bus", "sensor"})
+    registry.leave_out(kind, "modbus", "this program was built without libmodbus");
+#endif
+#ifndef RTDATA_WITH_SQLITE
+  registry.leave_out("sink", "sqlite", "this program was built without SQLite");
+#endif
   return registry;
 }
 

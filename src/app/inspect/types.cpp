@@ -131,6 +131,12 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
     }
   }
   if (found > 0) return exit_good;
+  for (const PartKind& kind : registry.kinds()) {
+    const std::string* why = kind.types.why_left_out(name);
+    if (why == nullptr) continue;
+    std::cerr << "rtdata: there is no type \"" << name << "\": " << *why << std::endl;
+    return exit_other;
+  }
   const std::string nearest = nearest_name(name, names);
   std::cerr << "rtdata: there is no type \"" << name << "\""
             << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << "; `rtdata types` lists all"

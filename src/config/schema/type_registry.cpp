@@ -33,6 +33,16 @@ void TypeRegistryBase::add_type(std::string type, std::string doc, Parameters pa
   types_.push_back({std::move(type), std::move(doc), parameters, std::move(page)});
 }
 
+void TypeRegistryBase::leave_out(std::string type, std::string why) {
+  left_out_.emplace_back(std::move(type), std::move(why));
+}
+
+const std::string* TypeRegistryBase::why_left_out(std::string_view type) const noexcept {
+  for (const auto& [name, why] : left_out_)
+    if (name == type) return &why;
+  return nullptr;
+}
+
 std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems) const {
   if (!config_detail::check_is_object(item, problems)) return none;
   std::vector<std::string> names;
@@ -54,8 +64,12 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   if (!config_detail::read_string(*type, name, problems)) return none;
   for (std::size_t i = 0; i < types_.size(); ++i)
     if (types_[i].name == name) return i;
-  std::string suggestion = nearest_name(name, names);
   std::string message = "there is no " + what_ + " type \"" + std::string(name) + "\"";
+  if (const std::string* why = why_left_out(name)) {
+    problems.add(type->problem("unknown-type", message + ": " + *why));
+    return none;
+  }
+  std::string suggestion = nearest_name(name, names);
   if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;

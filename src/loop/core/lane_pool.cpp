@@ -134,10 +134,11 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   // ---- any thread
 
   void choose_leader() noexcept {
-    std::uint64_t nobody = 0;
-    const std::uint64_t chosen = ++leaderships;
-    if (leader.compare_exchange_strong(nobody, chosen) && !wake_one())
-      leader.compare_exchange_strong(nobody = chosen, 0);
+    do {
+      std::uint64_t nobody = 0, chosen = ++leaderships;
+      if (!leader.compare_exchange_strong(nobody, chosen) || wake_one()) return;
+      leader.compare_exchange_strong(chosen, 0);
+    } while (sleeping > 0);  // one went to sleep meanwhile, since somebody had been chosen
   }
   /// Somebody has been chosen. False: there is no thread, and the system gives none.
   bool wake_one() noexcept {
@@ -277,6 +278,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     worker.took = Duration{0};
     if (!job.begin(worker.now)) return true;  // given up, or cancelled, while it waited
     const bool leads = worker.leads != 0;
+    if (!leads) worker.tell();  // this job may take long, and the loop looks only after the leader
     if (leads) {
       led_jobs.fetch_add(1, std::memory_order_relaxed);
       in_led_job.store(worker.leads, std::memory_order_relaxed);
@@ -377,12 +379,7 @@ void LanePool::wake(MonotonicTime now) noexcept {
   }
   const bool is_in_job = state.in_led_job.load(std::memory_order_relaxed) == leads;  // else it has not come so far yet
   if (now - seen_at_ < (is_in_job ? patience : most_patience)) return;
-  const std::uint64_t chosen = ++state.leaderships;
-  if (!state.leader.compare_exchange_strong(leads, chosen)) return;
-  if (!state.wake_one()) {  // then it leads when it comes back, if it does
-    std::uint64_t still = chosen;
-    state.leader.compare_exchange_strong(still, leads);
-  }
+  if (state.leader.compare_exchange_strong(leads, 0)) state.choose_leader();
 }
 
 bool LanePool::is_to_be_watched() const noexcept {

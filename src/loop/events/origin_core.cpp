@@ -28,6 +28,7 @@ MonotonicTime OriginCore::last_due() const noexcept {
 Segment OriginCore::segment(MonotonicTime end) const noexcept {
   const RuntimeCore& runtime = topic.runtime();
   const MonotonicTime last = last_due();
+  end = std::min(end, later(kept_due_, Duration{-1}));
   if (is_mirror || end < last) end = last;  // within a turn, ticks are counted that are due after `handled_until`
   return {runtime.event_time(first_due_), period_, runtime.event_time(end), counts.scheduled - scheduled_before_,
           late_after};

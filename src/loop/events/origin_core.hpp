@@ -36,6 +36,10 @@ class OriginCore {
   /// The segment under way as it would be if it ended at `end`.
   Segment segment(MonotonicTime end) const noexcept;
 
+  /// The tick that was due then has not been counted, and the next will not be before it: it is begun as soon as a read
+  /// has ended. `MonotonicTime::max()`: there is none any more.
+  void keep_tick(MonotonicTime due) noexcept { kept_due_ = due; }
+
   // What became of a tick: exactly one of these for each.
   void begin_read() noexcept {
     ++counts.scheduled;
@@ -141,7 +145,8 @@ class OriginCore {
   void report(const Gap& gap) noexcept;
 
   MonotonicTime first_due_{};  // of the segment under way; without one, `free_from`
-  Duration period_{0};         // without one, 0
+  MonotonicTime kept_due_ = MonotonicTime::max();
+  Duration period_{0};  // without one, 0
   std::uint64_t scheduled_before_ = 0;
   /// The gap under way, which may be several that are joined.
   struct Gaps {

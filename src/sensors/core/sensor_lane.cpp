@@ -149,10 +149,7 @@ void SensorNode::cancel_opening() noexcept {
 
 void SensorNode::tick_on_lane(const Tick& tick) {
   LaneSide& side = *lane_side();
-  if (origin_.counts.in_flight != 0) {
-    if (side.opening != nullptr) return origin_.fail_tick(settings().fault, tick.due);
-    return origin_.miss(1, still_reading, tick.due);
-  }
+  if (origin_.counts.in_flight != 0) return tick_in_flight(tick);
   if ((!device_is_open_ || health() == Health::faulted) && tick.now < settings().retry_at)
     return origin_.fail_tick(settings().fault, tick.due);
   side.due = tick.due;
@@ -164,6 +161,33 @@ void SensorNode::tick_on_lane(const Tick& tick) {
   if (side.opening != nullptr) return;
   device_is_open_ = true;
   submit_read();
+}
+
+void SensorNode::tick_in_flight(const Tick& tick) {
+  LaneSide& side = *lane_side();
+  if (side.opening != nullptr) return origin_.fail_tick(settings().fault, tick.due);
+  if (side.transaction == nullptr || !side.transaction->is_resumed_) return origin_.miss(1, still_reading, tick.due);
+  // A device that converts for as long as its period would have each second tick missed: the last one waits for it.
+  miss_kept_tick();
+  side.kept = tick.due;
+  origin_.keep_tick(tick.due);
+}
+
+void SensorNode::begin_kept_tick() {
+  LaneSide* const side = lane_side();
+  if (side == nullptr || !side->kept || origin_.counts.in_flight != 0) return;
+  Tick tick;
+  tick.due = *std::exchange(side->kept, std::nullopt);
+  tick.now = loop()->now();
+  origin_.keep_tick(MonotonicTime::max());
+  tick_on_lane(tick);
+}
+
+void SensorNode::miss_kept_tick() noexcept {
+  LaneSide* const side = lane_side();
+  if (side == nullptr || !side->kept) return;
+  origin_.keep_tick(MonotonicTime::max());
+  origin_.miss(1, still_reading, *std::exchange(side->kept, std::nullopt));
 }
 
 Error SensorNode::cannot_submit() const {
@@ -212,6 +236,11 @@ void SensorNode::read_on_loop() {
 void SensorNode::transaction_done(Transaction& transaction, LaneJob::Outcome outcome) {
   Call call(*this);
   loop()->nodes.begins(this);
+  take_transaction(transaction, outcome);
+  if (is_open()) begin_kept_tick();
+}
+
+void SensorNode::take_transaction(Transaction& transaction, LaneJob::Outcome outcome) {
   if (lane_side()->opening.get() == &transaction) return opening_done(transaction, outcome);
   LaneDevice& device = *lane_side()->device;
   const MonotonicTime due = lane_side()->due;

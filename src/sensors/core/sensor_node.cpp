@@ -114,6 +114,7 @@ bool SensorNode::is_late(const SamplePort& port) noexcept {
 
 void SensorNode::end_schedule(EndOf what) {
   if (!is_scheduled()) return;
+  miss_kept_tick();
   count_read_begun();
   if (port_ != nullptr && what == EndOf::activity) {
     if (port_->is_usable_) {
@@ -136,6 +137,7 @@ void SensorNode::end_schedule(EndOf what) {
 void SensorNode::stop_schedule(MonotonicTime end) {
   if (is_starting()) cancel_opening();
   if (!is_scheduled()) return;
+  miss_kept_tick();
   loop()->schedule().remove(*this);
   loop()->unref();
   origin_.end_segment(end);
@@ -285,6 +287,7 @@ void SensorNode::prefetch() const noexcept {
 
 void SensorNode::tick(const Tick& tick) {
   if (tick.missed > 0) [[unlikely]] {
+    miss_kept_tick();
     origin_.miss(tick.missed, loop_held, tick.due - static_cast<std::int64_t>(tick.missed) * period());
   }
   Call call(*this);

@@ -98,6 +98,13 @@ class SensorNode final : public SourceNode, public RateMember {
   /// Gives the lane an opening, or opens at once what needs none. Errors: neither is possible.
   Result<void> submit_opening();
   void tick_on_lane(const Tick& tick);
+  /// A tick that came while another was in flight.
+  void tick_in_flight(const Tick& tick);
+  void take_transaction(Transaction& transaction, LaneJob::Outcome outcome);
+  /// Begins the tick that was kept, late.
+  void begin_kept_tick();
+  /// It is not begun any more: counted as missed.
+  void miss_kept_tick() noexcept;
   void find_lane();
   /// Runs the transaction again after the pause that the device needs.
   void resume_after(Transaction& transaction, Duration pause) noexcept;
@@ -146,6 +153,7 @@ class SensorNode final : public SourceNode, public RateMember {
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick
     Resume resume;
+    std::optional<MonotonicTime> kept;  // the tick that came while the device was converting, or was read
   };
   /// What a sensor read on the loop, with the usual settings, does not need until it fails.
   struct Extra final : OnDemand {
