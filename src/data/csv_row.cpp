@@ -9,7 +9,7 @@ Error bad(std::string where, std::string why) {
 
 }  // namespace
 
-Result<std::vector<CsvCell>> split_csv(std::string_view row) {
+Result<std::vector<CsvCell>> split_csv(std::string_view row, char separator) {
   std::vector<CsvCell> cells(1);
   std::size_t i = 0;
   const auto where = [&] { return "column " + std::to_string(cells.size()); };
@@ -28,7 +28,7 @@ Result<std::vector<CsvCell>> split_csv(std::string_view row) {
         cell.text += row[i];
       }
       ++i;
-    } else if (c == ',') {
+    } else if (c == separator) {
       cells.emplace_back();
       ++i;
     } else if (c == '\n' || c == '\r') {

@@ -16,7 +16,7 @@ struct CsvCell {
 };
 
 /// One row, with or without its line end; nothing may follow it. Errors: bad-data, with the number of the column.
-Result<std::vector<CsvCell>> split_csv(std::string_view row);
+Result<std::vector<CsvCell>> split_csv(std::string_view row, char separator = ',');
 /// Bytes of the first row of a text, its line end included; 0: it does not end.
 std::size_t csv_row_size(std::string_view text) noexcept;
 

@@ -88,7 +88,9 @@ Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
       const std::string holder = device.holder();
       return Error{Errc::busy, cannot_capture, device.text(),
                    holder.empty() ? "another program has it" : holder + " has it",
-                   holder.empty() ? "`sudo fuser -v " + device.node() + "` names it" : "end that, or use its data"};
+                   holder.empty()                   ? "`sudo fuser -v " + device.node() + "` names it"
+                   : holder == detail::this_program ? "list the channels of both sensors in one"
+                                                    : "end that, or use its data"};
     }
     return system_error(number, cannot_capture, device.node(),
                         number == EACCES ? "add a udev rule that lets the user read it (docs/iio.md)" : "");

@@ -76,13 +76,14 @@ std::string holder_of(const std::string& device) {
   if (::stat(device.c_str(), &wanted) != 0) return {};
   const std::string own = std::to_string(::getpid());
   for (const std::string& process : names_in_folder("/proc")) {
-    if (process.find_first_not_of("0123456789") != std::string::npos || process == own) continue;
+    if (process.find_first_not_of("0123456789") != std::string::npos) continue;
     const std::string folder = "/proc/" + process + "/fd/";
     for (const std::string& fd : names_in_folder(folder)) {
       struct stat open {};
       if (::stat((folder + fd).c_str(), &open) != 0 || open.st_rdev != wanted.st_rdev || open.st_ino != wanted.st_ino ||
           open.st_dev != wanted.st_dev)
         continue;
+      if (process == own) return std::string(this_program);
       const auto name = read_kernel_file("/proc/" + process + "/comm", "");
       return "process " + process + (name ? " (" + *name + ")" : "");
     }

@@ -22,8 +22,9 @@ Result<std::string> read_kernel_file(const std::string& path, const char* what);
 Result<void> write_kernel_file(const std::string& path, std::string_view text, const char* what);
 /// Without those that begin with a dot; none when it cannot be read. Not sorted.
 std::vector<std::string> names_in_folder(const std::string& folder);
-/// "process 1234 (iio_readdev)" that has the device open, other than this one; empty: not to be seen. Whose
-/// descriptors those are of other users is for root to see.
+/// "process 1234 (iio_readdev)" that has the device open, or `this_program`; empty: not to be seen. Whose descriptors
+/// those are of other users is for root to see.
 std::string holder_of(const std::string& device);
+inline constexpr std::string_view this_program = "this program";
 
 }  // namespace rtdata::detail

@@ -38,6 +38,9 @@ Mistake mistake_in(const ModbusConfig& config) {
     return {"device", "there is neither a `device` (RTU) nor a `host` (TCP); set one of them"};
   if (!config.device.empty() && !config.host.empty())
     return {"host", "there is a `device` too; a bus is a serial line (RTU) or a server (TCP)"};
+  if (!config.device.empty() && config.serial.character_size != 8)
+    return {"character_size", std::to_string(config.serial.character_size) +
+                                  " bits hold no byte, which RTU sends; Modbus ASCII, which has 7, is not there"};
   if (config.answer_timeout >= config.timeout)
     return {"answer_timeout", "it is " + to_string(config.answer_timeout) + ", and a reading is given up after " +
                                   to_string(config.timeout) + ": make `timeout` longer"};
@@ -189,24 +192,30 @@ Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
   };
   switch (number) {
     case EMBXILFUN:
-      return exception(Errc::bad_argument, "illegal function", "it has no such `table`");
+      return exception(Errc::bad_argument, "illegal function",
+                       "it has no such `table`: its document says which function codes it knows (holding 3, input 4, "
+                       "coil 1, discrete 2)");
     case EMBXILADD:
       return exception(Errc::bad_argument, "illegal data address",
                        "it has not all of these addresses; documents that count from 1, or from 40001, mean one less");
     case EMBXILVAL:
-      return exception(Errc::bad_argument, "illegal data value", "");
+      return exception(
+          Errc::bad_argument, "illegal data value",
+          "it does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
     case EMBXSFAIL:
-      return exception(Errc::io_failed, "server device failure", "");
+      return exception(Errc::io_failed, "server device failure",
+                       "it failed while it looked for the answer: its display or log may say more");
     case EMBXACK:
-      return exception(Errc::busy, "acknowledge", "it takes longer");
+      return exception(Errc::busy, "acknowledge", "it takes longer: lower `rate`");
     case EMBXSBUSY:
-      return exception(Errc::busy, "server device busy", "");
+      return exception(Errc::busy, "server device busy", "lower `rate`, or look who else asks it");
     case EMBXNACK:
-      return exception(Errc::io_failed, "negative acknowledge", "");
+      return exception(Errc::io_failed, "negative acknowledge", "its document says what it wants first");
     case EMBXMEMPAR:
-      return exception(Errc::io_failed, "memory parity error", "");
+      return exception(Errc::io_failed, "memory parity error", "its memory is damaged: it may need service");
     case EMBXGPATH:
-      return exception(Errc::disconnected, "gateway path unavailable", "the gateway has no way to this unit");
+      return exception(Errc::disconnected, "gateway path unavailable",
+                       "the gateway has no way to this unit: look at `unit` and at its settings");
     case EMBXGTAR:
       return exception(Errc::timed_out, "gateway target device failed to respond",
                        "look at the device behind the gateway");
@@ -214,12 +223,16 @@ Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
       return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
                    "look at the wires, their termination, `baud_rate` and `parity`");
     case EMBBADSLAVE:
-      return error(Errc::bad_data, cannot_ask, "another unit answers", "do two devices have this address?");
+      return error(Errc::bad_data, cannot_ask, "another unit answers",
+                   "look whether two devices have this address, or answer later than `answer_timeout`");
     case EMBBADDATA:
     case EMBBADEXC:
     case EMBUNKEXC:
     case EMBMDATA:
-      return error(Errc::bad_data, cannot_ask, libmodbus_text, "");
+      return error(Errc::bad_data, cannot_ask, libmodbus_text,
+                   core_->config.host.empty()
+                       ? "look at the wires, `baud_rate` and `parity`, and who else is on the line"
+                       : "look whether that server speaks Modbus");
     case ETIMEDOUT:
       return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
                    core_->config.host.empty() ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"

@@ -55,6 +55,9 @@ struct Finder {
       else if (i > 0 && c.table[i][0] <= c.table[i - 1][0])
         add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
     }
+    if (c.outside == OutsideTable::clamp && c.table.empty())
+      add("calibration.outside", "there is no table outside of which a value could be",
+          "leave it out, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);
   }
 
@@ -74,6 +77,16 @@ struct Finder {
         add(where + ".of",
             std::to_string(*f.of) + " samples are not possible" + (is_even_median ? ", for a median" : ""), advice);
     };
+    const auto only_of = [&](const char* key, bool is_set, std::initializer_list<FilterType> types) {
+      if (!is_set || std::find(types.begin(), types.end(), f.type) != types.end()) return;
+      add(where + "." + key, "a filter of this type has no such setting", "leave it out, or set another `type`");
+    };
+    only_of("of", f.of.has_value(), {FilterType::median, FilterType::mean});
+    only_of("weight", f.weight.has_value(), {FilterType::exponential});
+    only_of("least", f.least.has_value(), {FilterType::clamp});
+    only_of("most", f.most.has_value(), {FilterType::clamp});
+    only_of("time", f.time.has_value(), {FilterType::throttle});
+    only_of("by", f.by.has_value(), {FilterType::delta});
     switch (f.type) {
       case FilterType::median:
         return count(3, longest_median, "an odd");

@@ -117,6 +117,74 @@ TEST_SUITE("app") {
       CHECK(entry.path().extension() == ".csv");
   }
 
+  TEST_CASE("FW-5 import: other separators, decimal commas and times with a blank; who does not say them is told how") {
+    const Folder folder;
+    const std::string rows = "\"2026-03-01 12:00:00,5\";1,5;-2;\"a;b\"\n2026-03-01 12:00:01;2;3,25e1;c\n";
+    folder.write("lab.csv", "Zeit;Druck [bar];x;note\n" + rows);
+    std::string tabs = "Zeit\tv\n1,5\t2\n2\t3\n";
+    folder.write("tab.csv", tabs);
+    const auto import = [&](std::vector<std::string> arguments, int status) {
+      arguments.insert(arguments.begin(), "import");
+      Process run(folder, program, arguments);
+      CHECK(run.end() == status);
+      return run.out + run.err;
+    };
+    CHECK(has(import({"lab.csv", "--time", "Zeit"}, 1), "write --separator \";\" --decimal ,"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";"}, 1), "write --zone Z if it is UTC"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";", "--zone", "Z"}, 1), "write --decimal ,"));
+    CHECK(has(import({"tab.csv", "--time", "Zeit"}, 1), "write --separator tab --decimal ,"));
+    CHECK(has(import({"tab.csv", "--time", "Zeit", "--separator", "tab"}, 1), "write --decimal ,"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ",", "--decimal", ","}, 1), "the decimal mark, too"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";;"}, 1), "no character between cells"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--zone", "CET"}, 1), "no time zone"));
+    CHECK_FALSE(folder.has("lab.db"));
+    CHECK_FALSE(folder.has("tab.db"));
+    import({"lab.csv", "--time", "Zeit", "--separator", ";", "--decimal", ",", "--zone", "+01:00"}, 0);
+    check_verifies(folder, "lab.db");
+    Process out(folder, program, {"export", "lab.db", "--utc", "--units"});
+    CHECK(out.end() == 0);
+    CHECK(out.out ==
+          "utc,origin,sequence,Druck [bar],x,note\n"
+          "2026-03-01T11:00:00.500000000Z,lab,1,1.5,-2,a;b\n"
+          "2026-03-01T11:00:01.000000000Z,lab,2,2,32.5,c\n");
+    import({"tab.csv", "--time", "Zeit", "--separator", "tab", "--decimal", ","}, 0);
+    check_verifies(folder, "tab.db");
+    // Texts of which all look so stay what they are when it is said.
+    folder.write("text.csv", "t,v\n1,\"1,5\"\n2,\"2,5\"\n");
+    CHECK(has(import({"text.csv", "--time", "t"}, 1), "seem to have decimal commas"));
+    CHECK(has(import({"text.csv", "--time", "t", "--decimal", "."}, 0), "v, text of up to 3 bytes"));
+  }
+
+  TEST_CASE(
+      "FW-5 import: a text that is no UTF-8, and more columns than a recording has, are refused before there is a "
+      "file") {
+    const Folder folder;
+    std::ofstream(folder.path() + "/latin.csv", std::ios::binary) << "t,v\n1,good\n2,K\xf6ln\n";
+    std::ofstream(folder.path() + "/head.csv", std::ios::binary) << "t,v [\xb0\x43]\n1,2\n";
+    std::string head = "t", row = "1";
+    for (int i = 0; i < 3000; ++i) {
+      head += ",c" + std::to_string(i);
+      row += "," + std::to_string(i);
+    }
+    folder.write("wide.csv", head + "\n" + row + "\n");
+    const auto refuses = [&](const char* file, const std::string& why) {
+      Process import(folder, program, {"import", file, "--time", "t"});
+      CHECK(import.end() == 1);
+      CHECK_MESSAGE(has(import.err, why), import.err);
+      CHECK_MESSAGE(!has(import.err, "baud_rate"), import.err);
+    };
+    refuses("latin.csv", "latin.csv:3: the text \"K\\xf6ln\" in column v is no UTF-8: convert the file: iconv");
+    refuses("head.csv", "head.csv:1: the heading");
+    refuses("wide.csv", "it has 3000 values an event");
+    for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+      CHECK(entry.path().extension() == ".csv");
+    // As many as there may be.
+    folder.write("most.csv", head.substr(0, head.find(",c1990")) + "\n" + row.substr(0, row.find(",1990")) + "\n");
+    Process most(folder, program, {"import", "most.csv", "--time", "t"});
+    CHECK(most.end() == 0);
+    check_verifies(folder, "most.db");
+  }
+
   TEST_CASE("FW-5 import: a real flight, every row of each of its tables") {
     const std::string flight = test::in_source("../shared/data/flight");
     if (!std::filesystem::exists(flight)) {

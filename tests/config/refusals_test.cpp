@@ -156,6 +156,10 @@ TEST_SUITE("config") {
       return R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "process": {)" + fields +
              "}}]}";
     };
+    const auto on_i2c = [](const std::string& timeout, const std::string& what) {
+      return R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter", "timeout": ")" + timeout +
+             R"("}}, "sensors": [{"name": "a", "bus": "i2c1", "rate": "1 Hz", )" + what + "}]}";
+    };
     const auto sinks = [&](const std::string& list) {
       return R"({"sensors": [)" + load + R"(], "sinks": [)" + list + "]}";
     };
@@ -268,6 +272,13 @@ TEST_SUITE("config") {
         {serial(R"(, "comment": "1")"), "comment: lines of data may begin with it"},
         {serial(R"(, "comment": "-")"), "comment: lines of data may begin with it"},
         {serial(R"(, "comment": "\"")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "n")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "I")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "-inf")"), "comment: lines of data may begin with it"},
+        {serial(R"(, "comment": "2.5e-")"), "comment: lines of data may begin with it"},
+        {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "bool"}], "comment": "t"}]})",
+         "comment: lines of data may begin with it"},
+        {serial(R"(, "separator": "n")"), "separator: numbers hold it"},
         {serial(R"(, "comment": "\n")"), "comment: no line begins with the end of a line"},
         {serial(R"(, "comment": " ")"), "comment: lines of data may begin with a blank"},
         {serial(R"(, "format": "json", "comment": "{")"), "comment: each object begins with {"},
@@ -275,6 +286,31 @@ TEST_SUITE("config") {
          "scale: it must not be 0"},
         {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x", "scale": 0}]})",
          "scale: it must not be 0"},
+        {on_i2c("50 ms", R"("type": "imu")"), "gives up after 50 ms, and this chip needs more than 135 ms at a time"},
+        {on_i2c("300 ms", R"("type": "imu", "self_test": true)"), "this chip needs more than 580 ms at a time"},
+        {on_i2c("100 ms", R"("type": "accelerometer", "self_test": true)"), "give the bus a longer `timeout`"},
+        {on_i2c("20 ms", R"("type": "bno055")"), "this chip needs more than 26 ms at a time"},
+        {on_i2c("5 ms", R"("type": "barometer", "model": "ms5611", "temperature_oversampling": 4096)"),
+         "this chip needs more than 9.04 ms at a time"},
+        {on_i2c("1 s", R"("type": "barometer", "humidity_oversampling": 2)"), "the BMP280 measures no humidity"},
+        {on_i2c("1 s", R"("type": "imu", "model": "lsm6dso", "bandwidth": 42)"), "the LSM6DSO has no such setting"},
+        {R"({"sensors": [{"name": "a", "type": "iio_buffer", "device": "3", "channels": ["accel_x"]},
+                         {"name": "b", "type": "iio_buffer", "device": "/dev/iio:device3", "channels": ["accel_y"]}]})",
+         "has the buffer of the IIO device iio:device3 already; list the channels of both in one"},
+        {serial(R"(, "retry_first": "2 s", "retry_longest": "1 s")"), "grows from `retry_first`, 2 s, up to this"},
+        {sinks(R"({"type": "sqlite", "path": "x.db", "retry_first": "2 s", "retry_longest": "1 s"})"),
+         "it must not be shorter"},
+        {process(R"("minutes_1": {"filters": [{"type": "throttle", "time": "1 s", "by": 3}]})"),
+         "a filter of this type has no such setting"},
+        {process(R"("minutes_1": {"filters": [{"type": "median", "of": 3, "weight": 0.5}]})"),
+         "a filter of this type has no such setting"},
+        {process(R"("minutes_1": {"calibration": {"scale": 2, "outside": "clamp"}})"),
+         "there is no table outside of which"},
+#ifdef RTDATA_WITH_MODBUS
+        {R"({"buses": {"plc": {"type": "modbus", "device": "/dev/ttyS9", "character_size": 7}}, "sensors": [)" + load +
+             "]}",
+         "7 bits hold no byte, which RTU sends"},
+#endif
         {process(R"("minuts_1": {"calibration": {"scale": 2}})"), "no such field; did you mean minutes_1?"},
         {process(R"("minutes_1": {"filters": [{"type": "median", "of": 4}]})"),
          "4 samples are not possible, for a median"},

@@ -21,6 +21,20 @@ using observed::Reordered;
 using observed::Tracked;
 using observed::WrongUnit;
 
+namespace {
+
+struct Taken {
+  double value = 0;
+  std::int64_t count = 0;
+  text<16> note;
+  friend constexpr auto describe(type_tag<Taken>) {
+    return record("taken", field("value", &Taken::value, "V"), field("count", &Taken::count),
+                  field("note", &Taken::note));
+  }
+};
+
+}  // namespace
+
 TEST_SUITE("loop") {
   TEST_CASE("US-16 every event reaches every subscriber of its topic") {
     Loop loop(Loop::Manual{});
@@ -36,6 +50,34 @@ TEST_SUITE("loop") {
     CHECK(typed[42] == 42);
     CHECK(one.counts().delivered == 100);
     CHECK(loop.runtime().balances());
+  }
+
+  TEST_CASE("US-16 a topic whose events are of other types than the handler's names each field, and what it is") {
+    Loop loop(Loop::Manual{});
+    DescriptionBuilder builder("reading");
+    builder.field("value", Kind::f64, "V", DescriptionBuilder::Presence::optional)
+        .field("count", Kind::i32)
+        .text("note", 8, DescriptionBuilder::Presence::always);
+    const auto description = builder.build().or_throw();
+    const AnyFeed feed(loop, {.name = "feed", .topic = "t"}, description);
+    std::string refusal;
+    try {
+      const auto heard = loop.subscribe<Taken>("t", [](const Event<Taken>&) {});
+    } catch (const SetupError& error) {
+      refusal = error.what();
+    }
+    CAPTURE(refusal);
+    CHECK(refusal.find("field value: optional double in it, double wanted") != std::string::npos);
+    CHECK(refusal.find("field count: int32 in it, int64 wanted") != std::string::npos);
+    CHECK(refusal.find("field note: text of 8 in it, text of 16 wanted") != std::string::npos);
+    // A value that does not fit is told with its field too.
+    std::vector<std::byte> payload(description->size());
+    for (const Leaf& leaf : description->leaves()) {
+      const Value wrong = leaf.kind == Kind::text ? Value(1.5) : Value(std::string("fast"));
+      const auto done = write(leaf, payload.data(), wrong);
+      REQUIRE_FALSE(done);
+      CHECK(done.error().where == "field " + leaf.path);
+    }
   }
 
   TEST_CASE("US-25 publishing never calls a handler; handlers run after the callback that published") {
@@ -277,6 +319,60 @@ TEST_SUITE("loop") {
     CHECK(ticker.missed() == 0);
     // The budget of 1 ms, and one group of at most 16 in the beginning; later groups are of one event.
     CHECK(worst <= 1ms + 16 * 400us);
+  }
+
+  TEST_CASE("US-25 a tick is late by at most the budget and one group of callbacks, whatever the handlers take") {
+    for (const Duration budget : {Duration{200us}, Duration{1ms}, Duration{5ms}}) {
+      for (const Duration took : {Duration{0}, Duration{4us}, Duration{60us}, Duration{700us}, Duration{8ms}}) {
+        CAPTURE(budget.count());
+        CAPTURE(took.count());
+        Loop loop(Loop::Manual{}, {.delivery_budget = budget, .hold_limit = 1s});
+        Duration takes = took;
+        std::vector<Topic<Number>> topics;
+        std::vector<Subscription> handlers;
+        int delivered = 0;
+        for (const char* name : {"a", "b", "c"}) {
+          topics.push_back(loop.topic<Number>(name));
+          for (int i = 0; i < 2; ++i) {
+            handlers.push_back(topics.back().subscribe(loop, [&](const Event<Number>&) {
+              ++delivered;
+              loop.manual_clock().pass(takes);
+            }));
+          }
+        }
+        Duration worst{};
+        Ticker ticker(loop, 3ms, [&](const Tick& tick) { worst = std::max(worst, tick.lateness()); });
+        const auto publish = [&](int count) {
+          for (int i = 0; i < count; ++i)
+            for (Topic<Number>& topic : topics) topic.publish({});
+        };
+        publish(40);  // from which it learns what the handlers take
+        loop.advance(10s);
+        worst = {};
+        publish(300);
+        loop.advance(20s);
+        CHECK(delivered == 340 * 6);
+        // One handler is promised (or quick ones of 5 us together); two are seen where one takes more than the budget.
+        CHECK(worst <= budget + std::max((took > budget ? 2 : 1) * took, Duration{5us}));
+        // Quick ones that take long all at once, once: 128 of them at most.
+        takes = Duration{0};
+        for (int i = 0; i < 20; ++i) {
+          publish(300);
+          loop.advance(10ms);
+        }
+        worst = {};
+        takes = 50us;
+        publish(300);
+        loop.advance(1s);
+        CHECK(worst <= budget + 128 * takes);
+        CHECK(worst > Duration{0});
+        worst = {};
+        publish(300);
+        loop.advance(1s);
+        CHECK(worst <= budget + takes);
+        CHECK(delivered == (340 + 20 * 300 + 600) * 6);
+      }
+    }
   }
 
   TEST_CASE("US-25 an event for many slow handlers does not hold back the next tick") {

@@ -47,6 +47,21 @@ FakeI2cChip& put_lm75(FakeI2c& wires, unsigned address, double degrees) {
   return chip;
 }
 
+/// It has no open(), and needs some time for a conversion.
+class Converting {
+ public:
+  struct Config {
+    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
+  };
+  using Value = TemperatureReading;
+  using Device = I2cDevice;
+  static constexpr I2cDevice::Place place{0x4a};
+  explicit Converting(const Config&) {}
+  Result<void> start(I2cDevice&) { return {}; }
+  Duration conversion_time() const { return 50ms; }
+  Result<TemperatureReading> read(I2cDevice&) { return TemperatureReading{20}; }
+};
+
 struct Bench {
   std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
   I2cBus bus{"i2c1", wires, {.timeout = 100ms}};
@@ -84,6 +99,28 @@ using Thermometer = DriverSensor<Lm75>;
 }  // namespace
 
 TEST_SUITE("sensors") {
+  TEST_CASE(
+      "US-11 a bus that gives up before the chip is ready, and a setting that the chip does not have, are refused") {
+    Bench bench;
+    const auto refusal = [&](Duration timeout, Barometer::Config config) -> std::string {
+      I2cBus bus("quick", bench.wires, {.timeout = timeout});
+      try {
+        const BarometerSensor made(bench.loop, {.name = "air", .rate = 1_Hz}, bus, {0x76}, config);
+      } catch (const SetupError& error) {
+        return error.what();
+      }
+      return "";
+    };
+    CHECK(refusal(2ms, {}).find("gives up after 2 ms, and this chip needs more than 3 ms at a time") !=
+          std::string::npos);
+    CHECK(refusal(100ms, {}).empty());
+    CHECK(refusal(100ms, {.humidity_oversampling = 2}).find("the BMP280 measures no humidity") != std::string::npos);
+    // One reading is the opening of a driver that has none of its own: it waits for the conversion.
+    I2cBus quick("quick", bench.wires, {.timeout = 40ms});
+    CHECK_THROWS_AS((DriverSensor<Converting>(bench.loop, {.name = "room", .rate = 1_Hz}, quick)), SetupError);
+    CHECK(DriverSensor<Converting>(bench.loop, {.name = "room", .rate = 1_Hz}, bench.bus).is_open());
+  }
+
   TEST_CASE("US-12 LM75: the data sheet's table of temperatures") {
     CHECK(Lm75::decode(0x7d00) == 125);
     CHECK(Lm75::decode(0x1900) == 25);

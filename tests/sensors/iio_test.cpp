@@ -260,6 +260,9 @@ TEST_CASE("FW-2 an IIO device is found by name, label, number and path, and says
   CHECK(device.read(*device.channel("temp")).or_throw() == doctest::Approx(0.02));          // (20 - 10) * 2 m°C
   CHECK(device.read(*device.channel("pressure")).or_throw() == doctest::Approx(101300.0));  // kPa
   CHECK(device.channel_or_error("acel_x").error().advice == "did you mean accel_x?");
+  CHECK(device.holder() == "this program");  // its other end
+  fake.unplug();
+  CHECK(device.holder().empty());
 }
 
 TEST_CASE(

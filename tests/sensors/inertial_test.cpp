@@ -439,6 +439,64 @@ TEST_SUITE("sensors") {
     }
   }
 
+  TEST_CASE("US-15 what a chip took while it could not be read is lost, by the time and its rate, and has its gap") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      for (const int outage : {300, 2000, 7000}) {
+        CAPTURE(outage);
+        Bench bench(model);
+        AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz, .retry_first = 50ms, .retry_longest = 200ms});
+        bench.loop.advance(2001ms);
+        CHECK(sensor.counts().lost == 0);
+        bench.wires->chip(model.address).unplug();
+        bench.loop.advance(outage * 1ms);
+        CHECK(sensor.health() == Health::faulted);
+        CHECK(sensor.counts().lost == 0);
+        bench.wires->chip(model.address).plug_in();
+        bench.loop.advance(2s);
+        CHECK(sensor.health() == Health::ok);
+        CHECK(sensor.counts().failed > 0);
+        CHECK(bench.left_out() > outage / 1000.0 * model.rate);
+        // Within what is known of the chip's rate.
+        CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out()) <= 2 + bench.left_out() / 400);
+        CHECK(bench.is_in_order());
+        // Once more: what was counted is not counted again.
+        bench.wires->chip(model.address).unplug();
+        bench.loop.advance(500ms);
+        bench.wires->chip(model.address).plug_in();
+        bench.loop.advance(2s);
+        CHECK(std::abs(static_cast<int>(sensor.counts().lost) - bench.left_out()) <= 4 + bench.left_out() / 400);
+        CHECK(bench.loop.runtime().balances());
+      }
+    }
+  }
+
+  TEST_CASE(
+      "US-15 what a chip took until its sensor was stopped in a fault is lost; what it took when stopped is not") {
+    for (const Model& model : models) {
+      CAPTURE(std::string(model.name));
+      Bench bench(model);
+      AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
+      bench.loop.advance(2001ms);
+      sensor.stop();
+      bench.loop.advance(1s);
+      sensor.start();
+      bench.loop.advance(1001ms);
+      CHECK(sensor.counts().lost == 0);
+      bench.wires->chip(model.address).unplug();
+      bench.loop.advance(1500ms);
+      sensor.stop();
+      const auto lost = static_cast<double>(sensor.counts().lost);
+      CHECK(lost == doctest::Approx(1.5 * model.rate).epsilon(0.03));
+      bench.wires->chip(model.address).plug_in();
+      bench.loop.advance(5s);
+      sensor.start();
+      bench.loop.advance(1s);
+      CHECK(static_cast<double>(sensor.counts().lost) == lost);
+      CHECK(bench.loop.runtime().balances());
+    }
+  }
+
   TEST_CASE("US-15 garbage, and tags with a wrong parity, are told, and never a sample") {
     for (const Model& model : models) {
       CAPTURE(std::string(model.name));

@@ -341,6 +341,7 @@ TEST_SUITE("sensors") {
     const Error address = device.read_registers(ModbusTable::holding, 199, words).error();
     CHECK(address.code == Errc::bad_argument);
     CHECK(has(address.text(), "bus plc, unit 7: it answers with exception 2, illegal data address"));
+    CHECK(has(address.advice, "documents that count from 1, or from 40001, mean one less"));
     device.read_registers(ModbusTable::holding, 0, words).or_throw();  // over the same connection
     std::array<std::uint16_t, 126> many{};
     CHECK(device.read_registers(ModbusTable::holding, 0, many).error().code == Errc::bad_argument);

@@ -176,6 +176,83 @@ TEST_SUITE("sensors") {
     CHECK(reader.got.size() == 26);
   }
 
+  TEST_CASE("US-14 NMEA: no sentence that is right is left out when the order changes or the first ones are broken") {
+    const auto speeds = [](const Reader& reader) {
+      std::size_t count = 0;
+      for (const GpsFix& fix : reader.got) count += fix.speed ? 1 : 0;
+      return count;
+    };
+    Reader reader;
+    for (int second = 10; second < 20; ++second) {
+      const std::string time = "0928" + std::to_string(second);
+      const bool is_turned = second >= 15;
+      reader.body(at(is_turned ? gga : rmc, time));
+      reader.body(at(is_turned ? rmc : gga, time));
+    }
+    reader.finish();
+    CHECK(speeds(reader) == 10);
+    REQUIRE(reader.got.size() == 11);  // the first one in the other order comes twice: as it was known, then whole
+    CHECK_FALSE(reader.got[5].speed);
+    CHECK(reader.got[6].speed);
+    CHECK(reader.got[6].alt_msl == reader.got[5].alt_msl);
+    CHECK(*reader.got[7].gps_time - *reader.got[6].gps_time == 1'000'000'000);
+
+    Reader broken;  // the first RMC of all
+    for (int second = 10; second < 20; ++second) {
+      const std::string time = "0928" + std::to_string(second);
+      broken.body(at(gga, time));
+      std::string last = sentence(at(rmc, time));
+      if (second == 10) last[20] ^= 1;
+      broken.line(last);
+    }
+    broken.finish();
+    CHECK(broken.errors.size() == 1);
+    CHECK(speeds(broken) == 9);
+
+    Reader rest;  // its beginning was not heard: what has no time is not given one
+    rest.body("GPVTG,99.9,T,,M,77.0,N,88.0,K,A");
+    rest.body("GPGSA,A,3,22,17,28,15,18,,,,,,,,1.75,0.96,1.47");
+    rest.body(rmc);
+    rest.body(gga);
+    rest.body(at(rmc, "092836"));
+    rest.body(at(gga, "092836"));
+    REQUIRE(rest.got.size() == 3);
+    CHECK(rest.got[0].track == 99.9);
+    CHECK(rest.got[0].mode == 3);
+    CHECK_FALSE(rest.got[0].gps_time);
+    CHECK_FALSE(rest.got[0].lat);
+    CHECK(rest.got[1].track == 84.4);
+    CHECK(rest.got[2].gps_time);
+    CHECK(rest.errors.empty());
+  }
+
+  TEST_CASE("US-14 NMEA: a sentence without a word on the fix does not say that there is none") {
+    for (const char* body :
+         {"GPGGA,,,,,,,,,,,,,,", "GPRMC,,,,,,,,,,,,", "GPGGA", "GPRMC", "GPGGA,092835.00,,,,,,,,,,,,,"}) {
+      Reader reader;
+      reader.body(body);
+      reader.finish();
+      REQUIRE_MESSAGE(reader.got.size() == 1, body);
+      CHECK_MESSAGE(reader.got[0].mode == 0, body);
+      CHECK(reader.errors.empty());
+    }
+    for (const char* body : {"GPGGA,092835.00,4804.1,N,01621.5,E,,,,,,,,,",
+                             "GPRMC,092835.00,,4804.1,N,01621.5,E,,,210615,,", "GPRMC,092835.00,X,,,,,,,210615,,"}) {
+      Reader reader;
+      reader.body(body);
+      reader.finish();
+      CHECK_MESSAGE(reader.errors.size() == 1, body);
+      CHECK_MESSAGE(reader.got.empty(), body);
+    }
+    Reader reader;  // the other sentence of the instant says it
+    reader.body("GPGGA,092835.00,,,,,,,,,,,,,");
+    reader.body(rmc);
+    reader.finish();
+    REQUIRE(reader.got.size() == 1);
+    CHECK(reader.got[0].mode == 2);
+    CHECK(reader.got[0].lat);
+  }
+
   TEST_CASE("US-14 NMEA: the logs of real receivers, against what gpsd made of them") {
     const char* const from_outside = std::getenv("RTDATA_TEST_DATA");
     const std::filesystem::path folder = std::filesystem::path(from_outside != nullptr

@@ -113,10 +113,13 @@ struct PartPlan {
   std::optional<StoredTopics> stores = {};
   /// The place that it takes for itself: on a bus, or a device of the machine.
   struct Place {
-    std::string bus = {};   ///< empty: it is on none
-    std::string text = {};  ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
+    std::string bus = {};     ///< empty: it is on none
+    std::string text = {};    ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
+    std::string advice = {};  ///< to who wants it, too; empty: to take another
   } place = {};
   std::vector<Place> more_places = {};  ///< the same, of a part that takes several
+  Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known
+  Duration holds_bus{0};                ///< of a sensor: so long at a time, and the time of its transfers
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 

@@ -235,7 +235,8 @@ class Registry {
           return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
         },
         [](PartPlan& plan, const C& config) {
-          plan.place = {config.bus, BusOf::text_of(config.place)};
+          plan.place = {config.bus, BusOf::text_of(config.place), ""};
+          plan.holds_bus = bus_time_of<D>(config.own);
         },
         std::move(page));
   }
@@ -279,6 +280,8 @@ class Registry {
     });
   }
 
+  /// A function `Duration give_up_after(const C&)` beside the Config says after which time the bus gives up what a
+  /// sensor does: then sensors that hold it for longer (driver.hpp) are refused.
   /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
   /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from
   /// the threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for
@@ -287,7 +290,8 @@ class Registry {
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
-      if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device};
+      if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device, ""};
+      if constexpr (requires { Duration{give_up_after(config)}; }) plan.give_up_after = give_up_after(config);
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
         using Made = decltype(config_detail::call_factory(make, parts, loop.runtime(), name, config));
         using Base = std::conditional_t<std::is_base_of_v<Bus, Made>, Bus, Made>;

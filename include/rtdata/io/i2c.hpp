@@ -78,6 +78,7 @@ struct I2cConfig {
         parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
+  friend Duration give_up_after(const I2cConfig& config) { return config.timeout; }
 };
 
 class I2cBus;

@@ -64,6 +64,7 @@ struct ModbusConfig {
         parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
+  friend Duration give_up_after(const ModbusConfig& config) { return config.timeout; }
   /// Checks that there is a device or a host, and that `timeout` is longer than `answer_timeout`.
   friend void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems);
 };

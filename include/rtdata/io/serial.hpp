@@ -68,6 +68,7 @@ struct SerialPortConfig {
         parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
+  friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
   /// Checks that `timeout` is longer than `answer_timeout`.
   friend void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems);
 };

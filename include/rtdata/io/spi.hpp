@@ -80,6 +80,7 @@ struct SpiConfig {
         parameter("inline", &SpiConfig::reads_on_loop,
                   "read on the sensors' own loops, which wait for each transfer: for short ones"));
   }
+  friend Duration give_up_after(const SpiConfig& config) { return config.timeout; }
   friend void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems);
 };
 

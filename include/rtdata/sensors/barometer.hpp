@@ -304,6 +304,15 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
+  /// Its start-up; an MS5611 measures its temperature after the pressure.
+  static Duration bus_time(const Config& config) {
+    constexpr Duration start_up = std::chrono::milliseconds{3};
+    const unsigned count = config.temperature_oversampling.value_or(1024);
+    return config.model == BarometerModel::ms5611 && std::has_single_bit(count) && count >= 256 && count <= 4096
+               ? std::max(start_up, ms5611_time(count))
+               : start_up;
+  }
+
   /// Resets it, and reads identity and trimming parameters.
   Result<void> open(I2cDevice& chip) {
     switch (model().family) {
@@ -409,7 +418,12 @@ class Barometer {
     for (std::size_t i = 0; i < all.size(); ++i) {
       const unsigned count = all[i].count;
       const bool is_of_humidity = i == 2;
-      if (is_of_humidity && !model.has_humidity) continue;
+      if (is_of_humidity && !model.has_humidity) {
+        if (config.humidity_oversampling)
+          all[i].mistake = "the " + std::string(model.name) +
+                           " measures no humidity; leave it out, or set another `model`";
+        continue;
+      }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
         all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.name) +
                          " has";

@@ -92,6 +92,7 @@ class Bno055 {
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x28};
   explicit Bno055(const Config& config) : config_(config) {}
+  static Duration bus_time(const Config&) { return to_configuration + from_configuration; }
 
   Result<void> open(I2cDevice& chip) {
     const Result<std::uint8_t> found = chip.read_register(0x00);

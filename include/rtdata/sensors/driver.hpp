@@ -31,13 +31,20 @@
 /// by `static Result<void> check(const Config&)`: the mistake's `where` is the key of the parameter
 /// ("channels[1].range"). Configurations are refused with it at that place, and programs by a SetupError.
 ///
+/// A driver that waits for its chip while it holds the bus, such as for a reset or a self-test, says for how long:
+/// `static Duration bus_time(const Config&)`, the longest of its calls without the transfers. A bus that would give up
+/// before is refused, by configurations at their place, and by a SetupError.
+///
 /// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
 /// start, and `required` means something. One that brings several samples at a time needs an open() for that.
 ///
 /// Configurations know a driver by `registry.add_driver<Lm75>()`.
 ///
 /// What a driver must not forget between openings, such as a tare, is its `Memory`: copied out with `Memory memory()
-/// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`.
+/// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`. A chip that measures
+/// by itself, with a FIFO, has `static std::uint64_t unread(const Memory&, MonotonicTime now)`: how many samples it
+/// took since the last one that was read. It is asked when the sensor stops while the chip cannot be read, and such a
+/// Memory ends with that; a fresh driver that remembers one tells by `Samples::lost_in_fault` what was missed before.
 ///
 /// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
 /// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device
@@ -88,6 +95,8 @@ class Samples {
   void add(T value, MonotonicTime time) { samples_.push_back({std::move(value), time}); }
   /// The chip has dropped `count` samples before it was read (its FIFO was full).
   void lost(std::uint64_t count) { lost_ += count; }
+  /// The chip took `count` samples while it could not be read, a fault that is told already: lost without an error.
+  void lost_in_fault(std::uint64_t count) { lost_in_fault_ += count; }
   /// The chip gave something that cannot be decoded.
   void unreadable(Error error) { unreadable_.push_back(std::move(error)); }
   /// The time on the lane: for the times of samples.
@@ -103,11 +112,11 @@ class Samples {
   void clear() {
     samples_.clear();
     unreadable_.clear();
-    lost_ = 0;
+    lost_ = lost_in_fault_ = 0;
   }
   std::vector<Sample> samples_;
   std::vector<Error> unreadable_;
-  std::uint64_t lost_ = 0;
+  std::uint64_t lost_ = 0, lost_in_fault_ = 0;
 };
 
 template <class D>
@@ -150,6 +159,26 @@ Result<void> check_driver(const typename D::Config& config) {
   }
   const auto description = driver_description<D>(config);
   return description ? Result<void>() : Result<void>(description.error());
+}
+
+/// For how long a call of the driver holds the bus at most, without the transfers: as it says, and where one reading is
+/// its opening, the time of its conversion.
+template <Driver D>
+Duration bus_time_of(const typename D::Config& config) {
+  if constexpr (requires { D::bus_time(config); }) {
+    return D::bus_time(config);
+  } else if constexpr (
+      requires(D driver, typename D::Device & device) {
+        driver.start(device);
+        driver.conversion_time();
+      } &&
+      !requires(D driver, typename D::Device & device) { driver.open(device); }) {
+    try {
+      return D(config).conversion_time();
+    } catch (const SetupError&) {  // told elsewhere
+    }
+  }
+  return Duration{0};
 }
 
 namespace detail {
@@ -328,6 +357,12 @@ class DriverDevice final : public detail::LaneDevice {
   DriverDevice(BusOf& bus, typename Device::Place place, typename D::Config config)
       : bus_(bus), place_(std::move(place)), config_(std::move(config)), claim_(bus.claim(BusOf::text_of(place_))) {
     (void)make_session();  // throws for a wrong place or Config
+    const Duration needed = bus_time_of<D>(config_);
+    if (bus.give_up_after() > needed) return;
+    throw SetupError({Errc::bad_argument, "cannot use this bus", "bus " + bus.name(),
+                      "it gives up after " + to_string(bus.give_up_after()) + ", and this chip needs more than " +
+                          to_string(needed) + " at a time",
+                      "give the bus a longer `timeout`"});
   }
 
   std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<Opening>(make_session()); }
@@ -344,6 +379,7 @@ class DriverDevice final : public detail::LaneDevice {
     auto& read = static_cast<ReadJob&>(transaction);
     if constexpr (has_memory) memory_ = read.session->driver.memory();
     Samples<Value>& samples = read.samples;
+    port.lost_in_fault(samples.lost_in_fault_);
     if (samples.lost_ > 0) port.lost(samples.lost_);
     for (auto& sample : samples.samples_) {
       if (sample.time) {
@@ -357,6 +393,12 @@ class DriverDevice final : public detail::LaneDevice {
     if (!read.result) return port.fail(read.result.error());
     if (!samples.unreadable_.empty()) return detail::Sampled::failed;
     return read.has_news && !samples.samples_.empty() ? detail::Sampled::value : detail::Sampled::nothing_new;
+  }
+  std::uint64_t stopped(MonotonicTime now) override {
+    if constexpr (requires(const typename detail::MemoryOf<D>::type& memory) { D::unread(memory, now); }) {
+      if (const auto memory = std::exchange(memory_, std::nullopt)) return D::unread(*memory, now);
+    }
+    return 0;
   }
   std::string lane_key() const override { return "bus " + bus_.name(); }
   std::shared_ptr<detail::LaneThread> lane_thread() const override { return bus_.lane_thread(); }

@@ -65,6 +65,7 @@ struct GpsFix {
   std::optional<std::uint16_t> satellites_used = {};
   std::optional<std::uint16_t> satellites_visible = {};
 
+  friend bool operator==(const GpsFix&, const GpsFix&) = default;
   friend constexpr auto describe(type_tag<GpsFix>) {
     return record("gps_fix", field("device", &GpsFix::device), field("mode", &GpsFix::mode),
                   field("status", &GpsFix::status), field("gps_time", &GpsFix::gps_time, "ns"),

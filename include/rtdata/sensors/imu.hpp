@@ -400,6 +400,11 @@ class Imu {
   Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
   Result<void> read(I2cDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }
+  static Duration bus_time(const Config& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
+  using Memory = InertialMemory;
+  Memory memory() const noexcept { return chip_.memory(); }
+  void remember(const Memory& memory) noexcept { chip_.remember(memory); }
+  static std::uint64_t unread(const Memory& memory, MonotonicTime now) noexcept { return memory.periods_until(now); }
 
   /// `bytes`: a sample as the FIFO has it.
   static ImuReading decode(std::span<const std::uint8_t> bytes, const Config& config) {

@@ -16,7 +16,8 @@
 ///
 /// Losses: a FIFO that ran over, settings that were lost (they are set again), a transfer that failed in the middle:
 /// how many samples the chip has taken meanwhile is known from the time and the learned rate, within one each
-/// time; where a sample carries a counter (LSM6DSO), exactly.
+/// time; where a sample carries a counter (LSM6DSO), exactly. So it is for a chip that could not be read, and was
+/// opened again: what it took meanwhile, or would have taken if it had power, is lost.
 ///
 /// Used on the bus's lane, as drivers are.
 #pragma once
@@ -115,6 +116,15 @@ struct InertialSettings {
   bool self_test = false;
 };
 
+/// What is known of a chip's samples when it cannot be read any more.
+struct InertialMemory {
+  MonotonicTime last{};  ///< of the last one that was read, lost, or waited for
+  Duration period{0};    ///< 0: nothing was read yet
+  std::uint64_t periods_until(MonotonicTime now) const noexcept {
+    return period > Duration{0} && now > last ? static_cast<std::uint64_t>((now - last) / period) : 0;
+  }
+};
+
 struct InertialSample {
   std::array<double, 3> acceleration{}, angular_velocity{};  ///< m/s2, rad/s
   std::optional<double> temperature{};                       ///< degrees Celsius
@@ -154,6 +164,14 @@ class InertialChip {
     }
   }
 
+  /// For how long its opening waits for the chip: `Driver::bus_time`.
+  static Duration bus_time(const InertialModel& model, const InertialSettings& settings) {
+    Duration setting_up{0};
+    for (const InertialWrite& one : model.setting_up) setting_up += one.pause;
+    if (!settings.self_test) return setting_up;
+    return 2 * setting_up + 2 * settling + 2 * averaged * pause_between(period_of(tested_rate(model)));
+  }
+
   /// `all`: the models of its kind, by which one that is not meant is recognised. SetupError (bad-argument): a setting
   /// that the model does not have.
   InertialChip(const InertialModel& model, std::span<const InertialModel> all, const InertialSettings& settings)
@@ -162,14 +180,12 @@ class InertialChip {
       throw SetupError(
           {Errc::bad_argument, "cannot use this setting", std::string(mistake.key), std::move(mistake.why), ""});
     // By default the widest range, and the first rate from 100 Hz on.
-    rate_ = settings.rate ? find(model.rates, *settings.rate) : nullptr;
-    for (std::size_t i = 0; i < model.rates.size() && rate_ == nullptr; ++i)
-      if (model.rates[i].number >= 100) rate_ = &model.rates[i];
+    rate_ = settings.rate ? find(model.rates, *settings.rate) : &tested_rate(model);
     acceleration_ = chosen(model.accelerations, settings.acceleration);
     angle_ = chosen(model.angles, settings.angle);
     const InertialChoice* filter = settings.filter ? find(model.filters, *settings.filter) : nullptr;
     filter_code_ = filter != nullptr ? filter->code : 3;  // 42 Hz of those that have one
-    nominal_period_ = period_ = Duration{std::llround(1e9 / rate_->number)};
+    nominal_period_ = period_ = period_of(*rate_);
     bytes_.resize(model.fifo.capacity);
     found_.reserve(model.fifo.capacity / model.sample_bytes + 1);
     // Two words of 7 bytes a sample, and a half one from the read before.
@@ -185,15 +201,28 @@ class InertialChip {
       if (auto passed = test(chip); !passed) return passed;
     }
     auto done = set_up(chip);
-    begin_at(Samples<int>::now());
-    is_new_ = true;
+    const MonotonicTime now = Samples<int>::now();
+    begin_at(now);
+    if (before_.period > Duration{0}) {  // it has gone on measuring, or would have
+      period_ = before_.period;
+      unread_ = before_.periods_until(now);
+      begin_at(before_.last + static_cast<std::int64_t>(unread_) * period_);
+    }
+    is_new_ = before_.period == Duration{0};
+    is_open_ = static_cast<bool>(done);
     return done;
   }
+
+  /// For the chip after it: see driver.hpp.
+  InertialMemory memory() const noexcept { return is_open_ ? InertialMemory{last_, period_} : before_; }
+  /// Before `open`: the first read after it tells what was missed since.
+  void remember(const InertialMemory& memory) noexcept { before_ = memory; }
 
   /// Empties the FIFO; `make` makes the payload of a sample.
   template <class Value, class Make>
   Result<void> read(I2cDevice& chip, Samples<Value>& out, const Make& make) {
     const InertialFifo& fifo = model_.fifo;
+    out.lost_in_fault(std::exchange(unread_, 0));
     // Settings that are lost would look like a chip without news.
     const Result<std::uint8_t> mode = chip.read_register(fifo.on.number);
     if (!mode) return mode.error();
@@ -281,6 +310,15 @@ class InertialChip {
 
  private:
   static constexpr const char* what = "cannot read the inertial sensor";
+  static constexpr auto settling = std::chrono::milliseconds{100};  // of the self-test's force
+  static constexpr int averaged = 5;                                // samples
+
+  /// The rate of the self-test, which takes no long time by it: the first one from 100 Hz on.
+  static const InertialChoice& tested_rate(const InertialModel& model) {
+    return *std::find_if(model.rates.begin(), model.rates.end(), [](const auto& one) { return one.number >= 100; });
+  }
+  static Duration period_of(const InertialChoice& rate) { return Duration{std::llround(1e9 / rate.number)}; }
+  static Duration pause_between(Duration period) { return period + Duration{std::chrono::milliseconds{1}}; }
 
   static const InertialChoice* find(std::span<const InertialChoice> choices, double number) {
     for (const InertialChoice& one : choices)
@@ -542,31 +580,29 @@ class InertialChip {
   using Six = std::array<double, 6>;
   /// Acceleration and angular velocity, averaged over some samples.
   Result<Six> average(I2cDevice& chip) {
-    constexpr int count = 5;
     const InertialSelfTest& test = model_.self_test;
     Six sum{};
-    for (int i = 0; i < count; ++i) {
-      chip.wait(period_ + Duration{std::chrono::milliseconds{1}});
+    for (int i = 0; i < averaged; ++i) {
+      chip.wait(pause_between(period_));
       std::array<std::uint8_t, 6> bytes{};
       if (auto done = chip.read_registers(test.acceleration_output, bytes); !done) return std::move(done).error();
       for (std::size_t axis = 0; axis < 3; ++axis)
-        sum[axis] += word(bytes, 2 * axis) * acceleration_->per_count / count;
+        sum[axis] += word(bytes, 2 * axis) * acceleration_->per_count / averaged;
       if (test.angle_on == 0) continue;
       if (auto done = chip.read_registers(test.angle_output, bytes); !done) return std::move(done).error();
-      for (std::size_t axis = 0; axis < 3; ++axis) sum[3 + axis] += word(bytes, 2 * axis) * angle_->per_count / count;
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        sum[3 + axis] += word(bytes, 2 * axis) * angle_->per_count / averaged;
     }
     return sum;
   }
   /// Outputs without and with the force that the chip puts on itself.
   Result<void> test(I2cDevice& chip) {
     const InertialSelfTest& test = model_.self_test;
-    // At the ranges of the data sheet's limits, and a rate that takes no long time.
+    // At the ranges of the data sheet's limits.
     const auto* acceleration = std::exchange(acceleration_, find(model_.accelerations, test.acceleration_range));
     const auto* angle = std::exchange(angle_, find(model_.angles, test.angle_range));
-    const auto* rate = std::exchange(rate_, nullptr);
-    for (std::size_t i = 0; i < model_.rates.size() && rate_ == nullptr; ++i)
-      if (model_.rates[i].number >= 100) rate_ = &model_.rates[i];
-    const Duration period = std::exchange(period_, Duration{std::llround(1e9 / rate_->number)});
+    const auto* rate = std::exchange(rate_, &tested_rate(model_));
+    const Duration period = std::exchange(period_, period_of(*rate_));
     auto passed = test_at_these_ranges(chip);
     acceleration_ = acceleration;
     angle_ = angle;
@@ -575,7 +611,6 @@ class InertialChip {
     return passed;
   }
   Result<void> test_at_these_ranges(I2cDevice& chip) {
-    constexpr auto settling = std::chrono::milliseconds{100};
     const InertialSelfTest& test = model_.self_test;
     for (const InertialWrite& one : model_.setting_up)
       if (auto done = write(chip, one); !done) return done;
@@ -626,6 +661,9 @@ class InertialChip {
   bool is_torn_ = false;       // where a sample begins in the FIFO is not known
   bool is_uncertain_ = false;  // a transfer failed in the middle
   bool is_new_ = true;         // nothing was read yet
+  bool is_open_ = false;
+  InertialMemory before_;     // of the chip that could not be read any more
+  std::uint64_t unread_ = 0;  // samples between that and the opening
   unsigned to_discard_ = 0;
   std::vector<std::uint8_t> bytes_, joined_;
   std::vector<Found> found_;

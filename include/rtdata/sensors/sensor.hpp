@@ -119,6 +119,8 @@ class SamplePort {
   void publish_at(void* payload, MonotonicTime time);
   /// The device reports that it has dropped `count` samples.
   void lost(std::uint64_t count);
+  /// The device took `count` samples while it could not be read, a fault that has been told.
+  void lost_in_fault(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
   /// What a read that failed returns. When something usable was handed over before, the read is taken all the same; the

@@ -76,6 +76,9 @@ class LaneDevice {
   virtual Duration give_up_after() const { return std::chrono::seconds{1}; }
   /// How long one reading takes; may be called before the device is opened.
   virtual ReadTime read_time() const { return {}; }
+  /// The sensor is stopped: how many samples the device took since the last one that was read, if it could not be read
+  /// any more. Afterwards no time of before is counted.
+  virtual std::uint64_t stopped(MonotonicTime) { return 0; }
   /// The error of a transaction that was given up.
   virtual Error given_up_error() const = 0;
 };

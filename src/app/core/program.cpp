@@ -307,10 +307,19 @@ Action prepare_import(CLI::App& command) {
       ->type_name("DURATION");
   command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
       ->type_name("TIME");
+  command.add_option("--separator", options->separator, "Between the cells: a character, such as \";\", or tab")
+      ->capture_default_str()
+      ->type_name("CHARACTER");
+  command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
+      ->type_name("CHARACTER")
+      ->check(CLI::IsMember({".", ","}));
+  command.add_option("--zone", options->zone, "Of times that say none: Z (UTC), or such as +01:00")->type_name("ZONE");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "Who made it; default: the file's name")->type_name("NAME");
   command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");
-  command.footer("example:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db");
+  command.footer(
+      "examples:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db\n"
+      "  rtdata import lab.csv --time Zeit --separator \";\" --decimal , --zone +01:00");
   return [options](const Registry&) {
     std::optional<ForPeople> wrapped;
     wrapped.emplace();

@@ -50,13 +50,16 @@ struct ExportOptions {
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
 
 struct ImportOptions {
-  std::string file;           // CSV whose first row names the columns, with units as "speed [m/s]"
-  std::string time_column;    // its heading
-  std::string scale = "1 s";  // what 1 in that column is; times in ISO 8601 need none
-  std::string start = {};     // ISO 8601: what 0 there is; empty: 1970
-  std::string topic = {};     // empty: the file's name
-  std::string origin = {};    // empty: the file's name
-  std::string database = {};  // empty: FILE.db; one that exists is added to
+  std::string file;             // CSV whose first row names the columns, with units as "speed [m/s]"
+  std::string time_column;      // its heading
+  std::string scale = "1 s";    // what 1 in that column is; times in ISO 8601 need none
+  std::string start = {};       // ISO 8601: what 0 there is; empty: 1970
+  std::string separator = ",";  // a character, or "tab"
+  std::string decimal = {};     // "." or ","; empty: the former, and what looks like the latter is refused
+  std::string zone = {};        // "Z", "+01:00": of times that say none; empty: they are refused
+  std::string topic = {};       // empty: the file's name
+  std::string origin = {};      // empty: the file's name
+  std::string database = {};    // empty: FILE.db; one that exists is added to
 };
 /// 0; 1 when nothing, or not all, was imported: the error says which row.
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);

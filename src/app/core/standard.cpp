@@ -90,9 +90,21 @@ struct ShippedFileConfig : FileConfig {
 static PartPlan::Place place_of(std::string line, const std::string& chip) {
   if (!chip.empty()) line.insert(0, chip + ":");
   if (line.starts_with("/dev/")) line.erase(0, 5);
-  return {"GPIO", "line " + line};
+  return {"GPIO", "line " + line, ""};
 }
 #endif
+
+/// The buffer of an IIO device, which one sensor can have. By its name in the file: whether two names are of one device
+/// is seen when it runs.
+static PartPlan::Place buffer_of(const std::string& device, const std::string& root) {
+  constexpr std::string_view prefix = "iio:device";
+  std::string name = device;
+  if (name.find_first_not_of("0123456789") == std::string::npos) name.insert(0, prefix);
+  if (const std::string last = name.substr(name.rfind('/') + 1); name.starts_with('/') && last.starts_with(prefix))
+    name = last;
+  return {"buffer of the IIO", "device " + name + (root.empty() ? "" : " below " + root),
+          "list the channels of both in one"};
+}
 
 Registry standard_registry() {
   Registry registry;
@@ -167,7 +179,8 @@ Registry standard_registry() {
       [](const IioBufferConfig& config) { return iio_description(config.channels); },
       [](Loop& loop, const FeedConfig& common, const IioBufferConfig& config) {
         return IioBufferSensor(loop, common, config);
-      });
+      },
+      [](PartPlan& plan, const IioBufferConfig& config) { plan.place = buffer_of(config.device, config.root); });
   registry.add_sensor<PpsConfig>(
       "pps", "pulses per second, as the kernel times them; a source of the time of day",
       [](const PpsConfig&) { return Result(description_of<PpsPulse>()); },
@@ -183,7 +196,7 @@ Registry standard_registry() {
         return SerialLineSensor(loop, common, config);
       },
       [](PartPlan& plan, const SerialConfig& config) {
-        plan.place = {"", config.device};
+        plan.place = {"", config.device, ""};
       });
 #ifdef RTDATA_WITH_SQLITE
   registry.add_sink<SqliteConfig>(

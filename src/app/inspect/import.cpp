@@ -1,5 +1,6 @@
 // rtdata import: makes a recording of somebody's table, so that it can be verified, read and exported as any other.
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -34,7 +35,8 @@ Error refused(std::string where, std::string why, std::string advice) {
 /// The rows of a file, one after the other.
 class Table {
  public:
-  explicit Table(std::string path) : path_(std::move(path)), in_(path_, std::ios::binary) {}
+  Table(std::string path, char separator)
+      : path_(std::move(path)), separator_(separator), in_(path_, std::ios::binary) {}
   bool is_open() const { return in_.is_open(); }
   /// The number of the line on which the last row begins.
   std::uint64_t line() const noexcept { return line_; }
@@ -57,7 +59,7 @@ class Table {
         line_ = next_line_;
         continue;
       }
-      auto split = detail::split_csv(row);
+      auto split = detail::split_csv(row, separator_);
       if (!split)
         return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
       cells = *std::move(split);
@@ -70,19 +72,38 @@ class Table {
 
  private:
   std::string path_;
+  char separator_;
   std::ifstream in_;
   std::uint64_t line_ = 1, next_line_ = 1;
 };
 
+/// How numbers and times are written.
+struct Notation {
+  char decimal = '.';
+  std::string zone = {};
+};
+
+/// Whether the text is a number, and which.
+bool is_number(const std::string& text, char decimal, double& number) {
+  if (decimal == '.') return detail::read_number(text, number) == std::errc{};
+  if (text.find('.') != std::string::npos) return false;
+  std::string usual = text;
+  if (const std::size_t comma = usual.find(','); comma != std::string::npos) usual[comma] = '.';
+  return detail::read_number(usual, number) == std::errc{};
+}
+
 struct Column {
   std::string heading, name, unit;
+  char decimal = '.';
   // What all its cells can be.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
   bool has_large = false;
+  bool can_be_with_comma = true, has_comma = false;  // a number with a decimal comma
   std::size_t longest = 1;
 
   /// Integers of which some would change as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
+  bool seems_to_have_decimal_commas() const { return has_any && !can_be_number && can_be_with_comma && has_comma; }
   void look_at(const detail::CsvCell& cell) {
     if (cell.text.empty() && !cell.quoted) {
       has_empty = true;
@@ -98,7 +119,9 @@ struct Column {
     has_large = has_large || as_integer == std::errc::result_out_of_range ||
                 (is_integer && (integer > exact || integer < -exact));
     can_be_integer = can_be_integer && is_integer;
-    can_be_number = can_be_number && detail::read_number(cell.text, number) == std::errc{};
+    can_be_number = can_be_number && is_number(cell.text, decimal, number);
+    can_be_with_comma = can_be_with_comma && is_number(cell.text, ',', number);
+    has_comma = has_comma || cell.text.find(',') != std::string::npos;
   }
   std::string type() const {
     const std::string absent = has_empty ? ", may be absent" : "";
@@ -135,7 +158,7 @@ void name_columns(std::vector<Column>& columns) {
 }
 
 /// Of a cell of the column of time. Absolute ones are ISO 8601; numbers count `scale` from `start`.
-Result<Time> time_of(const std::string& text, Duration scale, Time start) {
+Result<Time> time_of(const std::string& text, const Notation& notation, Duration scale, Time start) {
   std::int64_t integer = 0;
   if (detail::read_number(text, integer) == std::errc{}) {
     const long double ns = static_cast<long double>(integer) * static_cast<long double>(scale.count());
@@ -143,12 +166,18 @@ Result<Time> time_of(const std::string& text, Duration scale, Time start) {
     return refused("", text + " is no time that can be recorded", "look at --scale");
   }
   double number = 0;
-  if (detail::read_number(text, number) == std::errc{}) {
+  if (is_number(text, notation.decimal, number)) {
     const double ns = number * static_cast<double>(scale.count());
     if (std::abs(ns) < 9.2e18) return start + Duration{std::llround(ns)};
     return refused("", text + " is no time that can be recorded", "look at --scale");
   }
-  return parse_iso8601(text);
+  const auto time = parse_iso8601(text);
+  if (time) return time;
+  const auto with_zone = parse_iso8601(text + (notation.zone.empty() ? "Z" : notation.zone));
+  if (!with_zone) return time;
+  if (notation.zone.empty())
+    return refused("", "it says no time zone", "write --zone Z if it is UTC, or such as +01:00");
+  return with_zone;
 }
 
 Result<Value> value_of(const Column& column, const detail::CsvCell& cell) {
@@ -156,7 +185,7 @@ Result<Value> value_of(const Column& column, const detail::CsvCell& cell) {
   std::int64_t integer = 0;
   if (column.can_be_integer && detail::read_number(cell.text, integer) == std::errc{}) return Value(integer);
   double number = 0;
-  if (column.can_be_number && detail::read_number(cell.text, number) == std::errc{}) return Value(number);
+  if (column.can_be_number && is_number(cell.text, column.decimal, number)) return Value(number);
   return Value(cell.text);
 }
 
@@ -169,8 +198,40 @@ struct Found {
   std::shared_ptr<const Description> description;
 };
 
-Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) {
-  Table table(options.file);
+/// How to write a separator on the command line.
+std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
+
+/// What separates the columns, when it is another character than was said: how to say it. Empty: not known.
+std::string separator_advice(const ImportOptions& options, char said) {
+  std::ifstream in(options.file, std::ios::binary);
+  std::string head, row;
+  std::getline(in, head);
+  std::getline(in, row);
+  const auto count = [](const std::string& text, char c) { return std::count(text.begin(), text.end(), c); };
+  char best = said;
+  for (const char one : {',', ';', '\t', '|'})
+    if (one != said && count(head, one) > count(head, best) && count(head, one) <= count(row, one)) best = one;
+  if (best == said) return {};
+  std::string advice = "its columns seem to be separated by " + shown_separator(best) + ": write --separator " +
+                       shown_separator(best);
+  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+  for (std::size_t i = 1; best != ',' && options.decimal.empty() && i + 1 < row.size(); ++i) {
+    if (row[i] == ',' && is_digit(row[i - 1]) && is_digit(row[i + 1])) return advice + " --decimal ,";
+  }
+  return advice;
+}
+
+Result<void> check_text(const Table& table, const Column& column, const std::string& text, const std::string& file) {
+  if (detail::is_readable(text)) return {};
+  return refused(
+      table.where(),
+      "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is no UTF-8",
+      "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
+}
+
+Result<Found> look_at(const ImportOptions& options, char separator, const Notation& notation, Duration scale,
+                      Time start) {
+  Table table(options.file, separator);
   if (!table.is_open()) return system_error(errno, "cannot read", options.file, "give the path of a CSV file");
   std::vector<detail::CsvCell> cells;
   auto head = table.next(cells);
@@ -178,15 +239,22 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
   if (!*head) return refused(options.file, "it is empty", "its first row names the columns");
   Found found;
   std::vector<std::string_view> headings;
-  for (const detail::CsvCell& cell : cells) found.columns.push_back({.heading = cell.text, .name = {}, .unit = {}});
+  for (const detail::CsvCell& cell : cells) {
+    if (!detail::is_readable(cell.text))
+      return refused(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
+                     "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
+    found.columns.push_back({.heading = cell.text, .name = {}, .unit = {}, .decimal = notation.decimal});
+  }
   for (const Column& column : found.columns) headings.push_back(column.heading);
   const auto is_it = [&](std::string_view heading) {  // with its unit or without
     return heading == options.time_column || heading.substr(0, heading.find(" [")) == options.time_column;
   };
   const auto at = std::find_if(headings.begin(), headings.end(), is_it);
-  if (at == headings.end())
+  if (at == headings.end()) {
+    const std::string advice = separator_advice(options, separator);
     return refused(options.file, "it has no column " + options.time_column,
-                   detail::suggestion(options.time_column, headings));
+                   advice.empty() ? detail::suggestion(options.time_column, headings) : advice);
+  }
   found.time_column = static_cast<std::size_t>(at - headings.begin());
   name_columns(found.columns);
   for (;;) {
@@ -197,18 +265,34 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
       return Error{
           Errc::bad_data, "cannot import", table.where(),
           std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()), ""};
-    const auto time = time_of(cells[found.time_column].text, scale, start);
-    if (!time)
-      return Error{
-          Errc::bad_data, "cannot import", table.where(),
-          "\"" + cells[found.time_column].text.substr(0, 64) + "\" in column " + options.time_column + " is no time",
-          "a number, or a time as 2026-03-01T12:00:00Z"};
+    const std::string& when = cells[found.time_column].text;
+    const auto time = time_of(when, notation, scale, start);
+    if (!time) {
+      double number = 0;
+      const bool has_comma = options.decimal.empty() && is_number(when, ',', number);
+      const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
+      return Error{Errc::bad_data, "cannot import", table.where(),
+                   "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
+                       (has_date ? ": " + time.error().why : ""),
+                   has_comma                                  ? "its numbers have decimal commas: write --decimal ,"
+                   : has_date && !time.error().advice.empty() ? time.error().advice
+                                                              : "a number, or a time as 2026-03-01T12:00:00Z"};
+    }
     if (found.rows++ == 0) found.first = *time;
     found.first = std::min(found.first, *time);
-    for (std::size_t i = 0; i < cells.size(); ++i) found.columns[i].look_at(cells[i]);
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+      if (auto good = check_text(table, found.columns[i], cells[i].text, options.file); !good)
+        return std::move(good).error();
+      found.columns[i].look_at(cells[i]);
+    }
   }
   if (found.rows == 0) return refused(options.file, "it has no rows", "");
-  for (Column& column : found.columns) column.look_at_all();
+  for (Column& column : found.columns) {
+    column.look_at_all();
+    if (options.decimal.empty() && column.seems_to_have_decimal_commas())
+      return refused(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
+                     "write --decimal , or, if they are texts, --decimal .");
+  }
   DescriptionBuilder builder("import");
   for (std::size_t i = 0; i < found.columns.size(); ++i) {
     const Column& column = found.columns[i];
@@ -228,11 +312,14 @@ Result<Found> look_at(const ImportOptions& options, Duration scale, Time start) 
   auto built = builder.build();
   if (!built) return built.error();
   found.description = *std::move(built);
+  const TopicToRecord topic{options.topic, found.description.get()};
+  const auto refusals = refused_topics(SqliteConfig{.path = options.database}, std::span(&topic, 1));
+  if (!refusals.empty()) return refused(options.file, refusals.front().why, refusals.front().advice);
   return found;
 }
 
-Result<std::uint64_t> record(const ImportOptions& options, const Found& found, Duration scale, Time start,
-                             std::uint64_t& moved) {
+Result<std::uint64_t> record(const ImportOptions& options, const Found& found, char separator, const Notation& notation,
+                             Duration scale, Time start, std::uint64_t& moved) {
   ManualClock clock(found.first - Duration{1});
   Runtime runtime({.name = std::filesystem::path(options.file).filename().string(), .clock = &clock});
   Loop loop(runtime, {.name = "import"});
@@ -244,7 +331,7 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, D
   AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
   // Time passes as fast as it goes: what is stored together is a matter of memory, not of time.
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
-  Table table(options.file);
+  Table table(options.file, separator);
   std::vector<detail::CsvCell> cells;
   (void)table.next(cells);
   Time last = found.first - Duration{1};
@@ -253,7 +340,7 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, D
     auto row = table.next(cells);
     if (!row) return row.error();
     if (!*row) break;
-    const auto time = time_of(cells[found.time_column].text, scale, start);
+    const auto time = time_of(cells[found.time_column].text, notation, scale, start);
     if (!time || cells.size() != found.columns.size())
       return refused(table.where(), "the file has changed while it was read", "try again");
     payload.assign(found.description->size(), std::byte{0});
@@ -297,7 +384,19 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
     if (named.topic.empty()) named.topic = stem;
     if (named.origin.empty()) named.origin = stem;
     if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
-    auto found = look_at(named, *scale, start);
+    const char separator = named.separator == "tab" || named.separator == "\\t" ? '\t'
+                           : named.separator.size() == 1                        ? named.separator[0]
+                                                                                : '\0';
+    const Notation notation{named.decimal == "," ? ',' : '.', named.zone};
+    if (separator != '\t' &&
+        (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
+      return fail(
+          refused("--separator " + named.separator, "it is no character between cells", "such as \";\", or tab"));
+    if (separator == notation.decimal)
+      return fail(refused("--separator " + named.separator, "it is the decimal mark, too", "set --decimal"));
+    if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
+      return fail(refused("--zone " + notation.zone, "it is no time zone", "Z, which is UTC, or such as +01:00"));
+    auto found = look_at(named, separator, notation, *scale, start);
     if (!found) return fail(found.error());
     const Column& time = found->columns[found->time_column];
     if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != *scale && time.can_be_number)
@@ -306,7 +405,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
                   "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " + to_string(*scale),
                   "write --scale \"1 " + time.unit + "\", or change the heading"));
     std::uint64_t moved = 0;
-    const auto rows = record(named, *found, *scale, start, moved);
+    const auto rows = record(named, *found, separator, notation, *scale, start, moved);
     if (!rows) return fail(rows.error());
     out << named.database << ": " << *rows << (*rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
         << named.topic << ", from " << to_iso8601(found->first) << " on\n";

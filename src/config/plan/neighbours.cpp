@@ -94,9 +94,11 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   problems.add(child_or_self(part.item, key)
                    .problem("duplicate-place",
                             part.kind + " " + known->second->name + ", at " + place_of(known->second->item) + ", has " +
-                                (is_of_bus ? taken.text + " of the bus \"" + taken.bus + "\" already; give each chip"
-                                           : "the " + taken.bus + " " + taken.text + " already; give each") +
-                                " its own"));
+                                (is_of_bus ? taken.text + " of the bus \"" + taken.bus + "\" already; "
+                                           : "the " + taken.bus + " " + taken.text + " already; ") +
+                                (!taken.advice.empty() ? taken.advice
+                                 : is_of_bus           ? "give each chip its own"
+                                                       : "give each its own")));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
@@ -291,6 +293,13 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       if (const PartPlan* namesake = nearest.empty() ? namesake_of(use) : nullptr)
         message += "; that is the name of a " + namesake->kind + ", at " + place_of_name(*namesake);
       problems.add(use.item.problem("unknown-" + use.kind, std::move(message), std::move(nearest)));
+      continue;
+    }
+    if (use.kind == "bus" && other->give_up_after > Duration{0} && part.holds_bus >= other->give_up_after) {
+      problems.add(use.item.problem("bad-value", "the bus " + name + ", at " + place_of_name(*other) +
+                                                     ", gives up after " + to_string(other->give_up_after) +
+                                                     ", and this chip needs more than " + to_string(part.holds_bus) +
+                                                     " at a time; give the bus a longer `timeout`"));
       continue;
     }
     const bool is_known = other->make != nullptr && !use.types.empty();

@@ -57,6 +57,22 @@ void check_topic(const PartPlan& plan, Problems& problems) {
   if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
 }
 
+/// Both waits are written, and the one that grows from the other is shorter. A default goes along.
+void check_retries(const ConfigItem& item, Problems& problems) {
+  const auto written = [&](std::string_view key) -> std::optional<Duration> {
+    const ConfigItem* value = child_of(item, key);
+    const std::string* text = value != nullptr ? value->as_string() : nullptr;
+    if (text == nullptr) return {};
+    const auto parsed = parse_duration(*text);
+    return parsed ? std::optional(*parsed) : std::nullopt;
+  };
+  const auto first = written("retry_first"), longest = written("retry_longest");
+  if (!first || !longest || *first <= *longest) return;
+  problems.add(child_or_self(item, "retry_longest")
+                   .problem("bad-value", "the wait grows from `retry_first`, " + to_string(*first) +
+                                             ", up to this: it must not be shorter"));
+}
+
 /// The parts that the item names.
 void collect_uses(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, std::vector<PartUse>& uses) {
   const auto add = [&](const NamesPart& names, const std::string& name, const ConfigItem& at) {
@@ -112,6 +128,7 @@ PartPlan PartReader::read(const PartKind& kind, const std::string& name, const C
     plan.item = item;
     if (plan.publishes) check_topic(plan, problems);
     check_output_files(parameters, item, problems);
+    check_retries(item, problems);
   }
   if (problems.size() != before) plan = raw_plan(kind, name, item);
   collect_uses(parameters, item, plan.uses);

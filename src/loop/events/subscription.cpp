@@ -92,6 +92,12 @@ void apply_field_map(const void* map, const std::byte* from, std::byte* to) {
     std::memcpy(to + copy.to, from + copy.from, copy.size);
 }
 
+/// "double", "text of 16", "optional int32".
+static std::string type_text(const Leaf& leaf) {
+  return (leaf.optional != nullptr ? "optional " : "") + std::string(name_of(leaf.kind)) +
+         (leaf.kind == Kind::text ? " of " + std::to_string(leaf.size - text_length_bytes) : "");
+}
+
 Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const PayloadType& wanted) {
   const auto& have = topic.type;
   if (have.description == nullptr || wanted.description == nullptr) {
@@ -116,7 +122,7 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
       complain("not in it");
     } else if (from->kind != to.kind || from->size != to.size ||
                (from->optional == nullptr) != (to.optional == nullptr)) {
-      complain(std::string(name_of(from->kind)) + " in it, " + std::string(name_of(to.kind)) + " wanted");
+      complain(type_text(*from) + " in it, " + type_text(to) + " wanted");
     } else if (from->unit != to.unit) {
       complain("unit \"" + from->unit + "\" in it, \"" + to.unit + "\" wanted");
     } else if (from->field->values != to.field->values) {

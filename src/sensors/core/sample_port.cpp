@@ -31,6 +31,10 @@ void SamplePort::lost(std::uint64_t count) {
                  "read it more often, or let it measure more slowly"};
 }
 
+void SamplePort::lost_in_fault(std::uint64_t count) {
+  if (sensor_ != nullptr && count > 0) sensor_->count_lost(count);
+}
+
 void SamplePort::repeated() noexcept {
   if (sensor_ == nullptr) return;
   is_usable_ = true;

@@ -148,11 +148,20 @@ void SensorNode::stop() {
   Call call(*this);  // the device's close() may do so to this
   cancel_opening();
   cancel_transaction();
+  count_unread();
   end_schedule(EndOf::activity);
   if (SamplePort* port = std::exchange(port_, nullptr)) port->sensor_ = nullptr;
   origin_.close_gap();
   origin_.topic.cancel(origin_);
   if (std::exchange(device_is_open_, false)) close_device(*loop());
+}
+
+/// What a device that measures by itself took in a fault that the end of the schedule finds.
+void SensorNode::count_unread() noexcept {
+  LaneSide* const side = lane_side();
+  if (side == nullptr || side->device == nullptr) return;
+  const std::uint64_t unread = side->device->stopped(loop()->now());
+  if (settings().failures > 0 && unread > 0) count_lost(unread);
 }
 
 void SensorNode::set_rate(Rate rate) {

@@ -134,6 +134,7 @@ class SensorNode final : public SourceNode, public RateMember {
   /// Reports that what was read is unusable though the device answered: the sensor is degraded, the device stays open.
   void complain(const Error& error);
   void cancel_transaction() noexcept;
+  void count_unread() noexcept;
 
   /// A device that is read on a lane.
   struct LaneSide {

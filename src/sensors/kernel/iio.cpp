@@ -171,7 +171,8 @@ class IioPolled final : public detail::LaneDevice {
     if (file.error_number() == EBUSY) {
       return {Errc::busy, cannot_read, plan_.device,
               holder.empty() ? "its buffer is on: another program has it" : holder + " has its buffer",
-              "end that, or take the data from the buffer: type \"iio_buffer\""};
+              holder == detail::this_program ? "list these channels in the sensor that takes its buffer"
+                                             : "end that, or take the data from the buffer: type \"iio_buffer\""};
     }
     if (file.error_number() == ENODEV) {
       return {Errc::disconnected, cannot_read, plan_.device, "the device has gone away", "it is looked for again"};

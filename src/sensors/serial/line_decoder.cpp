@@ -95,11 +95,32 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
   }
 }
 
-/// What could begin a number of CSV, so that no line with one in its first column is taken for a comment.
+/// What could begin a number of CSV ("12.", "-1e", "na", "INF"), so that no line with one in its first column is taken
+/// for a comment.
 bool begins_a_number(std::string_view text) noexcept {
   if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
-  return text.find_first_not_of("0123456789.") == std::string_view::npos &&
-         std::count(text.begin(), text.end(), '.') <= 1;
+  std::string lower(text);
+  for (char& c : lower)
+    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
+  for (const std::string_view word : {"nan", "infinity"})
+    if (word.starts_with(lower)) return true;
+  if (lower.starts_with("nan(")) return true;
+  const std::size_t exponent = lower.find('e');
+  const std::string_view digits = std::string_view(lower).substr(0, exponent);
+  if (digits.find_first_not_of("0123456789.") != std::string_view::npos ||
+      std::count(digits.begin(), digits.end(), '.') > 1)
+    return false;
+  if (exponent == std::string::npos) return true;
+  std::string_view power = std::string_view(lower).substr(exponent + 1);
+  if (!power.empty() && (power.front() == '+' || power.front() == '-')) power.remove_prefix(1);
+  return digits.find_first_of("0123456789") != std::string_view::npos &&
+         power.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
+bool begins_a_boolean(std::string_view text) noexcept {
+  for (const std::string_view word : {"true", "TRUE", "True", "false", "FALSE", "False"})
+    if (word.starts_with(text)) return true;
+  return false;
 }
 
 void check_marks(const SerialConfig& config) {
@@ -119,12 +140,13 @@ void check_marks(const SerialConfig& config) {
   }
   if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
     refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
-  if (std::string_view("0123456789+-.eE").find(config.separator) != std::string_view::npos)
+  if (std::string_view("0123456789+-.eEaAfFiInNtTyY").find(config.separator) != std::string_view::npos)
     refuse("separator", "numbers hold it", "such as \",\" or \";\"");
   if (comment.empty()) return;
   if (comment.front() == config.separator)
     refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
-  if (comment.front() == '"' || begins_a_number(comment))
+  const bool begins_with_boolean = !config.fields.empty() && config.fields.front().type == Kind::boolean;
+  if (comment.front() == '"' || begins_a_number(comment) || (begins_with_boolean && begins_a_boolean(comment)))
     refuse("comment", "lines of data may begin with it", "such as \"#\", or \"\" for none");
 }
 

@@ -118,7 +118,8 @@ void NmeaFixes::reset() noexcept {
   seen_ = {};
   ends_with_.reset();
   without_end_ = 0;
-  is_begun_ = is_published_ = false;
+  published_.reset();
+  is_begun_ = is_without_time_ = false;
   visible_ = {};
 }
 
@@ -139,7 +140,8 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   if (time) draft.time_of_day = time;
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
-  if (!quality || *quality == 0) {
+  if (!quality) return lat || lon ? columns.bad(6, "is no quality of a fix") : Result<void>();  // it says nothing
+  if (*quality == 0) {
     draft.is_void = true;
     return {};
   }
@@ -167,10 +169,13 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
   if (time) draft.time_of_day = time;
   draft.fix.gps_time.reset();
   if (time && date) draft.fix.gps_time = *date + *time;
-  if (columns.at(2) != "A") {
+  const std::string_view status = columns.at(2);
+  if (status.empty() && !lat && !lon) return {};  // it says nothing
+  if (status == "V") {
     draft.is_void = true;
     return {};
   }
+  if (status != "A") return columns.bad(2, "is no status of a fix");
   if (!draft.fix.lat || !draft.fix.lon) {  // GGA may have more digits
     draft.fix.lat = lat;
     draft.fix.lon = lon;
@@ -237,17 +242,23 @@ GpsFix NmeaFixes::completed() const {
   return fix;
 }
 
+void NmeaFixes::publish_now(const Publish& publish) {
+  const GpsFix fix = completed();
+  if (published_ == fix) return;
+  published_ = fix;
+  publish(fix, time_);
+}
+
 void NmeaFixes::finish(const Publish& publish) {
   if (!is_begun_) return;
-  const bool was_published = std::exchange(is_published_, true);
   is_begun_ = false;
   // One sentence that is missing or broken does not change what the last one is.
   constexpr unsigned enough = 3;
-  if (!ends_with_ || was_published || ++without_end_ == enough) {
+  if (!is_without_time_ && (!ends_with_ || published_ || ++without_end_ == enough)) {
     ends_with_ = last_;
     without_end_ = 0;
   }
-  if (!was_published) publish(completed(), time_);
+  publish_now(publish);
 }
 
 Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
@@ -284,13 +295,13 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   }
 
   const bool has_time = step.sentence == Sentence::gga || step.sentence == Sentence::rmc;
-  if (!has_time && !is_begun_) return {};  // the rest of a fix whose beginning was not heard
   std::size_t place = static_cast<std::size_t>(step.sentence);
-  bool begins = false;
+  bool begins = !is_begun_;  // by one without a time: the rest of a fix whose beginning was not heard
   if (has_time) {
     const auto said = columns.time_of_day(1);
     if (!said) return said.error();
-    begins = !is_begun_ || seen_[place] > 0 || (*said && draft_.time_of_day && *said != draft_.time_of_day);
+    begins = begins || is_without_time_ || seen_[place] > 0 ||
+             (*said && draft_.time_of_day && *said != draft_.time_of_day);
   }
   Draft draft = begins ? Draft{} : draft_;
   Result<void> read = step.sentence == Sentence::gga   ? read_gga(columns, draft)
@@ -302,13 +313,14 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
     finish(publish);
     seen_ = {};
     is_begun_ = true;
-    is_published_ = false;
+    is_without_time_ = !has_time;
+    published_.reset();
   }
   draft_ = draft;
   step.number = ++seen_[place];
   last_ = step;
   time_ = time;
-  if (ends_with_ == step && !std::exchange(is_published_, true)) publish(completed(), time_);
+  if (ends_with_ == step && !published_) publish_now(publish);
   return {};
 }
 

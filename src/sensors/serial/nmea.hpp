@@ -17,9 +17,10 @@ namespace rtdata::detail {
 /// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
 ///
 /// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
-/// begins a new fix. VTG and GSA carry no time and belong to the current fix. A fix is complete with the sentence that
-/// ended the fixes before it, or else when the next one begins. GSV gives the number of satellites in view, which all
-/// later fixes have.
+/// begins a new fix. VTG and GSA carry no time and belong to the current fix; before the first GGA or RMC they are a
+/// fix of their own. A fix is complete with the sentence that ended the fixes before it, or else when the next one
+/// begins. What comes for it later all the same, since the receiver has changed its order, makes it be published once
+/// more when the next one begins. GSV gives the number of satellites in view, which all later fixes have.
 class NmeaFixes {
  public:
   explicit NmeaFixes(std::string_view device);
@@ -53,6 +54,7 @@ class NmeaFixes {
   Result<void> read_gsa(const Columns& columns, Draft& draft) const;
   Result<void> take_gsv(const Columns& columns);
   GpsFix completed() const;
+  void publish_now(const Publish& publish);
 
   struct Draft {
     GpsFix fix;
@@ -72,10 +74,11 @@ class NmeaFixes {
   std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};  // in this fix, of each kind
   std::optional<Step> ends_with_;                                           // the last sentence of the fix before
   unsigned without_end_ = 0;                                                // fixes in a row that had no such sentence
+  std::optional<GpsFix> published_;                                         // the current fix, as it was published
   Step last_{};                                                             // sentence of this fix
   Time time_{};                                                             // at which that was read
   bool is_begun_ = false;
-  bool is_published_ = false;
+  bool is_without_time_ = false;  // this fix: it was begun by a sentence that carries none
   std::array<Visible, 8> visible_{};
 };
 

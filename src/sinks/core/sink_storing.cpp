@@ -86,7 +86,8 @@ void SinkNode::wait_for_opening() {
 
 void SinkNode::retry_later(Work why) {
   work_ = why;
-  work_timer_.start(backoff_.next(config_.retry_first, config_.retry_longest, config_.name));
+  work_timer_.start(
+      backoff_.next(config_.retry_first, std::max(config_.retry_longest, config_.retry_first), config_.name));
 }
 
 void SinkNode::stop_waiting() {
