@@ -304,6 +304,7 @@ TEST_SUITE("app") {
     CHECK(has(quiet.err, "rtdata: warning: NO EVENT ever came from board"));
     Process verify(folder, program, {"verify", "u.db"});
     CHECK(verify.end() == 0);
+    CHECK(has(verify.out, "u.db\nLOST: 3 outages of "));
     CHECK(count_of(verify.out, "1 outage of ") == 3);
     CHECK(has(verify.out, ": board on\n"));
     Process info(folder, program, {"info", "u.db"});

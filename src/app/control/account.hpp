@@ -30,6 +30,8 @@ struct RunAccount {
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
   Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
+  /// Sensors without a schedule whose source numbers nothing: what it lost itself cannot be known.
+  std::vector<std::string> not_detectable;
 };
 
 RunAccount account_of(const Runtime& runtime);
