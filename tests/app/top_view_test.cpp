@@ -10,44 +10,39 @@ using Json = nlohmann::ordered_json;
 
 namespace {
 
-Json health(const std::string& state, const std::string& reason = "") {
-  return {{"state", state}, {"reason", reason}};
-}
+Json health(const std::string& state, const std::string& reason = "") { return {{"state", state}, {"reason", reason}}; }
 
 Json sensor(const std::string& name) {
-  return {{"name", name},     {"loop", "main"}, {"running", true}, {"wanted_hz", 10},        {"reached_hz", 10},
-          {"late", 0},        {"missed", 0},    {"failed", 0},     {"unreadable", 0},        {"outages", 0},
+  return {{"name", name},       {"loop", "main"},  {"running", true},     {"wanted_hz", 10},       {"reached_hz", 10},
+          {"late", 0},          {"missed", 0},     {"failed", 0},         {"unreadable", 0},       {"outages", 0},
           {"outage_time_s", 0}, {"lost", nullptr}, {"value", "21.5 Cel"}, {"health", health("ok")}};
 }
 
 Json status(int sensors, int sinks) {
-  Json all{{"instance",
-            {{"name", "rig"}, {"pid", 4711}, {"running_for_s", 12.3}, {"configuration", "rig.json"}}},
-           {"loops",
-            {{{"name", "main"},
-              {"policy", "other"},
-              {"priority", 0},
-              {"load_percent", 0.5},
-              {"lateness_ns", nullptr},
-              {"warnings", Json::array()},
-              {"hangs_in", nullptr}}}},
-           {"sensors", Json::array()},
-           {"sinks", Json::array()},
-           {"parts", {{{"kind", "bus"}, {"name", "i2c1"}, {"type", "i2c"}, {"users", {"sensor s1"}}}}},
-           {"callbacks",
-            {{{"name", "sensor s1"}, {"loop", "main"}, {"count", 9}, {"total_ns", 1000}, {"max_ns", 500}}}}};
+  Json all{
+      {"instance", {{"name", "rig"}, {"pid", 4711}, {"running_for_s", 12.3}, {"configuration", "rig.json"}}},
+      {"loops",
+       {{{"name", "main"},
+         {"policy", "other"},
+         {"priority", 0},
+         {"load_percent", 0.5},
+         {"lateness_ns", nullptr},
+         {"warnings", Json::array()},
+         {"hangs_in", nullptr}}}},
+      {"sensors", Json::array()},
+      {"sinks", Json::array()},
+      {"parts", {{{"kind", "bus"}, {"name", "i2c1"}, {"type", "i2c"}, {"users", {"sensor s1"}}}}},
+      {"callbacks", {{{"name", "sensor s1"}, {"loop", "main"}, {"count", 9}, {"total_ns", 1000}, {"max_ns", 500}}}}};
   for (int i = 1; i <= sensors; ++i) all["sensors"].push_back(sensor("s" + std::to_string(i)));
   for (int i = 1; i <= sinks; ++i)
-    all["sinks"].push_back({{"name", "sink" + std::to_string(i)},
-                            {"queued", 0},
-                            {"stored", 9},
-                            {"dropped", 0},
-                            {"health", health("ok")}});
+    all["sinks"].push_back(
+        {{"name", "sink" + std::to_string(i)}, {"queued", 0}, {"stored", 9}, {"dropped", 0}, {"health", health("ok")}});
   return all;
 }
 
 std::size_t line_of(const std::vector<std::string>& lines, const std::string& start) {
-  const auto found = std::find_if(lines.begin(), lines.end(), [&](const auto& line) { return line.starts_with(start); });
+  const auto found = std::find_if(lines.begin(), lines.end(),
+                                  [&](const auto& line) { return line.starts_with(start); });
   return static_cast<std::size_t>(found - lines.begin());
 }
 
@@ -78,8 +73,9 @@ TEST_SUITE("app") {
     many["sensors"][20]["missed"] = 5;
     many["sensors"][30]["lost"] = 7;
     many["sensors"][35]["health"] = health(
-        "faulted", "cannot open the device: /dev/i2c-1: No such file or directory: switch I2C on: `sudo raspi-config` "
-                   "or dtparam=i2c_arm=on in /boot/firmware/config.txt, then start again");
+        "faulted",
+        "cannot open the device: /dev/i2c-1: No such file or directory: switch I2C on: `sudo raspi-config` "
+        "or dtparam=i2c_arm=on in /boot/firmware/config.txt, then start again");
     many["sensors"][37]["health"] = health("degraded", "a value out of range");
     const std::vector<std::string> lines = shown(many);
     CHECK(lines.size() <= 23);

@@ -36,12 +36,12 @@ std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_
 std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
 std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
 
-
 /// What is not well of it, with the reason, on as many lines as that needs; nothing when it is well.
 void add_health(Lines& lines, const Json& of, std::size_t columns) {
   const Json& health = of.at("health");
   if (health.at("state") == "ok") return;
-  std::string text = wrapped("  ! " + text_or_dash(health.at("state")) + ": " + text_or_dash(health.at("reason")), columns);
+  std::string text = wrapped("  ! " + text_or_dash(health.at("state")) + ": " + text_or_dash(health.at("reason")),
+                             columns);
   for (std::size_t i = 0; i < most_reason_lines && !text.empty(); ++i) {
     const std::size_t end = std::min(text.find('\n'), text.size());
     lines.push_back(text.substr(0, end));
@@ -139,8 +139,8 @@ std::vector<Block> sensors_of(const Json& status, std::string& heading, std::siz
       const std::chrono::duration<double> time(sensor.value("outage_time_s", 0.0));
       block.lines.push_back("  - " + to_string(Outages{number, std::chrono::duration_cast<Duration>(time)}));
     }
-    block.badness = badness_of(sensor, count("missed") + count("failed") + count("unreadable") + count("lost") +
-                                           count("outages"));
+    block.badness = badness_of(
+        sensor, count("missed") + count("failed") + count("unreadable") + count("lost") + count("outages"));
   }
   return blocks;
 }

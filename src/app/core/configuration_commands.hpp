@@ -35,8 +35,8 @@ struct CheckOptions {
 };
 int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
-enum class TypesAs { text, schema, markdown };
-/// `name`: only this type; empty: all.
+enum class TypesAs { text, all, schema, markdown };
+/// `name`: only this type, or those that a chip or a word stands for; empty: all, a line each (`all`: with parameters).
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
 enum class HowOften { live, once };

@@ -54,8 +54,21 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   if (!config_detail::read_string(*type, name, problems)) return none;
   for (std::size_t i = 0; i < types_.size(); ++i)
     if (types_[i].name == name) return i;
-  std::string suggestion = nearest_name(name, names);
   std::string message = "there is no " + what_ + " type \"" + std::string(name) + "\"";
+  std::string suggestion;
+  const std::vector<TypeInfo> infos = types();
+  const std::vector<std::size_t> meant = types_for_word(infos, name);
+  if (meant.size() == 1) {
+    suggestion = infos[meant[0]].name;
+    const WordFound found = find_word(infos[meant[0]], name);
+    if (!found.key.empty())
+      message += "; it is type \"" + suggestion + "\" with \"" + found.key + "\": \"" + found.choice + "\"";
+  } else {
+    suggestion = nearest_name(name, names);
+    std::string several;
+    for (const std::size_t i : meant) several += (several.empty() ? "" : ", ") + infos[i].name;
+    if (suggestion.empty() && !meant.empty()) listed = several;
+  }
   if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;
