@@ -48,11 +48,11 @@ void warn_of_losses(SystemPlan& plan) {
     if (sampling.kept > 0 && a_read > static_cast<double>(sampling.kept)) {
       std::array<char, 32> needed{};
       std::snprintf(needed.data(), needed.size(), "%.3g Hz", 2 * sampling.hertz / static_cast<double>(sampling.kept));
-      plan.warnings.add(at.problem(
-          "loses-data", "the chip takes " + std::to_string(static_cast<std::uint64_t>(a_read)) +
-                            " samples between two reads and keeps " + std::to_string(sampling.kept) +
-                            ": the others are lost; give it a `rate` of " + needed.data() +
-                            " or more, or a lower `sample_rate`"));
+      plan.warnings.add(
+          at.problem("loses-data", "the chip takes " + std::to_string(static_cast<std::uint64_t>(a_read)) +
+                                       " samples between two reads and keeps " + std::to_string(sampling.kept) +
+                                       ": the others are lost; give it a `rate` of " + needed.data() +
+                                       " or more, or a lower `sample_rate`"));
     }
     if (sampling.reading_time > period)
       plan.warnings.add(at.problem("loses-data", "a reading takes " + to_string(sampling.reading_time) +
