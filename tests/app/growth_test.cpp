@@ -84,10 +84,10 @@ TEST_SUITE("app") {
     const SystemPlan fast = with(R"("type": "accelerometer", "sample_rate": 800, "rate": "50 Hz")");
     CHECK(growth_of(fast)[0].bytes_per_day == doctest::Approx(8 * growth_of(slow)[0].bytes_per_day));
     CHECK(warned(slow) == "");
-    CHECK(warned(fast) == "");  // 16 of 32
+    CHECK(warned(fast) == "");  // 16 of 33
     CHECK(warned(with(R"("type": "accelerometer", "sample_rate": 800, "rate": "10 Hz")")) ==
-          "loses-data sensors[0].rate the chip takes 80 samples between two reads and keeps 32: the others are lost; "
-          "give it a `rate` of 50 Hz or more, or a lower `sample_rate`");
+          "loses-data sensors[0].rate the chip takes 80 samples between two reads and keeps 33: the others are lost; "
+          "give it a `rate` of 48.5 Hz or more, or a lower `sample_rate`");
     CHECK(warned(with(R"("type": "imu", "model": "mpu6050", "sample_rate": 1000, "rate": "5 Hz")"))
               .starts_with("loses-data"));
     CHECK(warned(with(R"("type": "imu", "model": "mpu6050", "sample_rate": 1000, "rate": "50 Hz")")) == "");

@@ -597,6 +597,8 @@ TEST_SUITE("app") {
     CHECK(has(several.out, "\n  max31856 "));
     Process csv(folder, shipped, {"types", "csv"});
     CHECK(csv.end() == 0);
+    CHECK(has(csv.out, "\n  serial "));
+    CHECK(has(csv.out, "\n  file "));
     Process none(folder, shipped, {"types", "warp-drive"});
     CHECK(none.end() == 1);
     folder.write("words.json", R"({"buses": {"i": {"type": "i2c", "device": "/dev/i2c-1"}},
@@ -629,6 +631,7 @@ TEST_SUITE("app") {
         has(check.out, "sensors[0].calibration: unknown key here: it belongs into `process`, below the field's name"));
     CHECK(has(check.out, "sensors[0].timeout: unknown key here: it belongs to the bus"));
     CHECK(has(check.out, "sensors[1].device: unknown key here: a chip names its bus with `bus`"));
+    CHECK_FALSE(has(check.out, "\"rate\" is missing"));  // it is there, under another name
     CHECK(has(check.out, "sensors[1].interval: unknown key here: how often it is read is its `rate`"));
     CHECK(has(check.out, "sensors[2].filter: unknown key here: filters belong into `process`"));
     CHECK(has(check.out, "sinks[0].filename: unknown key here: the file is named by `path`"));

@@ -118,19 +118,20 @@ void print_lines(const Registry& registry) {
 
 /// What a chip or a usual word stands for: a page when that is one type, else a line each. False: nothing.
 bool print_types_for(const std::string& word, const Registry& registry) {
-  std::vector<TypeInfo> all;
-  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind)
-    for (TypeInfo& type : kind->types.types()) all.push_back(std::move(type));
-  const std::vector<std::size_t> found = types_for_word(all, word);
+  std::vector<TypeInfo> found;  // the closest of each kind: csv is a format of serial lines, and of files
+  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+    const std::vector<TypeInfo> types = kind->types.types();
+    for (const std::size_t i : types_for_word(types, word)) found.push_back(types[i]);
+  }
   if (found.size() == 1) {
-    const TypeInfo& type = all[found[0]];
+    const TypeInfo& type = found[0];
     const WordFound where = find_word(type, word);
     std::cout << word << ": type " << type.name
               << (where.key.empty() ? "" : ", with \"" + where.key + "\": \"" + where.choice + "\"") << "\n\n"
               << described(type, Page::whole);
   } else if (!found.empty()) {
     std::cout << "types for " << word << "\n";
-    for (const std::size_t i : found) std::cout << line_of(all[i]);
+    for (const TypeInfo& type : found) std::cout << line_of(type);
     std::cout << "\nrtdata types NAME has the parameters of one." << std::endl;
   }
   return !found.empty();

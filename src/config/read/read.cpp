@@ -145,12 +145,12 @@ constexpr std::array<Elsewhere, 34> elsewhere{{{"calibration", "process", in_pro
                                                {"window", "process", in_filters},
                                                {"sampling_rate", "rate", as_rate}}};
 
-/// Empty: nothing is known of the key. Filters and calibrations have neither name nor rate of their own.
-std::string_view place_elsewhere(std::string_view key, const std::vector<std::string>& names) {
+/// Null: nothing is known of the key.
+const Elsewhere* place_elsewhere(std::string_view key, const std::vector<std::string>& names) {
   const auto found = std::find_if(elsewhere.begin(), elsewhere.end(), [&](const Elsewhere& one) {
     return one.key == key && std::find(names.begin(), names.end(), one.known) != names.end();
   });
-  return found != elsewhere.end() ? found->advice : std::string_view();
+  return found != elsewhere.end() ? &*found : nullptr;
 }
 
 }  // namespace
@@ -241,8 +241,9 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   std::vector<std::string> meant;  // absent keys that are there, but misspelt: reported once, not as missing too
   for (const ConfigChild& child : item.children()) {
     if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
-    if (const std::string_view advice = place_elsewhere(child.key, names); !advice.empty()) {
-      Problem problem = child.item.problem("unknown-key", "unknown key here: " + std::string(advice));
+    if (const Elsewhere* place = place_elsewhere(child.key, names)) {
+      meant.emplace_back(place->known);
+      Problem problem = child.item.problem("unknown-key", "unknown key here: " + std::string(place->advice));
       problem.place = child.item.key_place();
       problems.add(std::move(problem));
       good = false;
