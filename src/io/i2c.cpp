@@ -4,6 +4,7 @@
 #include <cerrno>
 #include <charconv>
 
+#include "io/enabling.hpp"
 #include "rtdata/loop/lane.hpp"
 
 namespace rtdata {
@@ -82,7 +83,9 @@ Error I2cDevice::failure(int errno_value) const {
   }
   const std::string device = core_->config.device.empty() ? "bus " + core_->bus : core_->config.device;
   return system_error(errno_value, what, device + ", " + to_string(address_),
-                      "`ls -l /dev/i2c-*` lists the adapters and who may use them");
+                      errno_value == ENOENT && !detail::how_to_enable(core_->config.device).empty()
+                          ? detail::how_to_enable(core_->config.device)
+                          : "`ls -l /dev/i2c-*` lists the adapters and who may use them");
 }
 
 Result<void> I2cDevice::look_at() {

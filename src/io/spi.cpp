@@ -3,6 +3,7 @@
 #include <array>
 #include <cerrno>
 
+#include "io/enabling.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
 
@@ -64,7 +65,9 @@ Result<void> SpiDevice::transfer(std::span<const SpiSegment> segments) {
   const std::string device = core_->config.device.empty()
                                  ? "bus " + core_->bus + ", " + SpiBus::text_of(place_)
                                  : core_->config.device + "." + std::to_string(place_.chip_select);
-  return system_error(status, what, device, "`ls -l /dev/spidev*` lists the chip selects and who may use them");
+  const std::string enabling = status == ENOENT ? detail::how_to_enable(core_->config.device) : "";
+  return system_error(status, what, device,
+                      enabling.empty() ? "`ls -l /dev/spidev*` lists the chip selects and who may use them" : enabling);
 }
 
 Result<void> SpiDevice::transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) {

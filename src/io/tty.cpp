@@ -14,6 +14,7 @@
 #include <cstdio>
 #include <fstream>
 #include <sstream>
+#include "io/enabling.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -76,7 +77,9 @@ Error open_error(int number, const std::string& path) {
     case ENXIO:
     case ENODEV:
       return system_error(number, cannot_open, path,
-                          "plug it in, or check `device`; `ls /dev/serial/by-id` lists the lines");
+                          detail::how_to_enable(path).empty()
+                              ? "plug it in, or check `device`; `ls /dev/serial/by-id` lists the lines"
+                              : detail::how_to_enable(path));
     default:
       return system_error(number, cannot_open, path);
   }

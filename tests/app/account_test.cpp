@@ -87,6 +87,20 @@ TEST_SUITE("app") {
           "NO EVENT ever came from gps; LOST: 673 ticks missed (host/process 660, gps 7 and 1 "
           "more), 1 tick failed (board), 2 outages of 6.3 s together (board), 3 events dropped by sinks (gps); taken: "
           "4177 events; ledger balances");
+    app::RunAccount dropping;
+    dropping.events = 9;
+    dropping.topics = {{.topic = "gps", .lost = 1, .dropped = 5}};
+    dropping.lost = 1;
+    dropping.dropped = 5;
+    dropping.sinks.resize(2);
+    dropping.sinks[1].counts.dropped[0] = 5;
+    dropping.not_detectable = {"board"};
+    CHECK(verdict(dropping, {.has_loss = true}) ==
+          "LOST: 1 lost by its source (gps), 5 events dropped by sinks (gps): queue full; taken: 9 events; ledger "
+          "balances; not detectable: what the source of board lost itself");
+    dropping.sinks[0].counts.dropped[2] = 2;
+    dropping.dropped = 7;
+    CHECK(has(verdict(dropping, {}), "7 events dropped by sinks (gps): 5 queue full, 2 refused; taken"));
     app::RunAccount none;
     none.mute = {"board"};
     CHECK(verdict(none, {}) == "NO EVENT ever came from board; nothing lost that is known: 0 events; ledger balances");

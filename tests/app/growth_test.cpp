@@ -9,6 +9,7 @@
 #include <filesystem>
 
 #include "app/process.hpp"
+#include "app/run/data_at_risk.hpp"
 #include "app/run/starter.hpp"
 #include "rtdata/app/standard.hpp"
 
@@ -62,6 +63,55 @@ TEST_SUITE("app") {
     CHECK(growths[5].bytes_per_day > growths[4].bytes_per_day);
     CHECK(growths[1].bytes_per_day > growths[5].bytes_per_day);
     CHECK(growths[1].text() == "a.jsonl: about 20 GB a day, without limit");
+  }
+
+  TEST_CASE("what a chip takes by itself counts for the growth of files, and what it cannot keep is a warning") {
+    const InFolder here;
+    const auto with = [](const std::string& sensor) {
+      SystemPlan plan = plan_system(standard_registry(),
+                                    parse_config(R"({"buses": {"i": {"type": "i2c", "device": "/dev/i2c-1"}},
+        "sensors": [{"name": "x", "bus": "i", )" +
+                                                 sensor + R"(}], "sinks": [{"type": "sqlite", "path": "a.db"}]})"));
+      REQUIRE_MESSAGE(plan.good(), plan.report());
+      return plan;
+    };
+    const auto warned = [](SystemPlan plan) {
+      warn_of_losses(plan);
+      return plan.warnings.empty() ? std::string()
+                                   : plan.warnings[0].id + " " + plan.warnings[0].path + " " + plan.warnings[0].message;
+    };
+    const SystemPlan slow = with(R"("type": "accelerometer", "sample_rate": 100, "rate": "10 Hz")");
+    const SystemPlan fast = with(R"("type": "accelerometer", "sample_rate": 800, "rate": "50 Hz")");
+    CHECK(growth_of(fast)[0].bytes_per_day == doctest::Approx(8 * growth_of(slow)[0].bytes_per_day));
+    CHECK(warned(slow) == "");
+    CHECK(warned(fast) == "");  // 16 of 33
+    CHECK(warned(with(R"("type": "accelerometer", "sample_rate": 800, "rate": "10 Hz")")) ==
+          "loses-data sensors[0].rate the chip takes 80 samples between two reads and keeps 33: the others are lost; "
+          "give it a `rate` of 48.5 Hz or more, or a lower `sample_rate`");
+    CHECK(warned(with(R"("type": "imu", "model": "mpu6050", "sample_rate": 1000, "rate": "5 Hz")"))
+              .starts_with("loses-data"));
+    CHECK(warned(with(R"("type": "imu", "model": "mpu6050", "sample_rate": 1000, "rate": "50 Hz")")) == "");
+    CHECK(warned(with(R"("type": "sht", "rate": "100 Hz")")) ==
+          "loses-data sensors[0].rate a reading takes 16 ms or more, and its period is 10 ms: ticks are missed; lower "
+          "its `rate`");
+    CHECK(warned(with(R"("type": "sht", "rate": "10 Hz")")) == "");
+    CHECK(warned(with(R"("type": "barometer", "model": "bme280", "rate": "1 Hz")")) == "");
+    CHECK(warned(with(R"("type": "ads1x15", "model": "ads1115", "data_rate": 128, "rate": "50 Hz")")) != "");
+  }
+
+  TEST_CASE("a sensor without a schedule and without silence is noted, since nobody notices when it goes quiet") {
+    const InFolder here;
+    const Registry registry = standard_registry();
+    const auto noted = [&](const std::string& silence) {
+      return unnoticed_silence(registry, plan_system(registry, parse_config(R"({"sensors": [
+        {"name": "m", "type": "host", "quantity": "memory", "rate": "1 Hz"},
+        {"name": "board", "type": "serial", "device": "/dev/null", "fields": [{"name": "x"}])" +
+                                                                            silence + "}]}")));
+    };
+    const std::string note = "without `silence`, such as \"10 s\", nobody notices when this device goes quiet: board";
+    CHECK(noted("") == note);
+    CHECK(noted(R"(, "silence": "0 s")") == note);
+    CHECK(noted(R"(, "silence": "3 s")") == "");
   }
 
   TEST_CASE("a sink without limit that fills the disk is a warning, one with a limit is none") {

@@ -4,6 +4,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <array>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -14,8 +15,10 @@
 #include "app/machine/scan.hpp"
 #include "app/process.hpp"
 #include "app/run/starter.hpp"
+#include "io/enabling.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/io/i2c.hpp"
 
 using namespace rtdata;
 using namespace rtdata::app;
@@ -151,6 +154,27 @@ TEST_SUITE("app") {
     CHECK(scan.hints[1].kind == "spi");
     CHECK(scan.hints[2].kind == "1-wire");
     CHECK(scan.hints[2].text.find("dtoverlay=w1-gpio") != std::string::npos);
+  }
+
+  TEST_CASE("NFR-5 a device that is not there says how it is switched on, and scan and doctor say the same") {
+    const Machine empty;
+    const Scan scan = scan_machine(empty.files(), standard_registry(), Probing::no);
+    const I2cBus i2c({.device = "/dev/i2c-77"});
+    I2cDevice chip = i2c.device({0x48});
+    std::array<std::uint8_t, 1> byte{};
+    const Result<void> answered = chip.read(byte);
+    REQUIRE_FALSE(answered);
+    const std::string advice = rtdata::detail::how_to_enable("/dev/i2c-77");
+    CHECK(advice.find("raspi-config nonint do_i2c 0") != std::string::npos);
+    CHECK(advice.find("dtparam=i2c_arm=on") != std::string::npos);
+    CHECK(advice.find("modprobe i2c-dev") != std::string::npos);
+    CHECK(answered.error().advice == advice);
+    CHECK(scan.hints[0].text == "no I2C adapter: " + advice);
+    CHECK(access_to(empty.files(), "/dev/i2c-77", R_OK).advice == advice);
+    CHECK(scan.hints[1].text == "no SPI controller: " + rtdata::detail::how_to_enable("/dev/spidev0.0"));
+    CHECK(rtdata::detail::how_to_enable("/dev/serial0").find("do_serial_hw 0") != std::string::npos);
+    CHECK(rtdata::detail::how_to_enable("/dev/ttyUSB0").empty());  // what is plugged in is not switched on
+    CHECK(access_to(empty.files(), "/dev/ttyUSB0", R_OK).advice.find("plug it in") == 0);
   }
 
   TEST_CASE("FW-2 scan says what stands in the way: the kernel's console, a driver that is missing") {

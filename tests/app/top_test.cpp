@@ -197,6 +197,26 @@ TEST_SUITE("app") {
     CHECK(run.end() == 0);
   }
 
+  TEST_CASE("NFR-5 top ends well with the run that it looks at, and not with one that was killed") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig);
+    for (const int signal : {SIGTERM, SIGKILL}) {
+      CAPTURE(signal);
+      Process run(folder, program, {"run", "rig.json"});
+      REQUIRE(run.wait_for("running rig"));
+      Process text(folder, program, {"top"});
+      Process json(folder, program, {"top", "--json"});
+      REQUIRE(text.wait_for("rig  pid "));
+      REQUIRE(json.wait_for("{\"instance\""));
+      run.signal(signal);
+      CHECK(run.end() == (signal == SIGKILL ? 128 + SIGKILL : 0));
+      CHECK(text.end() == (signal == SIGKILL ? 1 : 0));
+      CHECK(json.end() == (signal == SIGKILL ? 1 : 0));
+      CHECK(has(text.err, signal == SIGKILL ? "no answer: instance: it has ended, or serves others" : " has ended\n"));
+    }
+  }
+
   TEST_CASE("NFR-5 top without an instance says so; with several it lists them, and takes a name or pid") {
     const RuntimeFolder runtime;
     const Folder folder;

@@ -43,7 +43,7 @@ def pages(source):
 
 
 def has_type(program, name):
-    return run([program, "types", name]).returncode == 0
+    return run([program, "types", name, "--schema"]).returncode == 0
 
 
 def check_blocks(source, build, compiler, program):
@@ -182,7 +182,7 @@ def check_types(source, program, elsewhere):
         print("skipped: the parameters of `rtdata types`, since the program is not built")
         return
     sections, group, name, parent, columns = documented(source), "", "", "", {}
-    for line in run([program, "types"]).stdout.splitlines():
+    for line in run([program, "types", "--all"]).stdout.splitlines():
         if match := re.match(r"(\w+) types$", line):
             group = f"Every {match[1]}"
         elif line.startswith("formats"):

@@ -137,6 +137,88 @@ TEST_CASE("US-26 verify and info tell outages of what has no schedule, with thei
   CHECK(has(out.str(), "    1 outage of 6 s\n"));
 }
 
+TEST_CASE("US-26 verify says first what was lost, of which topic and where, and what is not known") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  const auto first_lines = [&](const VerifyReport& report) {
+    const std::string text = report.text();
+    return text.substr(report.path.size() + 1, text.find("\n\n") - report.path.size());
+  };
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> board(loop, {.name = "board", .topic = "lab/board"});
+    Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz}, [] { return Climate{1, 2}; });
+    board.publish({1, 2});
+    loop.advance(1s);
+    loop.close();
+  }
+  VerifyReport report = verified(path);
+  CHECK(first_lines(report) ==
+        "nothing lost: 12 rows\n"
+        "not detectable: what the sources of lab/board lost before it came here: they do\n"
+        "                not number it\n");
+  auto json = nlohmann::json::parse(report.to_json());
+  CHECK(json["nothing_lost"] == true);
+  CHECK(json["losses"].empty());
+  CHECK(json["runs"][0]["nothing_lost"] == true);
+  CHECK(json["runs"][0]["not_detectable"] == nlohmann::json{"lab/board"});
+
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path, .sink = {.queue_bytes = 256 << 10}});
+    Feed<Climate> board(loop, {.name = "board", .topic = "lab/board"});
+    bool fails = false;
+    Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz}, [&]() -> Result<Climate> {
+      if (fails) return Error{Errc::io_failed, "gone", "", "", ""};
+      return Climate{1, 2};
+    });
+    board.set_numbered();
+    for (int i = 0; i < 20000; ++i) board.publish({1, 2});
+    board.lost(10);
+    loop.advance(1s);
+    board.publish({1, 2});
+    fails = true;
+    loop.advance(300ms);
+    fails = false;
+    board.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""});
+    loop.advance(1s);
+    loop.close();
+  }
+  report = verified(path);
+  CHECK(report.verdict() == Verdict::balanced);
+  const std::uint64_t dropped = report.runs.at(1).dropped;
+  REQUIRE(dropped > 0);
+  std::string joined = first_lines(report);
+  for (std::size_t at; (at = joined.find("\n      ")) != std::string::npos && joined[at + 7] != '3';)
+    joined.replace(at, 7, " ");
+  CHECK(has(joined, "LOST: " + std::to_string(dropped + 10) +
+                        " samples of lab/board (lost by the source 10, dropped "
+                        "by the queue " +
+                        std::to_string(dropped) +
+                        ") and 1 outage of 1 s (how many samples did not come "
+                        "is not known)\n"
+                        "      3 ticks of room/climate (failed 3)\n"));
+  json = nlohmann::json::parse(report.to_json());
+  CHECK(json["nothing_lost"] == false);
+  REQUIRE(json["losses"].size() == 2);
+  CHECK(json["losses"][0]["topic"] == "lab/board");
+  CHECK(json["losses"][1]["failed"] == 3);
+
+  // A run that was not closed: the end of it is not known, and that is no promise that nothing was lost.
+  written_as(path, "UPDATE rtdata_run SET state = 'recording', pid = 0 WHERE run = 2");
+  report = verified(path);
+  CHECK(has(first_lines(report), "LOST: "));
+  CHECK(has(first_lines(report),
+            "NOT KNOWN: of run 2: what it lost after its last account: it is not sealed yet;\n"
+            "           recording into the file again seals it\n"));
+  CHECK(nlohmann::json::parse(report.to_json())["runs"][1]["not_known"].size() == 1);
+}
+
 TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
   CHECK(has(after("DELETE FROM \"room/climate\" WHERE sequence = 417"),
             "room/climate, origin room: 998 rows, the ledger says 999 stored; sequence 417 is missing."));

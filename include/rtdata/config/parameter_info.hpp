@@ -72,8 +72,9 @@ std::string schema(const std::vector<ParameterInfo>& parameters, std::string_vie
 
 /// What a page says of a type beside its parameters. Making one needs nothing of it.
 struct TypePage {
-  std::string bus = {};    ///< of a driver: the type of its bus
-  std::string notes = {};  ///< Markdown: how it is wired, where it may be on its bus, its limits
+  std::string bus = {};      ///< of a driver: the type of its bus
+  std::string notes = {};    ///< Markdown: how it is wired, where it may be on its bus, its limits
+  std::string aliases = {};  ///< words, parted by blanks, by which people look for it, beside those of its description
   /// What its events hold, with the defaults of its parameters; null: that is not known without them.
   std::shared_ptr<const Description> (*publishes)() = nullptr;
   bool depends_on_parameters = false;  ///< what its events hold
@@ -89,6 +90,24 @@ struct TypeInfo {
   /// The schema of an item of this type: `{"type": "analog", ...}`. `key`: what names the type.
   std::string schema(std::string_view key = "type") const;
 };
+
+/// Where a type speaks of a word; by how much of it is about that, the closest first.
+enum class WordIn {
+  nothing,
+  notes,        ///< in the notes or the meaning of a parameter: "sht31" of sht
+  description,  ///< "pt100" of max31865, "button" of edge, "temperature" of several
+  choice,       ///< a choice of `model`, `format` or `quantity`, or an alias: "bme280" of barometer
+};
+struct WordFound {
+  WordIn in = WordIn::nothing;
+  std::string key = {};  ///< of the parameter whose choice it is
+  std::string choice = {};
+};
+/// What a type has to do with a word that is the name of a chip or what people usually call such a thing. Case, "-" and
+/// "_" do not matter: "MPU-6050" is "mpu6050".
+WordFound find_word(const TypeInfo& type, std::string_view word);
+/// The places in `types` of those that have most to do with it; empty: none has.
+std::vector<std::size_t> types_for_word(const std::vector<TypeInfo>& types, std::string_view word);
 
 /// The schema of an item of any of these types, which asks for the parameters of the one that it names.
 std::string schema(const std::vector<TypeInfo>& types, std::string_view key = "type");

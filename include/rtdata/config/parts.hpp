@@ -77,11 +77,19 @@ struct PartUse {
   ConfigItem item;                 ///< that names it
 };
 
+/// A device's own pace; 0: not known, or it has none.
+struct Sampling {
+  double hertz = 0;          ///< samples a second that it takes by itself
+  std::size_t kept = 0;      ///< samples that it keeps until they are read
+  Duration reading_time{0};  ///< how long a reading takes at least
+};
+
 /// What a part publishes, as far as it is known before the part is made.
 struct PublishedTopic {
   std::string topic;                               ///< never empty
   std::shared_ptr<const Description> description;  ///< null: known only once it is made
   std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
+  Sampling sampling = {};
 };
 
 /// What a part stores, and where.

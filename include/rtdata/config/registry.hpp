@@ -115,6 +115,21 @@ std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
   }
 }
 
+/// What is known of a device's own pace. The functions are found beside the Config, or in the driver.
+template <class C>
+Sampling sampling_of(const C& config) {
+  Sampling sampling;
+  if constexpr (requires { typename C::OfDriver; }) {
+    using D = typename C::OfDriver;
+    if constexpr (requires { D::sample_rate(config.own); }) sampling.hertz = D::sample_rate(config.own);
+    if constexpr (requires { D::fifo_samples(config.own); }) sampling.kept = D::fifo_samples(config.own);
+    if constexpr (requires { D::reading_time(config.own); }) sampling.reading_time = D::reading_time(config.own);
+  } else if constexpr (requires { double{sample_rate(config)}; }) {
+    sampling.hertz = sample_rate(config);
+  }
+  return sampling;
+}
+
 /// What the sensor publishes; an empty topic is as its name.
 PublishedTopic published_topic(const std::string& name, const std::string& topic,
                                Result<std::shared_ptr<const Description>> description, const Processing& processing);
@@ -143,6 +158,7 @@ decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... 
 /// What a configuration says of a sensor that is made of a driver: where its chip is, and the driver's own.
 template <Driver D>
 struct DriverConfig {
+  using OfDriver = D;
   std::string bus = {};
   typename D::Device::Place place = default_place<D>();
   typename D::Config own = {};
@@ -193,6 +209,7 @@ class Registry {
       plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own),
                                                       all.common.process);
       plan.publishes->load = config_detail::load_of(all.common, all.own);
+      plan.publishes->sampling = config_detail::sampling_of(all.own);
       plan.live["process"] = [process = all.common.process](const PartObject& part) {
         part.as<AnySensor>()->set_processing(process);
       };
@@ -212,7 +229,12 @@ class Registry {
   requires requires { std::string(D::type), std::string(D::description); }
   void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
   /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config. A driver may
-  /// say `static constexpr std::string_view notes`, Markdown: its wiring, addresses, limits, for `rtdata types`.
+  /// say `static constexpr std::string_view notes`, Markdown: its wiring, addresses, limits, for `rtdata types`,
+  /// and `static constexpr std::string_view aliases`, words by which people look for it (its description and models are
+  /// such words already). So that `check` warns of settings that lose data and knows how files grow, it may say how
+  /// many samples a second the device takes by itself (`static double sample_rate(const Config&)`), how many it keeps
+  /// until they are read (`static std::size_t fifo_samples(const Config&)`), and how long a reading takes at least
+  /// (`static Duration reading_time(const Config&)`).
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
@@ -220,6 +242,7 @@ class Registry {
     TypePage page;
     page.bus = std::string(BusOf::type);
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
+    if constexpr (requires { std::string(D::aliases); }) page.aliases = std::string(D::aliases);
     if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
       page.depends_on_parameters = true;
       page.publishes = []() -> std::shared_ptr<const Description> {

@@ -140,6 +140,8 @@ class Accelerometer {
 
   /// SetupError (bad-argument): a setting that the chip does not have.
   explicit Accelerometer(const Config& config) : chip_(config.chip(), accelerometer_models::all, config.settings()) {}
+  static double sample_rate(const Config& config) { return Accelerometer(config).chip_.sample_rate(); }
+  static std::size_t fifo_samples(const Config& config) { return Accelerometer(config).chip_.fifo_samples(); }
   Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
   Result<void> read(I2cDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }

@@ -51,6 +51,7 @@ enum class Ads1x15Model { ads1015, ads1115 };
 class Ads1x15 {
  public:
   static constexpr std::string_view type = "ads1x15";
+  static constexpr std::string_view aliases = "adc";
   static constexpr std::string_view
       description = "voltages by an ADS1015 or ADS1115 on I2C, with a range for each channel";
   static constexpr std::string_view notes =
@@ -139,6 +140,10 @@ class Ads1x15 {
     return restarted_after(chip.write_word(settings_register, settings_of(config_, config_.channels[next_]) | begin));
   }
 
+  static Duration reading_time(const Config& config) {
+    const Ads1x15 chip(config);
+    return chip.conversion_time() * static_cast<Duration::rep>(chip.config_.channels.size());
+  }
   /// The conversion of one channel with the slowest clock that the chip may have (-10 %), and waking up.
   Duration conversion_time() const noexcept {
     return std::chrono::nanoseconds{1'000'000'000 / config_.data_rate * 10 / 9} + std::chrono::microseconds{50};

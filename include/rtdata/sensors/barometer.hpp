@@ -237,6 +237,7 @@ struct Ms5611Prom {
 class Barometer {
  public:
   static constexpr std::string_view type = "barometer";
+  static constexpr std::string_view aliases = "altimeter";
   static constexpr std::string_view
       description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
   static constexpr std::string_view notes =
@@ -343,6 +344,7 @@ class Barometer {
     return {};
   }
 
+  static Duration reading_time(const Config& config) { return Barometer(config).conversion_time(); }
   Duration conversion_time() const noexcept {
     const auto microseconds = [](unsigned count) { return Duration{std::chrono::microseconds{count}}; };
     switch (model().family) {

@@ -335,6 +335,7 @@ inline constexpr InertialModel all[] = {
 class Imu {
  public:
   static constexpr std::string_view type = "imu";
+  static constexpr std::string_view aliases = "gyroscope gyro";
   static constexpr std::string_view description =
       "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
       "I2C";
@@ -397,6 +398,8 @@ class Imu {
 
   /// SetupError (bad-argument): a setting that the chip does not have.
   explicit Imu(const Config& config) : chip_(config.chip(), imu_models::all, config.settings()) {}
+  static double sample_rate(const Config& config) { return Imu(config).chip_.sample_rate(); }
+  static std::size_t fifo_samples(const Config& config) { return Imu(config).chip_.fifo_samples(); }
   Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
   Result<void> read(I2cDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
   void close(I2cDevice& chip) { chip_.close(chip); }

@@ -44,6 +44,7 @@ enum class InaModel { ina219, ina226 };
 class Ina {
  public:
   static constexpr std::string_view type = "ina";
+  static constexpr std::string_view aliases = "wattmeter";
   static constexpr std::string_view description = "voltage, current and power by an INA219 or INA226 on I2C";
   static constexpr std::string_view notes =
       "Addresses 0x40 to 0x4f by the pins A0 and A1. The shunt lies between IN+ and IN-; most boards have one of 0.1 "

@@ -192,6 +192,12 @@ class InertialChip {
     if (model.fifo.is_tagged) joined_.resize(model.fifo.capacity / 14 * 12 + 12);
   }
 
+  /// Samples a second that it takes, and how many it keeps.
+  double sample_rate() const noexcept { return rate_->number; }
+  std::size_t fifo_samples() const noexcept {
+    return model_.fifo.capacity / (model_.fifo.is_tagged ? std::size_t{14} : model_.sample_bytes);
+  }
+
   /// Identity, self-test, settings; it measures then.
   Result<void> open(I2cDevice& chip) {
     const Result<std::uint8_t> found = chip.read_register(model_.identity_register);

@@ -86,6 +86,7 @@ class Max31856 {
   Result<void> start(SpiDevice& chip) {
     return write(chip, control_register, static_cast<std::uint8_t>(control_of(config_) | one_shot));
   }
+  static Duration reading_time(const Config& config) { return Max31856(config).conversion_time(); }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;
     constexpr Duration looking_for_an_open_circuit = 44ms;

@@ -47,6 +47,7 @@ enum class RtdElement { pt100, pt1000 };
 class Max31865 {
  public:
   static constexpr std::string_view type = "max31865";
+  static constexpr std::string_view aliases = "rtd";
   static constexpr std::string_view description = "temperature of a PT100 or PT1000 at a MAX31865 on SPI";
   static constexpr std::string_view notes =
       "Pins: SDO to MISO, SDI to MOSI, SCLK, CS; `mode` 1 or 3, `clock` to 5 MHz. `reference_resistance` is printed on "
@@ -107,6 +108,10 @@ class Max31865 {
     auto done = write_settings(chip, step_ == Step::settling ? clear_faults : one_shot);
     if (!done) step_ = Step::settling;
     return done;
+  }
+  static Duration reading_time(const Config& config) {
+    using namespace std::chrono_literals;
+    return 10ms + (config.mains == Mains::hz_50 ? 66ms : 55ms);
   }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;

@@ -44,6 +44,7 @@ enum class AdcModel { mcp3008, mcp3208 };
 class Mcp3x08 {
  public:
   static constexpr std::string_view type = "mcp3x08";
+  static constexpr std::string_view aliases = "adc";
   static constexpr std::string_view description = "voltages by an MCP3008 or MCP3208 on SPI";
   static constexpr std::string_view notes =
       "Pins: DOUT to MISO, DIN to MOSI, CLK, CS; mode 0 or 3, `clock` to 1 MHz at 2.7 V, 2 MHz (MCP3008: 3.6 MHz) at 5 "

@@ -73,6 +73,7 @@ constexpr auto describe(type_tag<WordOrder>) {
 class Modbus {
  public:
   static constexpr std::string_view type = "modbus";
+  static constexpr std::string_view aliases = "rs485 plc";
   static constexpr std::string_view description = "registers of a device that speaks Modbus, over a serial line or TCP";
   static constexpr std::string_view notes =
       "The bus is a `modbus` one. Addresses count from 0: a document's register 40001 is `\"address\": 0` of the "

@@ -48,6 +48,7 @@ struct BridgeReading {
 class Nau7802 {
  public:
   static constexpr std::string_view type = "nau7802";
+  static constexpr std::string_view aliases = "scale weight";
   static constexpr std::string_view description = "a load cell or another bridge at a NAU7802 on I2C";
   static constexpr std::string_view notes =
       "Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-). "

@@ -42,6 +42,7 @@ enum class ShtModel { sht3x, sht4x };
 class Sht {
  public:
   static constexpr std::string_view type = "sht";
+  static constexpr std::string_view aliases = "hygrometer";
   static constexpr std::string_view description = "temperature and humidity of an SHT3x or SHT4x on I2C";
   static constexpr std::string_view notes =
       "Addresses: SHT3x 0x44, with the pin ADDR at the supply 0x45; SHT4x 0x44, 0x45 or 0x46 by its type. One "
@@ -80,6 +81,7 @@ class Sht {
     constexpr std::array<std::uint8_t, 1> of_sht4x{0xfd};
     return config_.model == ShtModel::sht3x ? chip.write(of_sht3x) : chip.write(of_sht4x);
   }
+  static Duration reading_time(const Config& config) { return Sht(config).conversion_time(); }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;
     return config_.model == ShtModel::sht3x ? 16ms : 9ms;

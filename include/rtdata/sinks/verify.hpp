@@ -48,6 +48,24 @@ struct OriginOutages {
   std::size_t gaps = 0;  ///< of which several outages may be one
 };
 
+/// What one topic lost in a run, by the place where it was lost. An empty topic: of sensors whose names are unknown.
+struct TopicLoss {
+  std::string topic;
+  std::uint64_t missed = 0, failed = 0;  ///< ticks of the schedule without a reading
+  std::uint64_t unreadable = 0;
+  std::uint64_t by_source = 0;  ///< numbered by the source, or told by it as an overflow, and never came
+  std::uint64_t dropped_newest = 0, dropped_oldest = 0, refused = 0;  ///< by the recording, as DropReason
+  std::uint64_t not_saved = 0;                                        ///< when the run ended without closing
+  Outages outages;                                                    ///< how many samples they cost is not known
+
+  std::uint64_t ticks() const noexcept { return missed + failed; }
+  std::uint64_t samples() const noexcept {
+    return unreadable + by_source + dropped_newest + dropped_oldest + refused + not_saved;
+  }
+  bool has_loss() const noexcept { return ticks() + samples() + outages.number > 0; }
+  void add(const TopicLoss& other) noexcept;
+};
+
 struct RunReport {
   RunInfo info;
   Verdict verdict = Verdict::balanced;
@@ -58,9 +76,13 @@ struct RunReport {
   std::uint64_t values_checked = 0;             ///< rows whose values agree with their checksum
   std::size_t origins = 0, gaps = 0;
   std::vector<OriginOutages> outages;  ///< of each origin that had some, the longest first
-  std::vector<std::string> problems;   ///< a sentence each; the first 100
-  std::vector<std::string> notes;      ///< worth knowing, no problem; the first 100
-  std::uint64_t more_problems = 0;     ///< beyond these
+  std::vector<TopicLoss> losses;       ///< of each topic that lost something, the most first
+  std::vector<std::string> not_known;  ///< of what it is not known whether it was lost; empty: all is known
+  /// Topics of which some source has no schedule and numbers nothing: what it lost itself is not detectable.
+  std::vector<std::string> not_detectable;
+  std::vector<std::string> problems;  ///< a sentence each; the first 100
+  std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100
+  std::uint64_t more_problems = 0;    ///< beyond these
 };
 
 struct VerifyReport {
@@ -72,7 +94,9 @@ struct VerifyReport {
   Verdict verdict() const noexcept;
   /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
   int exit_code() const noexcept;
-  /// As a person reads it, at most 80 columns wide where the names allow.
+  /// Of each topic that lost something, in all runs together, the most first.
+  std::vector<TopicLoss> losses() const;
+  /// As a person reads it, what was lost first, at most 80 columns wide where the names allow.
   std::string text() const;
   std::string to_json() const;
 };

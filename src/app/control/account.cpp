@@ -26,8 +26,11 @@ RunAccount account_of(const Runtime& runtime) {
     topic->lost += sensor.counts.lost;
     topic->outages.add(sensor.outages);
     account.outages.add(sensor.outages);
-    if (sensor.counts.published + sensor.counts.repeated + sensor.counts.filtered == 0)
+    if (sensor.counts.published + sensor.counts.repeated + sensor.counts.filtered == 0) {
       account.mute.push_back(sensor.name);
+    } else if (!sensor.counts.has_schedule && !sensor.counts.lost_is_known) {
+      account.not_detectable.push_back(sensor.name);
+    }
     if (sensor.health > topic->health) {
       topic->health = sensor.health;
       topic->reason = sensor.reason;
@@ -99,12 +102,23 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
             [](const TopicAccount& topic) { return to_string(topic.outages); }));
   }
   count(&TopicAccount::dropped, account.dropped, "event dropped by a sink", "events dropped by sinks");
+  std::uint64_t refused = 0;
+  for (const SinkStatus& sink : account.sinks)
+    refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+  if (account.dropped > 0 && !account.sinks.empty())
+    losses += refused == 0                 ? ": queue full"
+              : refused == account.dropped ? ": refused"
+                                           : ": " + std::to_string(account.dropped - refused) + " queue full, " +
+                                                 std::to_string(refused) + " refused";
   if (losses.empty() && ending.has_loss) losses = "events between the loops (the log names them)";
 
-  std::string mute;
-  for (std::size_t i = 0; i < account.mute.size() && i < most_names; ++i)
-    mute += (i == 0 ? "" : ", ") + account.mute[i];
-  if (account.mute.size() > most_names) mute += " and " + std::to_string(account.mute.size() - most_names) + " more";
+  const auto first_of = [](const std::vector<std::string>& names) {
+    std::string first;
+    for (std::size_t i = 0; i < names.size() && i < most_names; ++i) first += (i == 0 ? "" : ", ") + names[i];
+    if (names.size() > most_names) first += " and " + std::to_string(names.size() - most_names) + " more";
+    return first;
+  };
+  const std::string mute = first_of(account.mute);
 
   std::string text;
   if (!ending.unknown.empty()) text += "the account is NOT complete: " + ending.unknown + "; ";
@@ -116,7 +130,10 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
   if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
   if (account.waiting > 0) text += "; " + std::to_string(account.waiting) + " wait in a recording to be sent";
   if (!ending.unknown.empty()) return text;
-  return text + (ending.balances ? "; ledger balances" : "; the ledger does NOT balance");
+  text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";
+  if (!account.not_detectable.empty())
+    text += "; not detectable: what the source of " + first_of(account.not_detectable) + " lost itself";
+  return text;
 }
 
 namespace {

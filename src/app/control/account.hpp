@@ -31,6 +31,8 @@ struct RunAccount {
   std::uint64_t waiting = 0;  ///< in recordings, to be sent
   Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
+  /// Sensors without a schedule whose source numbers nothing: what it lost itself cannot be known.
+  std::vector<std::string> not_detectable;
 };
 
 RunAccount account_of(const Runtime& runtime);

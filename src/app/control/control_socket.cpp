@@ -146,7 +146,15 @@ ControlSocket::~ControlSocket() {
   ::unlink(path_.c_str());
   watch_.close();
   ::close(fd_);
-  while (!clients_.empty()) drop(clients_.back()->number);
+  while (!clients_.empty()) {
+    if (clients_.back()->out.empty()) tell(*clients_.back(), "{\"ended\":\"the run has ended\"}\n");
+    drop(clients_.back()->number);
+  }
+}
+
+/// Before it is dropped; if it takes that at once.
+void ControlSocket::tell(const Client& client, std::string_view why) {
+  [[maybe_unused]] const ssize_t told = ::send(client.fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
 void ControlSocket::listen() {
@@ -225,8 +233,7 @@ void ControlSocket::make_room() {
     return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;
   });
   constexpr std::string_view why = "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n";
-  if ((*quietest)->out.empty()) [[maybe_unused]]
-    const ssize_t told = ::send((*quietest)->fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  if ((*quietest)->out.empty()) tell(**quietest, why);
   drop((*quietest)->number);
 }
 

@@ -67,6 +67,7 @@ class ControlSocket {
   void accept();
   void make_room();
   Client* find(std::uint64_t number) noexcept;
+  static void tell(const Client& client, std::string_view why);
   void drop(std::uint64_t number);
   void ready(std::uint64_t number, const FdEvent& event);
   /// False: the client is to go.

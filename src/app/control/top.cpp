@@ -14,10 +14,9 @@
 #include <optional>
 
 #include "app/control/control_socket.hpp"
+#include "app/control/top_view.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/table.hpp"
-#include "data/rounded_time.hpp"
-#include "rtdata/loop/ledger.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -31,130 +30,15 @@ constexpr Duration answer_limit = std::chrono::seconds{5};         // of the one
 constexpr Duration once_limit = std::chrono::seconds{3};           // with --once
 constexpr Duration most_deaf = std::chrono::milliseconds{50};      // to keys and signals
 constexpr Duration refresh = std::chrono::seconds{1};
-constexpr std::size_t most_callbacks = 5;
 
-std::string right(const std::string& text, std::size_t width) {
-  const std::size_t have = width_of(text);
-  return have < width ? std::string(width - have, ' ') + text : text;
-}
-
-std::string left(std::string_view text, std::size_t width) {
-  std::string cut = fitted(text, width);
-  cut.append(width - std::min(width, width_of(cut)), ' ');
-  return cut;
-}
-
-/// "12.3 us"; "-" for what is not known.
-std::string time_text(const Json& ns) { return ns.is_number() ? detail::rounded_time(ns.get<double>()) : "-"; }
-std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_text(hertz.get<double>()) : "-"; }
-std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
 std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
-
-/// The status as at most `rows` lines of at most `columns`. Sensors that find no room are left out, and their number is
-/// shown.
-std::vector<std::string> lines_of(const Json& status, std::size_t columns, std::size_t rows) {
-  const Json& instance = status.at("instance");
-  std::vector<std::string> head, sensors, tail;
-  const auto seconds = std::chrono::seconds{static_cast<std::int64_t>(instance.at("running_for_s").get<double>())};
-  head.push_back(text_or_dash(instance.at("name")) + "  pid " + instance.at("pid").dump() + "  running " +
-                 to_string(Duration{seconds}) + "  " + text_or_dash(instance.at("configuration")));
-  head.push_back("");
-  head.push_back("loop          policy    load  late p50       p99       max");
-  for (const Json& loop : status.at("loops")) {
-    const Json& late = loop.at("lateness_ns");
-    std::array<char, 16> load{"-"};
-    if (loop.at("load_percent").is_number())
-      std::snprintf(load.data(), load.size(), "%.1f %%", loop.at("load_percent").get<double>());
-    const int priority = loop.at("priority").get<int>();
-    const auto lateness = [&](const char* what) {
-      return right(late.is_object() ? time_text(late.at(what)) : "-", 10);
-    };
-    head.push_back(left(text_or_dash(loop.at("name")), 13) + " " +
-                   left(text_or_dash(loop.at("policy")) + (priority > 0 ? " " + std::to_string(priority) : ""), 6) +
-                   right(load.data(), 8) + lateness("p50") + lateness("p99") + lateness("max"));
-    for (const Json& warning : loop.at("warnings")) head.push_back("  ! " + text_or_dash(warning));
-    if (loop.at("hangs_in").is_string())
-      head.push_back("  ! it does not turn: it has not come out of " + text_or_dash(loop.at("hangs_in")));
-  }
-  head.push_back("");
-  const auto unreadable = [](const Json& sensor) { return sensor.value("unreadable", std::uint64_t{0}); };
-  const auto& all = status.at("sensors");
-  const bool has_unreadable = std::any_of(all.begin(), all.end(), [&](const Json& s) { return unreadable(s) > 0; });
-  head.push_back("sensor         loop       wanted    reached   late missed failed" +
-                 std::string(has_unreadable ? " unread" : "") + "  value");
-  const auto add_health = [](std::vector<std::string>& lines, const Json& of) {
-    const Json& health = of.at("health");
-    if (health.at("state") != "ok")
-      lines.push_back("  ! " + text_or_dash(health.at("state")) + ": " + text_or_dash(health.at("reason")));
-  };
-  for (const Json& sensor : status.at("sensors")) {
-    sensors.push_back(left(text_or_dash(sensor.at("name")), 14) + " " + left(text_or_dash(sensor.at("loop")), 7) +
-                      right(rate_text(sensor.at("wanted_hz")), 10) + right(rate_text(sensor.at("reached_hz")), 11) +
-                      right(count_text(sensor.at("late")), 7) + right(count_text(sensor.at("missed")), 7) +
-                      right(count_text(sensor.at("failed")), 7) +
-                      (has_unreadable ? right(count_text(unreadable(sensor)), 7) : "") + "  " +
-                      (sensor.at("running") == true ? text_or_dash(sensor.at("value")) : "stopped"));
-    add_health(sensors, sensor);
-    if (const auto number = sensor.value("outages", std::uint64_t{0}); number > 0) {
-      const std::chrono::duration<double> time(sensor.value("outage_time_s", 0.0));
-      sensors.push_back("  - " + to_string(Outages{number, std::chrono::duration_cast<Duration>(time)}));
-    }
-  }
-  if (!status.at("sinks").empty()) {
-    tail.push_back("");
-    tail.push_back("sink                              queued    stored   dropped");
-    for (const Json& sink : status.at("sinks")) {
-      tail.push_back(left(text_or_dash(sink.at("name")), 30) + right(count_text(sink.at("queued")), 10) +
-                     right(count_text(sink.at("stored")), 10) + right(count_text(sink.at("dropped")), 10));
-      add_health(tail, sink);
-    }
-  }
-  if (status.contains("parts") && !status["parts"].empty()) {
-    tail.push_back("");
-    tail.push_back("part                           type             used by");
-    for (const Json& part : status["parts"]) {
-      std::string users;
-      for (const Json& user : part.at("users")) users += (users.empty() ? "" : ", ") + text_or_dash(user);
-      tail.push_back(left(text_or_dash(part.at("kind")) + " " + text_or_dash(part.at("name")), 30) + " " +
-                     left(text_or_dash(part.at("type")), 16) + " " + (users.empty() ? "-" : users));
-      if (!part.contains("places")) continue;
-      for (const Json& place : part["places"]) {
-        const auto count = [&](const char* key) { return place.value(key, std::uint64_t{0}); };
-        if (count("transfers") == 0) continue;
-        tail.push_back("  - " + text_or_dash(place.at("place")) + ": " + std::to_string(count("transfers")) +
-                       " transfers, " + std::to_string(count("failed")) + " failed, " +
-                       std::to_string(count("retried")) + " retries, held it for " + time_text(place.at("busy_ns")));
-      }
-    }
-  }
-  if (!status.at("callbacks").empty()) {
-    tail.push_back("");
-    tail.push_back("callback                       loop         count     total       max");
-    std::size_t shown = 0;
-    for (const Json& callback : status.at("callbacks")) {
-      if (++shown > most_callbacks) break;
-      tail.push_back(left(text_or_dash(callback.at("name")), 30) + " " + left(text_or_dash(callback.at("loop")), 7) +
-                     right(count_text(callback.at("count")), 10) + right(time_text(callback.at("total_ns")), 10) +
-                     right(time_text(callback.at("max_ns")), 10));
-    }
-  }
-  const std::size_t room = rows > head.size() + tail.size() + 2 ? rows - head.size() - tail.size() - 1 : 1;
-  if (sensors.size() > room) {
-    const std::size_t hidden = sensors.size() - room;
-    sensors.resize(room);
-    sensors.push_back("and " + std::to_string(hidden) + " more lines of sensors");
-  }
-  std::vector<std::string> lines = std::move(head);
-  lines.insert(lines.end(), sensors.begin(), sensors.end());
-  lines.insert(lines.end(), tail.begin(), tail.end());
-  for (std::string& line : lines) line = fitted(line, columns);
-  return lines;
-}
 
 /// An answer that is a status; errors of the other side are errors.
 Result<Json> status_of(const std::string& line) {
   Json status = Json::parse(line, nullptr, false);
   if (status.is_object() && status.contains("instance")) return status;
+  if (status.is_object() && status.contains("ended"))
+    return Error{Errc::closed, "no status", "instance", "it has ended", "start it again"};
   const bool says_why = status.is_object() && status.contains("error");
   return Error{Errc::io_failed, "no status", "instance",
                says_why ? text_or_dash(status["error"]) : "it answers something else",
@@ -295,6 +179,7 @@ int show(Found& found, const TopOptions& options) {
   const bool is_live = options.how_often == HowOften::live && options.show_as == ShowAs::text &&
                        ::isatty(STDOUT_FILENO) == 1;
   std::string failed;
+  bool has_ended = false;  // as it should, and said so
   if (is_live) print("\x1b[?25l\x1b[2J");
   const Duration limit = options.how_often == HowOften::once ? once_limit : answer_limit;
   const auto next_answer = [&] {
@@ -316,6 +201,7 @@ int show(Found& found, const TopOptions& options) {
     const Result<Json> status = *line ? status_of(**line) : Result<Json>(line->error());
     if (!status) {
       failed = status.error().text();
+      has_ended = *line && status.error().code == make_error_code(Errc::closed);
       break;
     }
     if (options.show_as == ShowAs::json) {
@@ -326,7 +212,7 @@ int show(Found& found, const TopOptions& options) {
       const std::size_t rows = is_live ? std::max<std::size_t>(size.ws_row, 4) - 1 : 100000;
       std::string text = is_live ? "\x1b[H" : "";
       std::size_t shown = 0;
-      for (const std::string& one : lines_of(*status, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
+      for (const std::string& one : lines_of_status(**line, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
         if (++shown > rows) break;
         text += one + (is_live ? "\x1b[K\r\n" : "\n");
       }
@@ -337,6 +223,10 @@ int show(Found& found, const TopOptions& options) {
   }
   if (is_live) print("\r\x1b[K\x1b[?25h");
   if (failed.empty()) return options.how_often == HowOften::once ? exit_other : exit_good;
+  if (has_ended && options.how_often == HowOften::live) {
+    std::cerr << "rtdata: pid " << found.instance.pid << " has ended" << std::endl;
+    return exit_good;
+  }
   std::cerr << "rtdata: pid " << found.instance.pid << ": " << failed << std::endl;
   return exit_other;
 }

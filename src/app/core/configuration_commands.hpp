@@ -41,8 +41,8 @@ struct ForwardOptions {
 };
 /// Sends what waits in the recording, until nothing is left. exit_good: all is sent; exit_other: it was ended before.
 int forward(const Registry& registry, const ForwardOptions& options);
-enum class TypesAs { text, schema, markdown };
-/// `name`: only this type; empty: all.
+enum class TypesAs { text, all, schema, markdown };
+/// `name`: only this type, or those that a chip or a word stands for; empty: all, a line each (`all`: with parameters).
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
 enum class HowOften { live, once };

@@ -127,15 +127,19 @@ Action prepare_types(CLI::App& command) {
     app::TypesAs format = app::TypesAs::text;
   };
   const auto given = std::make_shared<Given>();
-  command.add_option("NAME", given->type, "Only this type");
+  command.add_option("NAME", given->type, "Only this type, or a chip or a word, such as bme280, pt100, button, csv");
+  command.add_flag_callback(
+      "--all", [given] { given->format = app::TypesAs::all; }, "All types with their parameters");
   command.add_flag_callback(
       "--schema", [given] { given->format = app::TypesAs::schema; }, "Print the JSON Schema, for editors");
   command.add_flag_callback(
       "--markdown", [given] { given->format = app::TypesAs::markdown; }, "Print pages of documentation, in Markdown");
-  command.footer("examples:\n  rtdata types analog\n  rtdata types --schema > rtdata.schema.json");
+  command.footer(
+      "examples:\n  rtdata types\n  rtdata types analog\n  rtdata types bme280\n  rtdata types --schema > "
+      "rtdata.schema.json");
   return [given](const Registry& registry) {
     std::optional<ForPeople> wrapped;
-    if (given->format == app::TypesAs::text) wrapped.emplace();
+    if (given->format == app::TypesAs::text || given->format == app::TypesAs::all) wrapped.emplace();
     return app::types(registry, given->type, given->format);
   };
 }

@@ -94,6 +94,49 @@ std::string on_this_machine() {
   return text;
 }
 
+/// A line a type, which fits 80 columns.
+std::string line_of(const TypeInfo& type) {
+  constexpr std::size_t name_width = 15, width = 80;
+  std::string name = type.name;
+  name.resize(std::max(name.size() + 1, name_width), ' ');
+  return fitted("  " + name + type.doc, width) + "\n";
+}
+
+void print_lines(const Registry& registry) {
+  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+    std::vector<TypeInfo> types = kind->types.types();
+    if (types.empty()) continue;
+    std::sort(types.begin(), types.end(), [](const TypeInfo& a, const TypeInfo& b) { return a.name < b.name; });
+    std::cout << kind->name << " types\n";
+    for (const TypeInfo& type : types) std::cout << line_of(type);
+    std::cout << "\n";
+  }
+  std::cout << "rtdata types NAME has the parameters of one; NAME may be a chip or a word too:\n"
+               "bme280, pt100, button, csv. rtdata types --all has all parameters."
+            << std::endl;
+}
+
+/// What a chip or a usual word stands for: a page when that is one type, else a line each. False: nothing.
+bool print_types_for(const std::string& word, const Registry& registry) {
+  std::vector<TypeInfo> found;  // the closest of each kind: csv is a format of serial lines, and of files
+  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+    const std::vector<TypeInfo> types = kind->types.types();
+    for (const std::size_t i : types_for_word(types, word)) found.push_back(types[i]);
+  }
+  if (found.size() == 1) {
+    const TypeInfo& type = found[0];
+    const WordFound where = find_word(type, word);
+    std::cout << word << ": type " << type.name
+              << (where.key.empty() ? "" : ", with \"" + where.key + "\": \"" + where.choice + "\"") << "\n\n"
+              << described(type, Page::whole);
+  } else if (!found.empty()) {
+    std::cout << "types for " << word << "\n";
+    for (const TypeInfo& type : found) std::cout << line_of(type);
+    std::cout << "\nrtdata types NAME has the parameters of one." << std::endl;
+  }
+  return !found.empty();
+}
+
 void print_all(const std::string& title, const std::vector<TypeInfo>& types) {
   std::cout << title << "\n\n";
   for (const TypeInfo& type : types) std::cout << described(type, Page::short_one) << "\n";
@@ -102,7 +145,11 @@ void print_all(const std::string& title, const std::vector<TypeInfo>& types) {
 }  // namespace
 
 int types(const Registry& registry, const std::string& name, TypesAs format) {
-  if (name.empty() && format != TypesAs::text) {
+  if (name.empty() && format == TypesAs::text) {
+    print_lines(registry);
+    return exit_good;
+  }
+  if (name.empty() && format != TypesAs::all) {
     std::cout << (format == TypesAs::schema ? registry.schema() + "\n" : markdown_of(registry)) << std::flush;
     return exit_good;
   }
@@ -127,7 +174,8 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
       std::cout << (format == TypesAs::schema     ? type.schema() + "\n"
                     : format == TypesAs::markdown ? markdown_of(type)
                                                   : described(type, Page::whole));
-      if (format == TypesAs::text && kind.name == "sensor" && name == "host") std::cout << on_this_machine();
+      if (format != TypesAs::schema && format != TypesAs::markdown && kind.name == "sensor" && name == "host")
+        std::cout << on_this_machine();
     }
   }
   if (found > 0) return exit_good;
@@ -137,6 +185,7 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
     std::cerr << "rtdata: there is no type \"" << name << "\": " << *why << std::endl;
     return exit_other;
   }
+  if (format == TypesAs::text && print_types_for(name, registry)) return exit_good;
   const std::string nearest = nearest_name(name, names);
   std::cerr << "rtdata: there is no type \"" << name << "\""
             << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << "; `rtdata types` lists all"

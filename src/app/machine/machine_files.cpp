@@ -13,6 +13,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include "io/enabling.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -100,7 +101,8 @@ Access access_to(const MachineFiles& files, const std::string& file, int mode) {
   Access access{false, std::strerror(error), ""};
   struct stat status {};
   if (error == ENOENT) {
-    access.advice = "plug it in; `rtdata scan` lists what there is";
+    access.advice = detail::how_to_enable(file);
+    if (access.advice.empty()) access.advice = "plug it in; `rtdata scan` lists what there is";
   } else if ((error == EACCES || error == EPERM) && ::stat(path.c_str(), &status) == 0) {
     const std::string group = group_name(status.st_gid);
     const bool group_may = (status.st_mode & S_IRGRP) != 0 && group != "root" && !group.empty();

@@ -8,6 +8,7 @@
 #include <cerrno>
 
 #include "app/machine/scanner.hpp"
+#include "io/enabling.hpp"
 
 namespace rtdata::app {
 
@@ -26,7 +27,7 @@ void scan_gpsd(Scanner& scanner) {
     if (::poll(&wait, 1, 500) != 1 || ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &status, &size) != 0) status = -1;
   }
   ::close(fd);
-  if (status != 0) return;
+  if (status != 0) return scanner.hint("gpsd", "no gpsd: " + std::string(detail::how_to_start_gpsd));
   scanner.add({"gpsd", "localhost:2947", "a GPS service"});
   scanner.line(scanner.scan.devices.back(), "sensors",
                R"({"name": )" + json_text(scanner.new_name("gps")) + R"(, "type": "gps"})");

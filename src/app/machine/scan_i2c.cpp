@@ -10,6 +10,7 @@
 #include <string_view>
 
 #include "app/machine/scanner.hpp"
+#include "io/enabling.hpp"
 #include "rtdata/io/i2c.hpp"
 
 namespace rtdata::app {
@@ -164,8 +165,7 @@ void scan_i2c(Scanner& scanner) {
     ++count;
     i2c_adapter(scanner, adapter);
   }
-  if (count == 0)
-    scanner.hint("i2c", "no I2C adapter: on a Raspberry Pi `sudo raspi-config nonint do_i2c 0`, then start it again");
+  if (count == 0) scanner.hint("i2c", "no I2C adapter: " + detail::how_to_enable("/dev/i2c-"));
   if (count > 0 && scanner.probing == Probing::no && scanner.files.is_this_machine())
     scanner.hint("i2c", "which chips answer: rtdata scan --probe (reads a byte from every free address)");
 }

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "app/machine/scanner.hpp"
+#include "io/enabling.hpp"
 #include "rtdata/io/iio.hpp"
 
 namespace rtdata::app {
@@ -91,9 +92,7 @@ void scan_iio(Scanner& scanner) {
 void scan_one_wire(Scanner& scanner) {
   const std::vector<std::string> devices = scanner.files.names("/sys/bus/w1/devices");
   if (devices.empty()) {
-    scanner.hint("1-wire",
-                 "no 1-Wire bus: on a Raspberry Pi a line `dtoverlay=w1-gpio` in /boot/firmware/config.txt, then start "
-                 "it again");
+    scanner.hint("1-wire", "no 1-Wire bus: " + detail::how_to_enable("/sys/bus/w1"));
   }
   for (const std::string& device : devices) {
     if (device.starts_with("w1_bus_master")) continue;

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "app/machine/scanner.hpp"
+#include "io/enabling.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -25,8 +26,9 @@ void serial_port(Scanner& scanner, const std::string& path, const std::string& t
   }
   if (scanner.text("/proc/cmdline").find("console=" + tty) != std::string::npos && found.obstacle.empty()) {
     found.obstacle = "the kernel writes its messages to it, and a login may wait there";
-    found.advice = "take `console=" + tty +
-                   "` out of the kernel's command line; on a Raspberry Pi `sudo raspi-config nonint do_serial_cons 1`";
+    const std::string enabling = detail::how_to_enable("/dev/" + tty);
+    found.advice = "take `console=" + tty + "` out of the kernel's command line" +
+                   (enabling.empty() ? "" : "; " + enabling);
   }
   scanner.line(found, "sensors",
                R"({"name": )" + json_text(scanner.new_name(tty)) + R"(, "type": "serial", "device": )" +

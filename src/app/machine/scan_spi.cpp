@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "app/machine/scanner.hpp"
+#include "io/enabling.hpp"
 
 namespace rtdata::app {
 
@@ -19,7 +20,7 @@ void scan_spi(Scanner& scanner) {
   if (!devices.empty()) return;
   scanner.hint(
       "spi", scanner.files.names("/sys/class/spi_master").empty()
-                 ? "no SPI controller: on a Raspberry Pi `sudo raspi-config nonint do_spi 0`, then start it again"
+                 ? "no SPI controller: " + detail::how_to_enable("/dev/spidev")
                  : "there is a controller and no spidev on it: `sudo modprobe spidev`, and a device tree overlay that "
                    "gives it one");
 }

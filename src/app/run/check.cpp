@@ -1,6 +1,7 @@
 #include <iostream>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/log_file.hpp"
 #include "rtdata/config/change.hpp"
@@ -47,6 +48,7 @@ int check(const Registry& registry, const CheckOptions& options) {
     return exit_configuration;
   }
   warn_of_growth(plan, growth_span);
+  warn_of_losses(plan);
   plan.hide_secrets();
   std::cout << plan.document.report(plan.warnings, "warning: ");
   const std::vector<LoopLoad> loads = plan.loads();
@@ -58,6 +60,8 @@ int check(const Registry& registry, const CheckOptions& options) {
   for (const Growth& growth : growth_of(plan)) {
     if (!growth.is_limited) std::cout << hide_secrets(growth.text(), plan.secrets) << "\n";
   }
+  if (const std::string quiet = unnoticed_silence(registry, plan); !quiet.empty())
+    std::cout << "note: " << quiet << "\n";
   const auto counted = [](std::size_t count, const char* what) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };

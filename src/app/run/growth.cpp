@@ -94,6 +94,13 @@ std::unique_ptr<Codec> codec_of(const PartPlan& sink) {
   return codec ? std::move(*codec) : nullptr;
 }
 
+/// As often as it is read, or as often as the device takes samples by itself; 0: not known.
+double events_per_second(const PublishedTopic& published) {
+  if (published.sampling.hertz > 0) return published.sampling.hertz;
+  if (!published.load || published.load->period <= Duration{0}) return 0;
+  return 1 / std::chrono::duration<double>(published.load->period).count();
+}
+
 bool is_set(const ConfigItem& item, const char* key) {
   const ConfigItem* value = item.find(key);
   if (value == nullptr || value->is_null()) return false;
@@ -140,10 +147,9 @@ std::vector<Growth> growth_of(const SystemPlan& plan) {
     Growth growth{sink, 0, is_limited(*sink)};
     for (const PartPlan* sensor : publishing) {
       const PublishedTopic& published = *sensor->publishes;
-      if (published.description == nullptr || !published.load || published.load->period <= Duration{0}) continue;
-      if (!sink->stores->wants(published.topic)) continue;
-      const double period = std::chrono::duration<double>(published.load->period).count();
-      growth.bytes_per_day += (codec ? event_size(*codec, *sensor) : row_size(*sensor)) / period * seconds_per_day;
+      const double events = events_per_second(published);
+      if (published.description == nullptr || events <= 0 || !sink->stores->wants(published.topic)) continue;
+      growth.bytes_per_day += (codec ? event_size(*codec, *sensor) : row_size(*sensor)) * events * seconds_per_day;
     }
     if (growth.bytes_per_day > 0) all.push_back(growth);
   }

@@ -11,7 +11,8 @@
 
 namespace rtdata::app {
 
-/// What the sensors with a rate make of the file of one sink. Those without a rate are left out: theirs is not known.
+/// What the sensors with a rate, or whose devices take samples at a rate of their own, make of the file of one sink.
+/// Those without a rate are left out: theirs is not known.
 struct Growth {
   const PartPlan* sink = nullptr;  ///< valid as long as the plan
   double bytes_per_day = 0;

@@ -14,6 +14,7 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/run/async_writer.hpp"
+#include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/log.hpp"
 #include "app/run/log_file.hpp"
@@ -42,6 +43,7 @@ class Run {
     SystemPlan plan = plan_system(registry_, load_config(options_.file));
     secrets_ = plan.secrets;
     warn_of_growth(plan, options_.duration.value_or(growth_span));
+    warn_of_losses(plan);
     open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
@@ -169,7 +171,10 @@ class Run {
     try {
       *next = plan_system(registry_, load_config(options_.file));
       check_log_file(log_file_of(*next, options_.log_file), *next);
-      if (next->good()) warn_of_growth(*next, growth_span);
+      if (next->good()) {
+        warn_of_growth(*next, growth_span);
+        warn_of_losses(*next);
+      }
     } catch (const std::exception& error) {
       failed = error.what();
     }
@@ -271,7 +276,14 @@ class Run {
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";
     say(LogLevel::info, "", text);
-    for (const LoopLoad& load : plan.loads()) say(LogLevel::info, "", load.text());
+    for (const LoopLoad& load : plan.loads()) {
+      const std::string told = "readings may hold " + load.text();
+      if (load.is_overloaded()) {
+        say(LogLevel::info, "", told);
+      } else {
+        log_.write(LogLevel::info, "program", told);
+      }
+    }
   }
 
   /// The loop turns, and so do its tiers.
@@ -339,15 +351,30 @@ class Run {
     ::_exit(exit_other);
   }
 
+  /// What people are told of it: an object's error once, until something else is told of the object, though it comes
+  /// again and is the reason of its health too. None: nothing new. The log has all.
+  std::optional<std::string> news(std::string_view object, const std::string& text) {
+    if (object.empty() || object == "program") return text;
+    std::string once = text;
+    if (const std::size_t at = once.rfind(" ("); at != std::string::npos && once.ends_with(" times)")) once.resize(at);
+    std::string& told = told_[std::string(object)];
+    if (once == told) return std::nullopt;
+    if (!told.empty() && once.ends_with(": " + told)) return once.substr(0, once.size() - told.size() - 2);
+    told = std::move(once);
+    return text;
+  }
+
   /// To the log file, and to people. Never waits.
   void say(LogLevel level, std::string_view object, std::string_view told, std::string_view error_id = {}) {
     const std::string text = hide_secrets(std::string(told), secrets_);
     log_.write(level, object, text, error_id);
     tell_log_failure();
     if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
+    const std::optional<std::string> shown = news(object, text);
+    if (!shown) return;
     std::string line = "rtdata: ";
     if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
-    line.append(object).append(object.empty() ? "" : ": ").append(text);
+    line.append(object).append(object.empty() ? "" : ": ").append(*shown);
     if (!error_id.empty()) line.append(" [").append(error_id).append("]");
     if (view_) {
       note_ = line;
@@ -433,6 +460,7 @@ class Run {
   const RunOptions& options_;
   StopSignals signals_;               // first: the threads of the others are not to take the signals
   std::vector<std::string> secrets_;  // of the configuration
+  std::map<std::string, std::string, std::less<>> told_;  // to people, last, of each object
   AsyncWriter terminal_;
   AsyncWriter messages_{64};
   Log log_;

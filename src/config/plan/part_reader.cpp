@@ -41,7 +41,7 @@ PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigIte
   plan.item = item;
   if (kind.does == PartKind::Does::publishes) {
     std::string topic = text_or_empty(item, "topic");
-    plan.publishes = PublishedTopic{topic.empty() ? plan.name : std::move(topic), nullptr, std::nullopt};
+    plan.publishes = PublishedTopic{topic.empty() ? plan.name : std::move(topic), nullptr, std::nullopt, {}};
   }
   if (kind.does == PartKind::Does::stores) plan.stores.emplace().path = text_or_empty(item, "path");
   return plan;

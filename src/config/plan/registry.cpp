@@ -40,7 +40,7 @@ PublishedTopic config_detail::published_topic(const std::string& name, const std
   } catch (const ProcessingError& error) {
     throw MisfitError(error);
   }
-  return {topic.empty() ? name : topic, std::move(published), std::nullopt};
+  return {topic.empty() ? name : topic, std::move(published), std::nullopt, {}};
 }
 
 std::string config_detail::sink_name(const std::string& type, const std::string& path, const SinkConfig& config) {

@@ -1,6 +1,7 @@
 #include "rtdata/config/read.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "config/read/limits_text.hpp"
@@ -85,6 +86,71 @@ bool is_recorded(TextIs is) {
 
 bool is_name_of_something(TextIs is) {
   return is == TextIs::name || is == TextIs::field || is == TextIs::topic || is == TextIs::topic_pattern;
+}
+
+/// Where a key belongs that is often written elsewhere, or is another word for one that is known here; in the order in
+/// which they are tried. `known`: the key that is known here, and is meant or says what kind of item it is.
+struct Elsewhere {
+  std::string_view key, known, advice;
+};
+constexpr std::string_view in_process =
+    "it belongs into `process`, below the field's name: {\"process\": "
+    "{\"temperature\": {\"calibration\": {\"offset\": 0.5}}}}";
+constexpr std::string_view in_filters =
+    "filters belong into `process`, below the field's name: {\"process\": "
+    "{\"temperature\": {\"filters\": [{\"type\": \"median\", \"of\": 5}]}}}";
+constexpr std::string_view on_bus =
+    "a chip names its bus with `bus`, and the device stands there: {\"buses\": "
+    "{\"i2c1\": {\"type\": \"i2c\", \"device\": \"/dev/i2c-1\"}}}";
+constexpr std::string_view as_rate = "how often it is read is its `rate`, such as \"10 Hz\" or \"1/min\"";
+constexpr std::string_view as_path = "the file is named by `path`";
+constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
+constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
+constexpr std::array<Elsewhere, 34> elsewhere{{{"calibration", "process", in_process},
+                                               {"scale", "process", in_process},
+                                               {"offset", "process", in_process},
+                                               {"polynomial", "process", in_process},
+                                               {"calibrate", "process", in_process},
+                                               {"tare", "process", in_process},
+                                               {"filters", "process", in_filters},
+                                               {"filter", "process", in_filters},
+                                               {"median", "process", in_filters},
+                                               {"mean", "process", in_filters},
+                                               {"average", "process", in_filters},
+                                               {"throttle", "process", in_filters},
+                                               {"delta", "process", in_filters},
+                                               {"clamp", "process", in_filters},
+                                               {"pin", "line", as_line},
+                                               {"gpio", "line", as_line},
+                                               {"pin", "lines", "the GPIO lines stand in `lines`"},
+                                               {"device", "bus", on_bus},
+                                               {"port", "bus", on_bus},
+                                               {"port", "device", "the device is named by `device`"},
+                                               {"bus", "device",
+                                                "it is on no bus: the kernel's device is named by "
+                                                "`device`"},
+                                               {"interval", "rate", as_rate},
+                                               {"period", "rate", as_rate},
+                                               {"frequency", "rate", as_rate},
+                                               {"every", "rate", as_rate},
+                                               {"file", "path", as_path},
+                                               {"filename", "path", as_path},
+                                               {"topic", "topics",
+                                                "a sink has `topics`, a list of patterns such as "
+                                                "[\"room/+\"]"},
+                                               {"timeout", "bus", "it belongs to the bus, in `buses`"},
+                                               {"speed", "bus", "it belongs to the bus, in `buses`"},
+                                               {"address", "device", of_sensor},
+                                               {"chip_select", "device", of_sensor},
+                                               {"window", "process", in_filters},
+                                               {"sampling_rate", "rate", as_rate}}};
+
+/// Null: nothing is known of the key.
+const Elsewhere* place_elsewhere(std::string_view key, const std::vector<std::string>& names) {
+  const auto found = std::find_if(elsewhere.begin(), elsewhere.end(), [&](const Elsewhere& one) {
+    return one.key == key && std::find(names.begin(), names.end(), one.known) != names.end();
+  });
+  return found != elsewhere.end() ? &*found : nullptr;
 }
 
 }  // namespace
@@ -175,6 +241,14 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   std::vector<std::string> meant;  // absent keys that are there, but misspelt: reported once, not as missing too
   for (const ConfigChild& child : item.children()) {
     if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
+    if (const Elsewhere* place = place_elsewhere(child.key, names)) {
+      meant.emplace_back(place->known);
+      Problem problem = child.item.problem("unknown-key", "unknown key here: " + std::string(place->advice));
+      problem.place = child.item.key_place();
+      problems.add(std::move(problem));
+      good = false;
+      continue;
+    }
     std::string suggestion = nearest_name(child.key, absent);
     if (!suggestion.empty()) meant.push_back(suggestion);
     if (suggestion.empty()) suggestion = nearest_name(child.key, names);

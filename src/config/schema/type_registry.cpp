@@ -69,7 +69,20 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
     problems.add(type->problem("unknown-type", message + ": " + *why));
     return none;
   }
-  std::string suggestion = nearest_name(name, names);
+  std::string suggestion;
+  const std::vector<TypeInfo> infos = types();
+  const std::vector<std::size_t> meant = types_for_word(infos, name);
+  if (meant.size() == 1) {
+    suggestion = infos[meant[0]].name;
+    const WordFound found = find_word(infos[meant[0]], name);
+    if (!found.key.empty())
+      message += "; it is type \"" + suggestion + "\" with \"" + found.key + "\": \"" + found.choice + "\"";
+  } else {
+    suggestion = nearest_name(name, names);
+    std::string several;
+    for (const std::size_t i : meant) several += (several.empty() ? "" : ", ") + infos[i].name;
+    if (suggestion.empty() && !meant.empty()) listed = several;
+  }
   if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "io/enabling.hpp"
 #include "io/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -97,8 +98,10 @@ class GpsNode final : public StreamNode {
     if (result && stream_.send(watch_command)) {
       opened();
     } else {
-      const Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "it takes nothing", ""}
-                                 : result.error();
+      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "it takes nothing", ""}
+                           : result.error();
+      const bool is_here = config_.host == "localhost" || config_.host == "127.0.0.1" || config_.host == "::1";
+      if (!result && is_here) error.advice = detail::how_to_start_gpsd;
       if (refusal_ != nullptr) {
         *refusal_ = error;
       } else {

@@ -1,7 +1,9 @@
 #include "rtdata/sensors/w1.hpp"
 
 #include <algorithm>
+#include <filesystem>
 
+#include "io/enabling.hpp"
 #include "io/kernel_file.hpp"
 #include "rtdata/data/problem.hpp"
 #include "sensors/core/sysfs_file.hpp"
@@ -19,6 +21,12 @@ bool is_name(const std::string& device) {
   return device.find('/') == std::string::npos && device != ".." && device != ".";
 }
 
+/// A bus, with or without thermometers.
+bool is_there(const std::string& root) {
+  std::error_code none;
+  return !std::filesystem::is_empty(root + std::string(folder), none) && !none;
+}
+
 Result<std::string> file_of(const W1Config& config) {
   std::string device = config.device;
   if (device.empty()) {
@@ -27,7 +35,10 @@ Result<std::string> file_of(const W1Config& config) {
       std::string names;
       for (const std::string& one : all) names += (names.empty() ? "there are " : ", ") + one;
       return Error{all.empty() ? Errc::not_found : Errc::bad_argument, cannot_read, config.root + std::string(folder),
-                   all.empty() ? "there is no thermometer" : names, all.empty() ? find_advice : "set `device`"};
+                   all.empty() ? "there is no thermometer" : names,
+                   !all.empty()            ? "set `device`"
+                   : is_there(config.root) ? find_advice
+                                           : detail::how_to_enable(folder)};
     }
     device = all.front();
   }

@@ -191,7 +191,40 @@ const std::vector<const RecordedGap*>& OfRun::gaps_in(const std::string& key) co
   return found != gaps_of.end() ? found->second : none;
 }
 
+void most_first(std::vector<TopicLoss>& losses) {
+  std::stable_sort(losses.begin(), losses.end(), [](const TopicLoss& a, const TopicLoss& b) {
+    return std::pair(a.outages.time, a.samples() + a.ticks()) > std::pair(b.outages.time, b.samples() + b.ticks());
+  });
+}
+
 }  // namespace detail
+
+void TopicLoss::add(const TopicLoss& other) noexcept {
+  missed += other.missed;
+  failed += other.failed;
+  unreadable += other.unreadable;
+  by_source += other.by_source;
+  dropped_newest += other.dropped_newest;
+  dropped_oldest += other.dropped_oldest;
+  refused += other.refused;
+  not_saved += other.not_saved;
+  outages.add(other.outages);
+}
+
+std::vector<TopicLoss> VerifyReport::losses() const {
+  std::map<std::string, TopicLoss> by_topic;
+  for (const RunReport& run : runs) {
+    for (const TopicLoss& loss : run.losses) {
+      TopicLoss& sum = by_topic[loss.topic];
+      sum.topic = loss.topic;
+      sum.add(loss);
+    }
+  }
+  std::vector<TopicLoss> all;
+  for (auto& [topic, loss] : by_topic) all.push_back(std::move(loss));
+  detail::most_first(all);
+  return all;
+}
 
 std::string_view name_of(Verdict verdict) noexcept {
   switch (verdict) {

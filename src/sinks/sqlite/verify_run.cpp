@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <set>
 
 #include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
@@ -345,6 +346,52 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
 }
 
+/// What was lost of each topic, and what is not known of it.
+class Losses {
+ public:
+  void add(const LedgerEntry& entry, const Outages& outages) {
+    const SensorCounts& s = entry.sensor;
+    TopicLoss loss{entry.topic,
+                   s.missed,
+                   s.failed,
+                   s.unreadable,
+                   s.lost,
+                   entry.dropped_newest,
+                   entry.dropped_oldest,
+                   entry.dropped_refused,
+                   entry.dropped_unsaved,
+                   outages};
+    if (!s.has_schedule && !s.lost_is_known && s.published != 0) not_detectable_.insert(entry.topic);
+    if (!loss.has_loss()) return;
+    const auto [known, is_new] = by_topic_.try_emplace(entry.topic, std::move(loss));
+    if (!is_new) known->second.add(loss);
+  }
+  void finish(RunReport& report, bool has_open_equations) {
+    const RunInfo& info = report.info;
+    for (auto& [topic, loss] : by_topic_) report.losses.push_back(std::move(loss));
+    report.not_detectable.assign(not_detectable_.begin(), not_detectable_.end());
+    const bool may_be_more = info.format >= sqlite::first_version_of_own_data_account;
+    if (info.state == RunState::sealed && info.lost && *info.lost > report.unsaved && may_be_more)
+      report.losses.emplace_back().not_saved = *info.lost - report.unsaved;
+    detail::most_first(report.losses);
+    if (report.verdict == Verdict::not_balanced)
+      report.not_known.emplace_back("what it lost besides, since it does not agree with its account (! below)");
+    if (info.state == RunState::recording) {
+      report.not_known.emplace_back(is_alive(info) ? "what it loses after its last account: it is being recorded"
+                                                   : "what it lost after its last account: it is not sealed yet; "
+                                                     "recording into the file again seals it");
+    } else if (info.state == RunState::sealed && !info.lost) {
+      report.not_known.emplace_back("what it lost at its end, since its account is not complete");
+    } else if (info.state == RunState::sealed && has_open_equations) {
+      report.not_known.emplace_back("which ticks it missed after its last account");
+    }
+  }
+
+ private:
+  std::map<std::string, TopicLoss> by_topic_;
+  std::set<std::string> not_detectable_;
+};
+
 /// What is known of the end of a run that was not closed.
 void note_end(const Findings& found) {
   const RunInfo& info = found.report.info;
@@ -385,6 +432,7 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
                    : is_alive(info)                 ? Verdict::recording
                                                     : Verdict::unsealed;
   report.gaps = of_run.gaps.size();
+  Losses losses;
   std::unordered_map<std::string, bool> has_account;
   for (const LedgerEntry& entry : of_run.ledger) {
     const std::string key = origin_key(entry.topic, entry.origin);
@@ -394,11 +442,11 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
     check_account(found, entry);
     const auto& segments = of_run.segments(key);
     if (entry.sensor.has_schedule || !segments.empty()) check_schedule(found, entry, segments);
-    check_gaps(found, entry, segments, of_run.gaps_in(key));
-    if (entry.sensor.has_schedule) continue;
     const auto& gaps = of_run.gaps_in(key);
-    if (const Outages outages = outages_of(gaps); outages.number != 0)
-      report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
+    check_gaps(found, entry, segments, gaps);
+    const Outages outages = entry.sensor.has_schedule ? Outages{} : outages_of(gaps);
+    losses.add(entry, outages);
+    if (outages.number != 0) report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
   }
   std::stable_sort(report.outages.begin(), report.outages.end(),
                    [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
@@ -439,6 +487,7 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
         plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
+  losses.finish(report, !left_open.empty());
   return {};
 }
 

@@ -111,6 +111,9 @@ void check_format(const Findings& found, const OfRun& of_run, const Checksums& c
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
 Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report);
 
+/// The largest losses first; an outage counts as more than a number.
+void most_first(std::vector<TopicLoss>& losses);
+
 /// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
 bool is_account_known(const RunInfo& run);
 

@@ -48,6 +48,105 @@ std::string outages_text(const std::vector<OriginOutages>& all) {
   return to_string(sum) + ", in which nothing came that could be recorded: " + names;
 }
 
+/// "missed 2, failed 1": the parts that are not 0.
+std::string parts_of(std::initializer_list<std::pair<const char*, std::uint64_t>> parts) {
+  std::string text;
+  for (const auto& [what, count] : parts)
+    if (count != 0) text += (text.empty() ? "" : ", ") + std::string(what) + " " + std::to_string(count);
+  return text;
+}
+
+std::string counted(std::uint64_t count, const char* one) {
+  return std::to_string(count) + " " + one + (count == 1 ? "" : "s");
+}
+
+/// "12 samples of room/climate (lost by the source 10, dropped by the queue 2) and 3 ticks (missed 3)".
+std::string loss_text(const TopicLoss& loss) {
+  std::vector<std::string> parts;
+  if (loss.samples() != 0) {
+    parts.push_back(counted(loss.samples(), "sample"));
+    parts.back() += " (" +
+                    parts_of({{"lost by the source", loss.by_source},
+                              {"unreadable", loss.unreadable},
+                              {"dropped by the queue", loss.dropped_newest + loss.dropped_oldest},
+                              {"refused by the recording", loss.refused},
+                              {"not saved", loss.not_saved}}) +
+                    ")";
+  }
+  if (loss.ticks() != 0)
+    parts.push_back(counted(loss.ticks(), "tick") + " (" +
+                    parts_of({{"missed", loss.missed}, {"failed", loss.failed}}) + ")");
+  if (loss.outages.number != 0)
+    parts.push_back(to_string(loss.outages) + " (how many samples did not come is not known)");
+  std::string text;
+  for (std::size_t i = 0; i < parts.size(); ++i)
+    text += (i == 0 ? "" : i + 1 < parts.size() ? ", " : " and ") + parts[i];
+  const std::string of = loss.topic.empty() ? "sensors that had only begun" : loss.topic;
+  const std::size_t at = text.find(" (");
+  return text.insert(at, " of " + of);
+}
+
+/// What users ask first: what was lost, of which topic, and what is not known.
+void add_losses(const VerifyReport& report, std::string& out) {
+  constexpr std::size_t most = 8;
+  const std::vector<TopicLoss> losses = report.losses();
+  std::uint64_t rows = 0;
+  std::vector<std::string> not_known, not_detectable;
+  for (const RunReport& run : report.runs) {
+    rows += run.rows;
+    for (const std::string& what : run.not_known)
+      not_known.push_back((report.runs.size() > 1 ? "of run " + std::to_string(run.info.run) + ": " : "") + what);
+    for (const std::string& topic : run.not_detectable)
+      if (std::find(not_detectable.begin(), not_detectable.end(), topic) == not_detectable.end())
+        not_detectable.push_back(topic);
+  }
+  if (!report.problems.empty()) not_known.emplace_back("what else was lost, since the file does not agree (! below)");
+  if (losses.empty())
+    wrap(out, "",
+         std::string(not_known.empty() ? "nothing lost: " : "nothing lost that is known: ") + counted(rows, "row"));
+  for (std::size_t i = 0; i < losses.size() && i < most; ++i)
+    wrap(out, i == 0 ? "LOST: " : "      ", loss_text(losses[i]));
+  if (losses.size() > most)
+    wrap(out, "      ", "and of " + counted(losses.size() - most, "more topic") + " (--json has them all)");
+  for (std::size_t i = 0; i < not_known.size() && i < most; ++i) wrap(out, "NOT KNOWN: ", not_known[i]);
+  if (not_known.size() > most)
+    wrap(out, "NOT KNOWN: ", "and of " + counted(not_known.size() - most, "more run") + " (--json has them all)");
+  if (not_detectable.empty()) return;
+  std::string names;
+  for (std::size_t i = 0; i < not_detectable.size() && i < most; ++i) names += (i == 0 ? "" : ", ") + not_detectable[i];
+  if (not_detectable.size() > most) names += " and " + std::to_string(not_detectable.size() - most) + " more";
+  wrap(out, "not detectable: ", "what the sources of " + names + " lost before it came here: they do not number it");
+}
+
+nlohmann::ordered_json json_of(const TopicLoss& loss) {
+  return {{"topic", loss.topic},
+          {"samples", loss.samples()},
+          {"lost_by_source", loss.by_source},
+          {"unreadable", loss.unreadable},
+          {"dropped_newest", loss.dropped_newest},
+          {"dropped_oldest", loss.dropped_oldest},
+          {"refused", loss.refused},
+          {"not_saved", loss.not_saved},
+          {"ticks", loss.ticks()},
+          {"missed", loss.missed},
+          {"failed", loss.failed},
+          {"outages", loss.outages.number},
+          {"outage_time_ns", loss.outages.time.count()}};
+}
+
+nlohmann::ordered_json json_of(const std::vector<TopicLoss>& losses) {
+  auto json = nlohmann::ordered_json::array();
+  for (const TopicLoss& loss : losses) json.push_back(json_of(loss));
+  return json;
+}
+
+/// false: something was; null: nothing that is known.
+nlohmann::ordered_json nothing_lost(bool has_losses, bool is_all_known) {
+  return has_losses     ? nlohmann::ordered_json(false)
+         : is_all_known ? nlohmann::ordered_json(true)
+                        : nlohmann::ordered_json();
+}
+
 nlohmann::ordered_json json_of(const OriginOutages& of) {
   return {{"topic", of.topic},
           {"origin", of.origin},
@@ -81,6 +180,10 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["gaps"] = run.gaps;
   json["outages"] = nlohmann::ordered_json::array();
   for (const OriginOutages& one : run.outages) json["outages"].push_back(json_of(one));
+  json["nothing_lost"] = nothing_lost(!run.losses.empty(), run.not_known.empty());
+  json["losses"] = json_of(run.losses);
+  json["not_known"] = run.not_known;
+  json["not_detectable"] = run.not_detectable;
   json["lost_by_source"] = run.lost_by_source ? nlohmann::ordered_json(*run.lost_by_source) : nlohmann::ordered_json();
   json["problems"] = run.problems;
   json["more_problems"] = run.more_problems;
@@ -92,6 +195,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
 
 std::string VerifyReport::text() const {
   std::string out = path + "\n";
+  if (!runs.empty() || !problems.empty()) add_losses(*this, out);
   for (const RunReport& run : runs) {
     out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") +
            "  " + times_of(run.info) + "  " + std::string(name_of(run.verdict)) + "\n";
@@ -130,6 +234,11 @@ std::string VerifyReport::to_json() const {
   json["path"] = path;
   json["verdict"] = name_of(verdict());
   json["exit_code"] = exit_code();
+  const std::vector<TopicLoss> lost = losses();
+  const bool is_all_known = problems.empty() && std::all_of(runs.begin(), runs.end(),
+                                                            [](const RunReport& run) { return run.not_known.empty(); });
+  json["nothing_lost"] = nothing_lost(!lost.empty(), is_all_known);
+  json["losses"] = json_of(lost);
   json["proves"] = "consistency, not that nobody forged it";
   json["problems"] = problems;
   json["runs"] = nlohmann::ordered_json::array();

@@ -1,0 +1,64 @@
+#include "app/run/data_at_risk.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+
+namespace rtdata::app {
+namespace {
+
+/// It has a `silence`, which is not set.
+bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parameters) {
+  const auto silence = std::find_if(parameters.begin(), parameters.end(),
+                                    [](const ParameterInfo& parameter) { return parameter.key == "silence"; });
+  if (silence == parameters.end()) return false;
+  const ConfigItem* const given = part.item.find("silence");
+  const std::string* const text = given != nullptr ? given->as_string() : nullptr;
+  const auto span = parse_duration(text != nullptr ? *text : silence->default_text());
+  return !span || *span <= Duration{0};
+}
+
+}  // namespace
+
+std::string unnoticed_silence(const Registry& registry, const SystemPlan& plan) {
+  std::string names;
+  std::size_t count = 0;
+  for (const PartPlan* part : plan.of_kind("sensor")) {
+    for (const PartKind& kind : registry.kinds()) {
+      if (kind.name != part->kind) continue;
+      const auto type = kind.types.find(part->type);
+      if (!type || !may_go_quiet(*part, type->parameters)) continue;
+      names += (names.empty() ? "" : ", ") + part->name;
+      ++count;
+    }
+  }
+  if (count == 0) return names;
+  return "without `silence`, such as \"10 s\", nobody notices when " +
+         std::string(count == 1 ? "this device goes" : "these devices go") + " quiet: " + names;
+}
+
+void warn_of_losses(SystemPlan& plan) {
+  for (const PartPlan& part : plan.parts) {
+    if (!part.publishes || !part.publishes->load || part.publishes->load->period <= Duration{0}) continue;
+    const Sampling& sampling = part.publishes->sampling;
+    const Duration period = part.publishes->load->period;
+    const ConfigItem* const rate = part.item.find("rate");
+    const ConfigItem& at = rate != nullptr ? *rate : part.item;
+    const double a_read = sampling.hertz * std::chrono::duration<double>(period).count();
+    if (sampling.kept > 0 && a_read > static_cast<double>(sampling.kept)) {
+      std::array<char, 32> needed{};
+      std::snprintf(needed.data(), needed.size(), "%.3g Hz", 2 * sampling.hertz / static_cast<double>(sampling.kept));
+      plan.warnings.add(
+          at.problem("loses-data", "the chip takes " + std::to_string(static_cast<std::uint64_t>(a_read)) +
+                                       " samples between two reads and keeps " + std::to_string(sampling.kept) +
+                                       ": the others are lost; give it a `rate` of " + needed.data() +
+                                       " or more, or a lower `sample_rate`"));
+    }
+    if (sampling.reading_time > period)
+      plan.warnings.add(at.problem("loses-data", "a reading takes " + to_string(sampling.reading_time) +
+                                                     " or more, and its period is " + to_string(period) +
+                                                     ": ticks are missed; lower its `rate`"));
+  }
+}
+
+}  // namespace rtdata::app
