@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 
 #include "app/process.hpp"
@@ -139,6 +140,34 @@ TEST_SUITE("config") {
 
   TEST_CASE("NFR-5 what check takes can be made: each parameter of each sink with each of many odd values") {
     try_all(standard_registry().sinks(), "sinks", right_sinks);
+  }
+
+  TEST_CASE("NFR-5 each parameter of each type says what it takes, also to the schema") {
+    const std::function<void(const std::string&, const ParameterType&)> look = [&](const std::string& path,
+                                                                                   const ParameterType& type) {
+      CHECK_MESSAGE(type.kind != ParameterType::Kind::any, path);
+      for (const ParameterType& element : type.element) look(path + "[]", element);
+      for (const ParameterInfo& member : type.members) look(path + "." + member.key, member.type);
+    };
+    const Registry registry = standard_registry();
+    std::size_t types = 0;
+    for (const PartKind& kind : registry.kinds()) {
+      for (const TypeInfo& type : kind.types.types()) {
+        ++types;
+        for (const ParameterInfo& parameter : type.parameters) look(type.name + "." + parameter.key, parameter.type);
+      }
+    }
+    CHECK(types > 20);
+    CHECK(has(registry.schema(), R"("string",)"));
+    const auto good = [&](const std::string& address) {
+      return planned(R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"}},
+          "sensors": [{"name": "s", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": )" +
+                     address + "}]}")
+          .good();
+    };
+    for (const char* address : {"8", "119", R"("0x08")", R"("0X77")", R"("119")", R"("072")"}) CHECK(good(address));
+    for (const char* address : {"7", "120", R"("0x78")", R"("0x7")", R"("120")", R"("")", "null", "true"})
+      CHECK_FALSE(good(address));
   }
 
   TEST_CASE("NFR-5 check and run refuse the same mistakes, with the same words, both with 2") {

@@ -29,10 +29,11 @@ struct ParameterType {
     string,
     duration,
     rate,
-    choice,  ///< one of `choices`
-    list,    ///< of `element`
-    map,     ///< any keys, with `element` as values
-    object,  ///< of `members`
+    text_or_integer,  ///< a text that `pattern` describes, or a whole number
+    choice,           ///< one of `choices`
+    list,             ///< of `element`
+    map,              ///< any keys, with `element` as values
+    object,           ///< of `members`
   };
   Kind kind = Kind::any;
   bool nullable = false;              ///< null is a value (std::optional)
@@ -42,6 +43,7 @@ struct ParameterType {
   bool not_empty = false;          ///< a text
   bool may_be_negative = false;    ///< a duration
   TextIs text = TextIs::anything;  ///< of a string
+  std::string pattern;             ///< of a text_or_integer: a regular expression of JSON Schema
   std::vector<std::string> choices;
   std::vector<ParameterType> element;  ///< one, of a list or map
   std::vector<ParameterInfo> members;  ///< of an object

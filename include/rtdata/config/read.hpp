@@ -25,6 +25,7 @@
 
 #include "rtdata/config/parameter_info.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/data/text_or_number.hpp"
 
 namespace rtdata {
 
@@ -238,6 +239,13 @@ ParameterType type_of(const ParameterRules& rules, const Choices& choices) {
     if constexpr (std::is_same_v<T, Rate>) type.kind = Kind::rate;
     if constexpr (std::is_floating_point_v<T>) type.kind = Kind::number;
     if constexpr (is_duration<T>) type.kind = Kind::duration;
+    if constexpr (requires { ConfigValue<T>::accepts; }) {
+      constexpr TextOrNumber accepts = ConfigValue<T>::accepts;
+      type.kind = Kind::text_or_integer;
+      type.least = accepts.least;
+      type.most = accepts.most;
+      type.pattern = accepts.pattern;
+    }
     if constexpr (Integer<T>) {
       type.kind = Kind::integer;
       if constexpr (sizeof(T) <= 4) {  // the limits of larger ones are of no use in a message

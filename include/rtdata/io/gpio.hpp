@@ -43,6 +43,7 @@
 
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/data/text_or_number.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/handle.hpp"
@@ -63,6 +64,7 @@ struct GpioLineName {
 
 template <>
 struct ConfigValue<GpioLineName> {
+  static constexpr TextOrNumber accepts{0, 4294967295, "^[\\s\\S]+$"};
   static bool read(const ConfigItem& item, GpioLineName& out, Problems& problems);
   static void write(const GpioLineName& value, ConfigItem& item) { item.set(value.text); }
 };

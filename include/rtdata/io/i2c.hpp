@@ -28,6 +28,7 @@
 
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/data/text_or_number.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/io/bus.hpp"
 
@@ -49,6 +50,9 @@ std::string mistake_in(I2cAddress address);
 
 template <>
 struct ConfigValue<I2cAddress> {
+  static constexpr TextOrNumber accepts{
+      I2cAddress::first, I2cAddress::last,
+      "^(0[xX]0*([89a-fA-F]|[1-6][0-9a-fA-F]|7[0-7])|0*([89]|[1-9][0-9]|1[01][0-9]))$"};
   static bool read(const ConfigItem& item, I2cAddress& out, Problems& problems);
   static void write(I2cAddress value, ConfigItem& item) { item.set(to_string(value)); }
 };

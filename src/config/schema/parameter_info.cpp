@@ -49,6 +49,8 @@ std::string_view word_of(TypeKind kind) {
       return "duration";
     case TypeKind::rate:
       return "rate";
+    case TypeKind::text_or_integer:
+      return "string or integer";
     case TypeKind::choice:
       return "choice";
     case TypeKind::list:
@@ -164,6 +166,12 @@ Json type_schema(const ParameterType& type) {
                         ")[ \\t]*$";
       json["examples"] = {"100 Hz", "1 kHz"};
       break;
+    case TypeKind::text_or_integer:
+      json["type"] = {"string", "integer"};
+      json["minimum"] = number_json(*type.least);
+      json["maximum"] = number_json(*type.most);
+      json["pattern"] = type.pattern;
+      break;
     case TypeKind::choice:
       json["enum"] = type.choices;
       break;
@@ -258,6 +266,7 @@ std::string ParameterType::name() const {
 }
 
 std::string ParameterType::range() const {
+  if (kind == TypeKind::text_or_integer) return "";  // what is said of it has it
   return element.empty() ? config_detail::range_text(least, most, kind, "") : element[0].range();
 }
 
