@@ -1,6 +1,9 @@
 // A sink that goes through a recording, run from a configuration, over kills and starts; and `rtdata forward`.
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <signal.h>
+#include <sys/file.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <filesystem>
@@ -19,16 +22,30 @@ namespace {
 
 const std::string program = test::built("rtdata");
 
-// The peer is a folder: while it is away, the file cannot be written.
+// The peer is a file: while somebody else has its lock, it cannot be written.
 constexpr const char* configuration = R"({
   "name": "node",
-  "sensors": [{"name": "cpu", "type": "host", "measures": "cpu", "rate": "100 Hz", "topic": "host/cpu"}],
+  "sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "100 Hz", "topic": "host/cpu"}],
   "sinks": [
     {"name": "recording", "type": "sqlite", "path": "node.db", "batch_time": "50 ms"},
-    {"name": "copy", "type": "file", "path": "peer/copy.jsonl", "format": "json", "through": "recording",
+    {"name": "copy", "type": "file", "path": "copy.jsonl", "format": "json", "through": "recording",
      "retry_first": "10 ms", "retry_longest": "50 ms"}
   ]
 })";
+
+/// While it lives, the peer is away.
+class Away {
+ public:
+  explicit Away(const Folder& folder)
+      : fd_(::open((folder.path() + "/copy.jsonl").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644)) {
+    REQUIRE(::flock(fd_, LOCK_EX) == 0);
+  }
+  Away(const Away&) = delete;
+  ~Away() { ::close(fd_); }
+
+ private:
+  int fd_;
+};
 
 std::size_t lines_of(const std::string& path) {
   std::ifstream file(path);
@@ -51,12 +68,12 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("node.json", configuration);
     {
+      const Away away(folder);
       Process run(folder, program, {"run", "node.json", "--for", "400ms"});
       CHECK(run.end() == 0);
       CHECK_MESSAGE(has(run.out, "wait in a recording to be sent"), run.out);
       CHECK_MESSAGE(has(run.out, "ledger balances"), run.out);
     }
-    std::filesystem::create_directory(folder.path() + "/peer");
     {
       Process run(folder, program, {"run", "node.json", "--for", "400ms"});
       CHECK(run.end() == 0);
@@ -64,35 +81,33 @@ TEST_SUITE("app") {
     }
     const std::size_t rows = rows_of(folder.path() + "/node.db");
     CHECK(rows > 20);
-    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows);
+    CHECK(lines_of(folder.path() + "/copy.jsonl") == rows);
     // Once more, without a peer; then the recording is taken elsewhere.
-    std::filesystem::rename(folder.path() + "/peer", folder.path() + "/gone");
     {
+      const Away away(folder);
       Process run(folder, program, {"run", "node.json", "--for", "300ms"});
       CHECK(run.end() == 0);
     }
     std::filesystem::create_directories(folder.path() + "/home");
     std::filesystem::rename(folder.path() + "/node.db", folder.path() + "/home/moved.db");
-    std::filesystem::rename(folder.path() + "/gone", folder.path() + "/peer");
     Process forward(folder, program, {"forward", "home/moved.db", "node.json"});
     CHECK(forward.end() == 0);
     CHECK_MESSAGE(has(forward.out, "all is sent"), forward.out);
-    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
+    CHECK(lines_of(folder.path() + "/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
     CHECK(!std::filesystem::exists(folder.path() + "/node.db"));
     Process verify(folder, program, {"verify", "home/moved.db"});
     CHECK(verify.end() == 0);
     Process again(folder, program, {"forward", "home/moved.db", "node.json"});
     CHECK(again.end() == 0);
-    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
+    CHECK(lines_of(folder.path() + "/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
   }
 
   TEST_CASE("US-32 killed at any moment, nothing that is recorded is missing at the peer") {
     const Folder folder;
     folder.write("node.json", configuration);
-    std::filesystem::create_directory(folder.path() + "/peer");
     for (int kill = 0; kill < 4; ++kill) {
       Process run(folder, program, {"run", "node.json", "--quiet"});
-      for (int i = 0; i < 500 && !folder.has("peer/copy.jsonl"); ++i)
+      for (int i = 0; i < 500 && !folder.has("copy.jsonl"); ++i)
         std::this_thread::sleep_for(std::chrono::milliseconds{10});
       std::this_thread::sleep_for(std::chrono::milliseconds{37 * (kill + 1)});
       run.signal(SIGKILL);
@@ -100,7 +115,7 @@ TEST_SUITE("app") {
     }
     Process run(folder, program, {"run", "node.json", "--for", "300ms"});
     CHECK(run.end() == 0);
-    std::ifstream file(folder.path() + "/peer/copy.jsonl");
+    std::ifstream file(folder.path() + "/copy.jsonl");
     std::vector<std::string> lines;
     for (std::string line; std::getline(file, line);) lines.push_back(line);
     std::sort(lines.begin(), lines.end());
@@ -126,7 +141,7 @@ TEST_SUITE("app") {
     const Folder folder;
     const auto checked = [&](const std::string& recording, const std::string& sink) {
       folder.write("node.json",
-                   R"({"sensors": [{"name": "cpu", "type": "host", "measures": "cpu", "rate": "1 Hz", "topic": "a/b"}],
+                   R"({"sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "1 Hz", "topic": "a/b"}],
                        "sinks": [{"name": "recording", "type": "sqlite", "path": "node.db")" +
                        recording + R"(}, {"name": "copy", "type": "file", "path": "c.jsonl", "format": "json")" + sink +
                        "}]}");
