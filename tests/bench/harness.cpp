@@ -205,6 +205,7 @@ int run(int count, char** arguments) {
   bench_verify(report);
   bench_program(report);
   bench_real_time(report);
+  bench_sending(report);
   if (report.write_json()) return 0;
   std::fprintf(stderr, "cannot write %s\n", report.options().json.c_str());
   return 1;

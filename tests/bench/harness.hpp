@@ -96,5 +96,6 @@ void bench_verify(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
 void bench_real_time(Report& report);
+void bench_sending(Report& report);
 
 }  // namespace bench
