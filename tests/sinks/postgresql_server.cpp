@@ -1,6 +1,5 @@
 #include "sinks/postgresql_server.hpp"
 
-#ifdef RTDATA_WITH_POSTGRESQL
 #include <fcntl.h>
 #include <libpq-fe.h>
 #include <pwd.h>
@@ -177,4 +176,3 @@ std::string PostgresqlServer::sql(const std::string& database, const std::string
 }
 
 }  // namespace sinks
-#endif

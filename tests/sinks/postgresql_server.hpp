@@ -54,10 +54,10 @@ class PostgresqlServer {
 }  // namespace sinks
 
 /// Ends the test, with a reason, when there is no server.
-#define SERVER_OR_SKIP(name)                                                   \
+#define SERVER_OR_SKIP(name)                                                        \
   sinks::PostgresqlServer* const shared_server = sinks::PostgresqlServer::shared(); \
-  if (shared_server == nullptr) {                                              \
-    MESSAGE("skipped: " << sinks::PostgresqlServer::why_none());               \
-    return;                                                                    \
-  }                                                                            \
+  if (shared_server == nullptr) {                                                   \
+    MESSAGE("skipped: " << sinks::PostgresqlServer::why_none());                    \
+    return;                                                                         \
+  }                                                                                 \
   sinks::PostgresqlServer& name = *shared_server

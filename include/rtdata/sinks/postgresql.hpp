@@ -47,7 +47,8 @@ struct PostgresqlConfig {
   friend constexpr auto parameters(type_tag<PostgresqlConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("url", &PostgresqlConfig::url, "postgresql://user@host/database?sslmode=verify-full, without a password"),
+        parameter("url", &PostgresqlConfig::url,
+                  "postgresql://user@host/database?sslmode=verify-full, without a password"),
         parameter("host", &PostgresqlConfig::host, "name, address, or the folder of a Unix socket"),
         parameter("port", &PostgresqlConfig::port, "0: 5432, or what PGPORT says", range(0, 65535)),
         parameter("database", &PostgresqlConfig::database, "its name"),

@@ -48,8 +48,10 @@ std::string take_state(std::string& text) {
     const std::size_t begin = text.find_first_not_of(' ', at + 1);
     if (begin == std::string::npos || text.size() < begin + 6 || text[begin + 5] != ':') continue;
     const std::string_view code = std::string_view(text).substr(begin, 5);
-    const auto is_of_code = [](char c) { return (c >= '0' && c <= '9') || (c >= 'A' && c <= 'Z'); };
+    const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+    const auto is_of_code = [&](char c) { return is_digit(c) || (c >= 'A' && c <= 'Z'); };
     if (!std::all_of(code.begin(), code.end(), is_of_code)) continue;
+    if (std::none_of(code.begin(), code.end(), is_digit)) continue;  // "FATAL"
     state = code;
     text.erase(begin, 7);
     break;
@@ -74,7 +76,8 @@ constexpr Meaning meanings[] = {
     {"57014", Errc::timed_out, "the server is too slow for `timeout`"},
     {"57P", Errc::disconnected, "it is tried again"},
     {"08", Errc::disconnected, "it is tried again"},
-    {"23505", Errc::busy, "rows are there that rtdata_position does not know: was it changed, or is it of another time?"},
+    {"23505", Errc::busy,
+     "rows are there that rtdata_position does not know: was it changed, or is it of another time?"},
     {"22012", Errc::busy, "another program has sent events of this run meanwhile: the position is read again"},
     {"42P01", Errc::description_differs, "a table was dropped or renamed; it is looked for again"},
     {"42703", Errc::description_differs, "a column was dropped or renamed; give the table back its columns"},

@@ -2,7 +2,8 @@
 //
 //   rtdata_run       a row a run: its number here, its uuid, its machine, and what the recording says of it
 //   rtdata_topic     which table holds which topic, with its description
-//   rtdata_position  a row a run, topic and origin: what the server has of it, changed in the transaction that adds rows
+//   rtdata_position  a row a run, topic and origin: what the server has of it, changed in the transaction that adds
+//   rows
 //
 // The tables of the account (rtdata_ledger, rtdata_gap ...) are made with the first account: account_copy.hpp.
 #pragma once

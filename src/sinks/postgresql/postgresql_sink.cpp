@@ -1,6 +1,6 @@
-#include "rtdata/data/config_item.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/first_line.hpp"
+#include "rtdata/data/config_item.hpp"
 #include "rtdata/sinks/postgresql.hpp"
 #include "sinks/postgresql/postgresql_writer.hpp"
 
@@ -16,11 +16,11 @@ SinkConfig named(const PostgresqlConfig& config) {
 std::unique_ptr<Writer> make_writer(Loop& loop, const PostgresqlConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
   return std::make_unique<postgresql::PostgresqlWriter>(
-      config, postgresql::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name,
-                                  runtime.config.notes, runtime.configurations.whole(), runtime.clock().boot_id(),
-                                  loop.time(),
-                                  runtime.clock_log.start().realtime.time_since_epoch() -
-                                      runtime.clock_log.start().monotonic.time_since_epoch()});
+      config,
+      postgresql::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name, runtime.config.notes,
+                          runtime.configurations.whole(), runtime.clock().boot_id(), loop.time(),
+                          runtime.clock_log.start().realtime.time_since_epoch() -
+                              runtime.clock_log.start().monotonic.time_since_epoch()});
 }
 
 }  // namespace
@@ -33,7 +33,9 @@ void check_config(const PostgresqlConfig& config, const ConfigItem& item, Proble
   const auto parts = postgresql::look_at_url(config.url);
   if (!parts) return tell(parts.error().why + "; " + parts.error().advice);
   if (parts->has_password)
-    tell("it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": ...}");
+    tell(
+        "it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": "
+        "...}");
 }
 
 std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const TopicToRecord> topics) {

@@ -23,8 +23,8 @@ std::string number(std::uint64_t value) { return std::to_string(static_cast<std:
 }  // namespace
 
 Address address_of(const PostgresqlConfig& config) {
-  return {config.url,    config.host, config.database, config.user, config.password,
-          config.schema, config.port, config.timeout};
+  return {config.url,      config.host,   config.database, config.user,
+          config.password, config.schema, config.port,     config.timeout};
 }
 
 PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config, RunInfo run)
@@ -175,15 +175,14 @@ Result<void> PostgresqlWriter::send() {
 /// Only from the positions that were read: where another program has moved one on meanwhile, such as one whose
 /// connection was thought to be dead, the count is another, and dividing by zero undoes the transaction.
 std::string PostgresqlWriter::positions_sql() const {
-  std::string sql =
-      "WITH v(run, topic, origin, table_name, first, last, rows, sum, before) AS (VALUES ";
+  std::string sql = "WITH v(run, topic, origin, table_name, first, last, rows, sum, before) AS (VALUES ";
   bool is_first = true;
   for (const std::uint32_t index : touched_) {
     const Slot& slot = slots_[index];
     const Position& now = slot.pending;
     if (!is_first) sql += ",";
-    sql += "(" + std::to_string(slot.run) + (is_first ? "::bigint," : ",") + connection_.literal(slot.info->topic) + "," +
-           connection_.literal(slot.info->origin) + "," + connection_.literal(slot.table->name()) + "," +
+    sql += "(" + std::to_string(slot.run) + (is_first ? "::bigint," : ",") + connection_.literal(slot.info->topic) +
+           "," + connection_.literal(slot.info->origin) + "," + connection_.literal(slot.table->name()) + "," +
            number(now.first) + (is_first ? "::bigint," : ",") + number(now.last) + (is_first ? "::bigint," : ",") +
            number(now.rows) + (is_first ? "::bigint," : ",") + number(now.sum) + (is_first ? "::bigint," : ",") +
            (slot.stored.is_there ? number(slot.stored.last) : "NULL") + (is_first ? "::bigint)" : ")");

@@ -16,8 +16,8 @@
 namespace rtdata::postgresql {
 namespace {
 
-constexpr std::size_t most_fields = 1590;  // a table has at most 1600 columns
-constexpr std::size_t longest_name = 63;   // NAMEDATALEN - 1
+constexpr std::size_t most_fields = 1590;                      // a table has at most 1600 columns
+constexpr std::size_t longest_name = 63;                       // NAMEDATALEN - 1
 constexpr std::int64_t server_epoch_us = 946'684'800'000'000;  // 2000-01-01 in us since 1970
 
 template <class T>
@@ -56,8 +56,8 @@ char* put_numeric(char* to, std::uint64_t value) noexcept {
   to = put_big(to, static_cast<std::int32_t>(8 + 2 * kept));
   to = put_big(to, static_cast<std::int16_t>(kept));
   to = put_big(to, static_cast<std::int16_t>(count > 0 ? count - 1 : 0));  // weight of the first
-  to = put_big(to, std::int16_t{0});                                      // sign
-  to = put_big(to, std::int16_t{0});                                      // digits after the point
+  to = put_big(to, std::int16_t{0});                                       // sign
+  to = put_big(to, std::int16_t{0});                                       // digits after the point
   for (int i = count - 1; i >= zeros; --i) to = put_big(to, digits[i]);
   return to;
 }
@@ -253,8 +253,11 @@ Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo&
     if (at->second == type) return {};
     return "its column " + column + " is of type " + at->second + ", not " + std::string(type);
   };
-  const std::pair<const char*, const char*> fixed[] = {{"time", "timestamp with time zone"}, {"time_ns", "bigint"},
-                                                       {"run", "bigint"}, {"origin", "text"}, {"sequence", "bigint"}};
+  const std::pair<const char*, const char*> fixed[] = {{"time", "timestamp with time zone"},
+                                                       {"time_ns", "bigint"},
+                                                       {"run", "bigint"},
+                                                       {"origin", "text"},
+                                                       {"sequence", "bigint"}};
   for (const auto& [column, type] : fixed) {
     if (std::string why = check(column, type); !why.empty()) return not_ours(table.name_, std::move(why));
   }
@@ -275,8 +278,7 @@ Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo&
       table.most_bytes_ += 4;
       continue;
     }
-    const bool is_plain =
-        leaf->optional == nullptr && leaf->kind != Kind::character && leaf->kind != Kind::enumeration;
+    const bool is_plain = leaf->optional == nullptr && leaf->kind != Kind::character && leaf->kind != Kind::enumeration;
     table.columns_.push_back({is_plain ? leaf->kind : Kind::record, leaf->offset, leaf});
     std::size_t bytes = 32;  // of a number, a character
     if (leaf->kind == Kind::text) bytes += 4 * leaf->size;
