@@ -7,7 +7,7 @@
 ///     class Lines final : public rtdata::Sender {
 ///       rtdata::SendingConfig sending() const override { return {.window = 1}; }
 ///       rtdata::Result<void> encode(const rtdata::Record& record, std::vector<std::byte>& out) override {
-///         return codec_->encode(record.view(), out);
+///         return codec_->encode(record.keyed_view(), out);
 ///       }
 ///       void begin(rtdata::Loop& loop) override { ... }                                       // open nothing yet
 ///       void send(const rtdata::Parcel& parcel, rtdata::Answer answer) override { ... }       // connect when needed
@@ -60,6 +60,7 @@ class Parcel {
   struct Row {
     const SlotInfo* info = nullptr;  ///< topic, origin, run and description
     std::uint32_t slot = 0;
+    std::size_t in_batch = 0;  ///< its place among the events of the batch
     std::uint64_t sequence = 0;
     Time time{};
     std::size_t end = 0;  ///< where its bytes end
