@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/sinks/postgresql.hpp"
+#include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/postgresql_server.hpp"
 #include "sinks/recordings.hpp"
@@ -68,12 +68,44 @@ struct Program {
   Sensor<Number> pulse;
 };
 
+/// One that records, and whose sink goes through the recording.
+struct Node {
+  Node(const std::string& path, PostgresqlConfig config) {
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    loop.runtime().on_log([](const LogRecord&) {});
+    recording = SqliteSink(loop, {.path = path, .sink = {.name = "recording"}});
+    sink = PostgresqlSink(loop, std::move(config));
+    pulse = Sensor<Number>(loop, {.name = "pulse", .topic = "plant/number", .rate = 100_Hz},
+                           [this] { return Number{++count}; });
+    // One whose reads fail now and then, so that there are gaps.
+    shaky = Sensor<Number>(loop, {.name = "shaky", .topic = "plant/shaky", .rate = 10_Hz},
+                           [this]() -> Result<Number> {
+                             if (++tries % 50 > 2) return Number{tries};
+                             return Error{Errc::io_failed, "cannot read", "shaky", "it shakes", ""};
+                           });
+  }
+  std::string all_errors() const {
+    std::string text;
+    for (const std::string& error : errors) {
+      if (error.find("it shakes") == std::string::npos) text += error + "\n";
+    }
+    return text;
+  }
+  std::vector<std::string> errors;
+  std::int64_t count = 0, tries = 0;
+  Loop loop{Loop::Manual{}};
+  SqliteSink recording;
+  PostgresqlSink sink;
+  Sensor<Number> pulse, shaky;
+};
+
 /// No event is missing or there twice, and rtdata_position says the same as the rows. Returns how many there are.
 std::int64_t check_once(PostgresqlServer& server, const std::string& database) {
   const std::int64_t rows = server.number(database, "SELECT count(*) FROM \"plant/number\"");
   CHECK(server.number(database, "SELECT count(DISTINCT (run, origin, sequence)) FROM \"plant/number\"") == rows);
-  CHECK(server.number(database, "SELECT coalesce(sum(rows), 0) FROM rtdata_position") == rows);
-  CHECK(server.number(database, "SELECT coalesce(sum(last_sequence - first_sequence + 1), 0) FROM rtdata_position") ==
+  const char* const of_topic = " FROM rtdata_position WHERE topic = 'plant/number'";
+  CHECK(server.number(database, std::string("SELECT coalesce(sum(rows), 0)") + of_topic) == rows);
+  CHECK(server.number(database, std::string("SELECT coalesce(sum(last_sequence - first_sequence + 1), 0)") + of_topic) ==
         rows);
   CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\" WHERE sequence <> count") == 0);
   return rows;
@@ -461,5 +493,173 @@ TEST_SUITE("sinks") {
     program.loop.close();
     CHECK(server.number(database, "SELECT count(DISTINCT (run, origin, sequence)) - count(*) FROM \"plant/number\"") ==
           0);
+  }
+
+  TEST_CASE("FW-4 verify says of the server what it says of the recording that a sink goes through") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    const PostgresqlConfig config{.url = server.url(database), .machine = "node", .sink = {.through = "recording"}};
+    {
+      Node node(path, config);
+      node.loop.advance(70s);
+      const VerifyReport meanwhile = verify_server(config).or_throw();
+      CHECK(meanwhile.text() == doctest::Contains("recording"));
+      CHECK(meanwhile.exit_code() == 0);
+      node.loop.close();
+      CHECK(node.all_errors() == "");
+    }
+    const VerifyReport recorded = recordings::verified(path);
+    VerifyReport served = verify_server(config).or_throw();
+    INFO(served.text());
+    REQUIRE(served.runs.size() == 1);
+    CHECK(served.verdict() == Verdict::balanced);
+    served.path = recorded.path;
+    CHECK(served.text() == recorded.text());
+
+    const auto problem_after = [&](const std::string& change, const std::string& undo) {
+      server.sql(database, change);
+      const VerifyReport changed = verify_server(config).or_throw();
+      CHECK(changed.exit_code() == 1);
+      server.sql(database, undo);
+      std::string text;
+      for (const RunReport& run : changed.runs) {
+        for (const std::string& problem : run.problems) text += problem + "\n";
+      }
+      return text;
+    };
+    CHECK(problem_after("CREATE TABLE kept AS SELECT * FROM \"plant/number\" WHERE sequence = 17; DELETE FROM "
+                        "\"plant/number\" WHERE sequence = 17",
+                        "INSERT INTO \"plant/number\" SELECT * FROM kept") == doctest::Contains("17"));
+    CHECK(problem_after("UPDATE \"plant/number\" SET count = 4 WHERE sequence = 5",
+                        "UPDATE \"plant/number\" SET count = 5 WHERE sequence = 5") ==
+          doctest::Contains("a value was changed"));
+    CHECK(problem_after("UPDATE rtdata_ledger SET missed = missed + 1", "UPDATE rtdata_ledger SET missed = missed - 1") ==
+          doctest::Contains("rtdata_ledger"));
+    CHECK(problem_after("CREATE TABLE gaps AS TABLE rtdata_gap; DELETE FROM rtdata_gap",
+                        "INSERT INTO rtdata_gap TABLE gaps") == doctest::Contains("rtdata_gap"));
+    CHECK(problem_after("UPDATE rtdata_position SET rows = rows - 1", "UPDATE rtdata_position SET rows = rows + 1") ==
+          doctest::Contains("rtdata_position"));
+    CHECK(verify_server(config).or_throw().exit_code() == 0);
+  }
+
+  TEST_CASE("FW-4 of events from memory verify says that no account came along") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    const PostgresqlConfig config{.url = server.url(database)};
+    {
+      Program program(config);
+      program.loop.advance(3s);
+      program.loop.close();
+    }
+    const VerifyReport report = verify_server(config).or_throw();
+    CHECK(report.text() == doctest::Contains("No account came along"));
+    CHECK(report.verdict() == Verdict::unsealed);
+    CHECK(report.runs.at(0).rows == 301);
+  }
+
+  TEST_CASE("FW-4 every kind of value comes back from the server equal") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    const PostgresqlConfig config{.url = server.url(database)};
+    payloads::Everything bad;
+    bad.name = text<7>("\xff\\xff");
+    bad.u64 = 1'000'000'000'000;
+    bad.states = {static_cast<payloads::State>(5), payloads::State::idle};
+    bad.letter = '\\';
+    const payloads::Everything sent[] = {payloads::full(), {}, bad};
+    {
+      Loop loop{Loop::Manual{}};
+      PostgresqlSink sink(loop, config);
+      Feed<payloads::Everything> feed(loop, {.name = "feed", .topic = "all"});
+      for (const auto& one : sent) feed.publish(one);
+      loop.close();
+    }
+    const ServerRecording server_side = download(config).or_throw();
+    CHECK(server_side.problems.empty());
+    auto rows = server_side.recording.rows({}).or_throw();
+    for (const auto& one : sent) {
+      const RecordedRow* row = rows.next().or_throw();
+      REQUIRE(row != nullptr);
+      payloads::Everything back;
+      const Description& description = *description_of<payloads::Everything>();
+      for (std::size_t i = 0; i < description.leaves().size(); ++i) {
+        const Leaf& leaf = description.leaves()[i];
+        write(leaf, reinterpret_cast<std::byte*>(&back), row->event().value(row->topic().description->leaves()[i]))
+            .or_throw();
+      }
+      CHECK((back == one));
+    }
+    CHECK(rows.next().or_throw() == nullptr);
+  }
+
+  TEST_CASE("NFR-1 a program that is killed goes on where the server is, through its recording; its seal goes along") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    const PostgresqlConfig config{.url = server.url(database), .sink = {.through = "recording"}};
+    SUBCASE("with the server there") {}
+    SUBCASE("with the server away until after the start") { server.stop(SIGINT); }
+    sinks::killed_in([&] {
+      Node node(path, config);
+      node.loop.advance(20s);
+      ::raise(SIGKILL);
+    });
+    {
+      Node node(path, config);
+      node.loop.advance(5s);
+      server.start();
+      node.loop.advance(40s);
+      node.loop.close();
+    }
+    check_once(server, database);
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\"") ==
+          recordings::number(path, "SELECT count(*) FROM \"plant/number\""));
+    const VerifyReport served = verify_server(config).or_throw();
+    INFO(served.text());
+    REQUIRE(served.runs.size() == 2);
+    CHECK(served.runs[0].verdict == Verdict::sealed);
+    CHECK(served.runs[1].verdict == Verdict::balanced);
+  }
+
+  TEST_CASE("NFR-1 killed at random moments while it sends: each event once on the server") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    const PostgresqlConfig config{.url = server.url(database), .sink = {.batch_time = 5ms, .through = "recording"}};
+    const auto [first, count] = sinks::seeds(6);
+    for (unsigned seed = first; seed < first + count; ++seed) {
+      CAPTURE(seed);
+      const pid_t child = ::fork();
+      if (child == 0) {
+        Loop loop;
+        loop.on_error([](const ErrorReport&) {});
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink recording(loop, {.path = path, .sink = {.name = "recording", .batch_time = 5ms}});
+        PostgresqlSink sink(loop, config);
+        std::int64_t published = 0;
+        Sensor<Number> sensor(loop, {.name = "pulse", .topic = "plant/number", .rate = 2_kHz},
+                              [&] { return Number{++published}; });
+        loop.run();
+        ::_exit(0);
+      }
+      std::mt19937 random(seed);
+      ::usleep(20'000 + random() % 300'000);  // the moment is what is tried
+      ::kill(child, SIGKILL);
+      REQUIRE(::waitpid(child, nullptr, 0) == child);
+    }
+    {
+      Node node(path, config);
+      node.loop.advance(3s);
+      node.loop.close();
+      CHECK(node.all_errors() == "");
+    }
+    check_once(server, database);
+    const std::int64_t recorded = recordings::number(path, "SELECT count(*) FROM \"plant/number\"");
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\"") == recorded);
+    CHECK(verify_server(config).or_throw().exit_code() == 0);
   }
 }

@@ -98,7 +98,7 @@ std::string milliseconds(Duration duration) {
 
 }  // namespace
 
-std::string quoted(std::string_view name) {
+std::string quoted_name(std::string_view name) {
   std::string out = "\"";
   for (const char c : name) {
     if (c == '"') out += '"';
@@ -215,7 +215,7 @@ Result<Connection> Connection::open(const Address& address) {
                     ";SET idle_in_transaction_session_timeout=" + milliseconds(address.timeout * 2) +
                     ";SET DateStyle=ISO;SET TimeZone='UTC';SET standard_conforming_strings=on;"
                     "SET extra_float_digits=1;SET default_transaction_isolation='read committed'";
-  if (!address.schema.empty()) sql += ";SET search_path=" + quoted(address.schema) + ",pg_catalog";
+  if (!address.schema.empty()) sql += ";SET search_path=" + quoted_name(address.schema) + ",pg_catalog";
   auto done = made.run(sql);
   if (!done) return std::move(done).error();
   return made;

@@ -65,6 +65,7 @@ class Connection {
   Result<void> copy(const std::string& sql, std::span<const std::string_view> data);
   /// One statement, whose values come in binary: calls `row` with one answer for each row.
   Result<void> each(const std::string& sql, const std::function<Result<void>(const Reply&)>& row);
+  void set_timeout(Duration timeout) noexcept { timeout_ = timeout; }
   /// After a statement that failed within a transaction.
   void roll_back() noexcept;
   void close() noexcept { connection_.reset(); }
@@ -92,6 +93,6 @@ class Connection {
 };
 
 /// "name" with quotes doubled, for use in SQL.
-std::string quoted(std::string_view name);
+std::string quoted_name(std::string_view name);
 
 }  // namespace rtdata::postgresql

@@ -35,11 +35,11 @@ COMMENT ON COLUMN rtdata_position.sum IS 'of the hashes of the rows as they were
 
 Result<void> make_layout(Connection& connection, const std::string& schema) {
   if (!schema.empty()) {
-    auto there = connection.query("SELECT to_regnamespace($1) IS NULL", {{quoted(schema)}});
+    auto there = connection.query("SELECT to_regnamespace($1) IS NULL", {{quoted_name(schema)}});
     if (!there) return std::move(there).error();
     // Asking first: who may not make schemas may well use one that is there.
     if (there->text(0, 0) == "t") {
-      if (auto made = connection.run("CREATE SCHEMA IF NOT EXISTS " + quoted(schema)); !made)
+      if (auto made = connection.run("CREATE SCHEMA IF NOT EXISTS " + quoted_name(schema)); !made)
         return std::move(made).error();
     }
   }

@@ -15,8 +15,10 @@ SinkConfig named(const PostgresqlConfig& config) {
 
 std::unique_ptr<Writer> make_writer(Loop& loop, const PostgresqlConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
+  PostgresqlConfig whole = config;
+  whole.sink = named(config);
   return std::make_unique<postgresql::PostgresqlWriter>(
-      config,
+      whole,
       postgresql::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name, runtime.config.notes,
                           runtime.configurations.whole(), runtime.clock().boot_id(), loop.time(),
                           runtime.clock_log.start().realtime.time_since_epoch() -

@@ -2,12 +2,19 @@
 
 #include <unistd.h>
 
+#ifdef RTDATA_WITH_SQLITE
+#include "sinks/postgresql/account_copy.hpp"
+#endif
 #include "sinks/postgresql/layout.hpp"
 
 namespace rtdata::postgresql {
 namespace {
 
 constexpr std::size_t transaction_bytes = std::size_t{4} << 20;
+#ifdef RTDATA_WITH_SQLITE
+constexpr std::chrono::seconds account_interval{30};
+constexpr std::chrono::seconds last_account_time{2};
+#endif
 
 std::string host_name() {
   char name[256] = {};
@@ -197,7 +204,43 @@ std::string PostgresqlWriter::positions_sql() const {
          std::to_string(touched_.size()) + ")::integer";
 }
 
+std::function<std::string()> PostgresqlWriter::goes_through([[maybe_unused]] const std::string& recording) {
+#ifdef RTDATA_WITH_SQLITE
+  recording_ = recording;
+  // The last account is written after this sink has closed. Where the server was there until then it gets it now, else
+  // with the next start.
+  Address address = address_;
+  address.timeout = std::min<Duration>(address.timeout, last_account_time);
+  return [address, copy = AccountCopy{recording_, machine_, config_.sink.name, config_.sink.topics},
+          is_there = is_there_]() -> std::string {
+    if (!*is_there) return {};
+    auto connection = Connection::open(address);
+    const auto copied = connection ? copy_accounts(*connection, copy) : Result<void>(std::move(connection).error());
+    if (copied) return {};
+    return "the server gets the last account of this run with the next start: " + copied.error().text();
+  };
+#else
+  return {};
+#endif
+}
+
+Result<void> PostgresqlWriter::flush() {
+#ifdef RTDATA_WITH_SQLITE
+  if (recording_.empty() || !connection_ || Clock::now() < account_due_) return {};
+  const auto begun = Clock::now();
+  auto copied = copy_accounts(connection_, {recording_, machine_, config_.sink.name, config_.sink.topics});
+  if (!copied) {
+    forget();
+    return copied;
+  }
+  // A long account is copied less often.
+  account_due_ = Clock::now() + std::max<Clock::duration>(account_interval, 50 * (Clock::now() - begun));
+#endif
+  return {};
+}
+
 Result<void> PostgresqlWriter::close() {
+  is_there_->store(static_cast<bool>(connection_));
   connection_.close();
   return {};
 }

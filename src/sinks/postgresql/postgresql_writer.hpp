@@ -1,7 +1,10 @@
 // The writer of a PostgresqlSink. On the sink's lane.
 #pragma once
 
+#include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -29,6 +32,8 @@ class PostgresqlWriter final : public Writer {
 
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
+  Result<void> flush() override;
+  std::function<std::string()> goes_through(const std::string& recording) override;
   Result<void> close() override;
 
  private:
@@ -63,6 +68,12 @@ class PostgresqlWriter final : public Writer {
   std::vector<Slot> slots_;
   std::vector<std::uint32_t> touched_;
   std::size_t waiting_bytes_ = 0;
+
+  // with `through`: the account of the recording
+  using Clock = std::chrono::steady_clock;
+  std::string recording_;  // path; empty: from memory
+  Clock::time_point account_due_{};
+  std::shared_ptr<std::atomic<bool>> is_there_ = std::make_shared<std::atomic<bool>>(false);
 };
 
 }  // namespace rtdata::postgresql

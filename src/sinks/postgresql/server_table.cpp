@@ -108,7 +108,7 @@ std::string table_name(const std::string& topic, std::int64_t version) {
   return short_name(name);
 }
 
-std::string column_of(const Leaf& leaf) { return quoted(short_name(leaf.path)) + " " + type_of(leaf.kind); }
+std::string column_of(const Leaf& leaf) { return quoted_name(short_name(leaf.path)) + " " + type_of(leaf.kind); }
 
 std::string comment_of(const Connection& connection, const std::string& table, const Leaf& leaf) {
   std::string text = leaf.path + ": " + std::string(name_of(leaf.kind));
@@ -118,12 +118,12 @@ std::string comment_of(const Connection& connection, const std::string& table, c
     text += ", one of";
     for (const EnumValue& value : leaf.field->values) text += " " + value.name;
   }
-  return "COMMENT ON COLUMN " + quoted(table) + "." + quoted(short_name(leaf.path)) + " IS " +
+  return "COMMENT ON COLUMN " + quoted_name(table) + "." + quoted_name(short_name(leaf.path)) + " IS " +
          connection.literal(detail::readable(text)) + ";";
 }
 
 std::string table_sql(const Connection& connection, const std::string& name, const SlotInfo& slot) {
-  const std::string table = quoted(name);
+  const std::string table = quoted_name(name);
   // TimescaleDB wants its time in each unique index, and no reference to the table: create_hypertable(..., 'time').
   std::string sql = "CREATE TABLE " + table +
                     "(\"time\" timestamptz NOT NULL, time_ns bigint NOT NULL, run bigint NOT NULL, origin text NOT "
@@ -141,7 +141,7 @@ std::string table_sql(const Connection& connection, const std::string& name, con
       {"origin", "the sensor or feed"},
       {"sequence", "of the origin in the run, from 1"}};
   for (const auto& [column, text] : comments)
-    sql += "COMMENT ON COLUMN " + table + "." + quoted(column) + " IS " + connection.literal(text) + ";";
+    sql += "COMMENT ON COLUMN " + table + "." + quoted_name(column) + " IS " + connection.literal(text) + ";";
   for (const Leaf& leaf : slot.description->leaves()) sql += comment_of(connection, name, leaf);
   return sql;
 }
@@ -173,7 +173,7 @@ Result<Found> find_or_make(Connection& connection, const SlotInfo& slot, std::in
     std::string sql;
     for (const Leaf& leaf : slot.description->leaves()) {
       if ((*old)->find(leaf.path) != nullptr) continue;
-      sql += "ALTER TABLE " + quoted(table) + " ADD COLUMN " + column_of(leaf) + ";";
+      sql += "ALTER TABLE " + quoted_name(table) + " ADD COLUMN " + column_of(leaf) + ";";
       sql += comment_of(connection, table, leaf);
     }
     sql += "UPDATE rtdata_topic SET description = " + connection.literal(slot.description->to_json()) +
@@ -183,7 +183,7 @@ Result<Found> find_or_make(Connection& connection, const SlotInfo& slot, std::in
   }
   const std::int64_t version = last_version + 1;
   const std::string table = table_name(topic, version);
-  auto there = connection.query("SELECT to_regclass($1) IS NULL", {{quoted(table)}});
+  auto there = connection.query("SELECT to_regclass($1) IS NULL", {{quoted_name(table)}});
   if (!there) return std::move(there).error();
   if (there->text(0, 0) != "t") return not_ours(table, "a table of this name is there, and rt-data has not made it");
   std::string sql = table_sql(connection, table, slot);
@@ -242,7 +242,7 @@ Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo&
   auto there = connection.query(
       "SELECT attname, format_type(atttypid, atttypmod) FROM pg_attribute WHERE attrelid = to_regclass($1) AND "
       "attnum > 0 AND NOT attisdropped ORDER BY attnum",
-      {{quoted(table.name_)}});
+      {{quoted_name(table.name_)}});
   if (!there) return std::move(there).error();
   if (there->rows() == 0) return not_ours(table.name_, "it was dropped or renamed, but rtdata_topic has it");
   std::map<std::string, std::string, std::less<>> types;
@@ -271,7 +271,7 @@ Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo&
   for (int row = 0; row < there->rows(); ++row) {
     const auto at = leaves.find(there->text(row, 0));
     if (at == leaves.end()) continue;  // one of the user's: it has a default, or is computed
-    columns += "," + quoted(at->first);
+    columns += "," + quoted_name(at->first);
     const Leaf* leaf = slot.description->find(at->second->path);
     if (leaf == nullptr) {
       table.columns_.push_back({Kind::record, 0, nullptr});
@@ -288,7 +288,7 @@ Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo&
     table.most_bytes_ += bytes;
   }
   table.most_bytes_ += 64;  // the fixed ones
-  table.copy_ = "COPY " + quoted(table.name_) + "(" + columns + ") FROM STDIN (FORMAT binary)";
+  table.copy_ = "COPY " + quoted_name(table.name_) + "(" + columns + ") FROM STDIN (FORMAT binary)";
   table.begin();
   return table;
 }

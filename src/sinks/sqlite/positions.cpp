@@ -20,6 +20,24 @@ void Positions::add(Refusal refusal) {
   if (refusals_.size() < most_refusals) refusals_.push_back(std::move(refusal));
 }
 
+void Positions::at_end(std::function<std::string()> call) {
+  const std::lock_guard lock(mutex_);
+  at_end_.push_back(std::move(call));
+}
+
+std::vector<std::string> Positions::end() {
+  std::vector<std::function<std::string()>> calls;
+  {
+    const std::lock_guard lock(mutex_);
+    calls = std::exchange(at_end_, {});
+  }
+  std::vector<std::string> said;
+  for (const auto& call : calls) {
+    if (std::string text = call(); !text.empty()) said.push_back(std::move(text));
+  }
+  return said;
+}
+
 bool Positions::is_dirty() const {
   const std::lock_guard lock(mutex_);
   return !dirty_.empty() || !refusals_.empty();

@@ -4,6 +4,7 @@
 
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <string>
@@ -57,7 +58,12 @@ class Positions {
   void set(const std::string& sink, const std::string& table, Position position);
   void add(Refusal refusal);
 
+  /// To be called when the recording is closed.
+  void at_end(std::function<std::string()> call);
+
   // ---- the recording's writer
+  /// Calls those; what they say, if anything.
+  std::vector<std::string> end();
   bool is_dirty() const;
   /// In a transaction: stores what has changed.
   Result<void> write(Database& database, const std::string& host);
@@ -96,6 +102,7 @@ class Positions {
   std::map<Key, Position> in_transaction_;
   std::vector<Refusal> refusals_;
   std::size_t refusals_in_transaction_ = 0;
+  std::vector<std::function<std::string()>> at_end_;
   int readers_ = 0;
   bool is_held_off_ = false;
 };
