@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/postgresql_server.hpp"
@@ -68,6 +69,8 @@ struct Program {
   Sensor<Number> pulse;
 };
 
+bool has(const std::string& text, std::string_view part) { return text.find(part) != std::string::npos; }
+
 /// One that records, and whose sink goes through the recording.
 struct Node {
   Node(const std::string& path, PostgresqlConfig config) {
@@ -78,11 +81,10 @@ struct Node {
     pulse = Sensor<Number>(loop, {.name = "pulse", .topic = "plant/number", .rate = 100_Hz},
                            [this] { return Number{++count}; });
     // One whose reads fail now and then, so that there are gaps.
-    shaky = Sensor<Number>(loop, {.name = "shaky", .topic = "plant/shaky", .rate = 10_Hz},
-                           [this]() -> Result<Number> {
-                             if (++tries % 50 > 2) return Number{tries};
-                             return Error{Errc::io_failed, "cannot read", "shaky", "it shakes", ""};
-                           });
+    shaky = Sensor<Number>(loop, {.name = "shaky", .topic = "plant/shaky", .rate = 10_Hz}, [this]() -> Result<Number> {
+      if (++tries % 50 > 2) return Number{tries};
+      return Error{Errc::io_failed, "cannot read", "shaky", "it shakes", ""};
+    });
   }
   std::string all_errors() const {
     std::string text;
@@ -105,8 +107,8 @@ std::int64_t check_once(PostgresqlServer& server, const std::string& database) {
   CHECK(server.number(database, "SELECT count(DISTINCT (run, origin, sequence)) FROM \"plant/number\"") == rows);
   const char* const of_topic = " FROM rtdata_position WHERE topic = 'plant/number'";
   CHECK(server.number(database, std::string("SELECT coalesce(sum(rows), 0)") + of_topic) == rows);
-  CHECK(server.number(database, std::string("SELECT coalesce(sum(last_sequence - first_sequence + 1), 0)") + of_topic) ==
-        rows);
+  CHECK(server.number(database,
+                      std::string("SELECT coalesce(sum(last_sequence - first_sequence + 1), 0)") + of_topic) == rows);
   CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\" WHERE sequence <> count") == 0);
   return rows;
 }
@@ -125,21 +127,25 @@ TEST_SUITE("sinks") {
     CHECK(program.sink.counts().stored == static_cast<std::uint64_t>(program.count));
     CHECK(server.sql(database, "SELECT DISTINCT machine FROM rtdata_run") == "node1");
     CHECK(server.sql(database, "SELECT DISTINCT origin FROM \"plant/number\"") == "pulse");
-    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\" WHERE extract(epoch FROM \"time\") * 1000000 "
-                                  "<> time_ns / 1000") == 0);
-    CHECK(server.number(database, "SELECT min(time_ns - before) FROM (SELECT time_ns, lag(time_ns) OVER (ORDER BY "
-                                  "sequence) AS before FROM \"plant/number\") t") == 10'000'000);
+    CHECK(server.number(database,
+                        "SELECT count(*) FROM \"plant/number\" WHERE extract(epoch FROM \"time\") * 1000000 "
+                        "<> time_ns / 1000") == 0);
+    CHECK(server.number(database,
+                        "SELECT min(time_ns - before) FROM (SELECT time_ns, lag(time_ns) OVER (ORDER BY "
+                        "sequence) AS before FROM \"plant/number\") t") == 10'000'000);
     const std::string comment = server.sql(
-        database, "SELECT col_description('\"plant/number\"'::regclass, attnum) FROM pg_attribute WHERE attrelid = "
-                  "'\"plant/number\"'::regclass AND attname = 'count'");
+        database,
+        "SELECT col_description('\"plant/number\"'::regclass, attnum) FROM pg_attribute WHERE attrelid = "
+        "'\"plant/number\"'::regclass AND attname = 'count'");
     CHECK(comment == "count: int64, unit 1");
     // What TimescaleDB asks of a table that it is to divide by time.
     CHECK(server.number(database,
                         "SELECT count(*) FROM pg_index WHERE indrelid = '\"plant/number\"'::regclass AND indisunique "
                         "AND NOT (SELECT attnum FROM pg_attribute WHERE attrelid = indrelid AND attname = 'time') = "
                         "ANY(indkey)") == 0);
-    CHECK(server.sql(database, "SELECT attnotnull FROM pg_attribute WHERE attrelid = '\"plant/number\"'::regclass AND "
-                               "attname = 'time'") == "t");
+    CHECK(server.sql(database,
+                     "SELECT attnotnull FROM pg_attribute WHERE attrelid = '\"plant/number\"'::regclass AND "
+                     "attname = 'time'") == "t");
     CHECK(server.number(database, "SELECT count(*) FROM pg_constraint WHERE contype = 'f'") == 0);
   }
 
@@ -161,8 +167,8 @@ TEST_SUITE("sinks") {
     loop.close();
     CHECK(errors.empty());
     const auto at = [&](const char* field, int row) {
-      return server.sql(database, std::string("SELECT ") + field + "::text FROM \"all\" WHERE sequence = " +
-                                      std::to_string(row));
+      return server.sql(database,
+                        std::string("SELECT ") + field + "::text FROM \"all\" WHERE sequence = " + std::to_string(row));
     };
     CHECK(at("flag", 1) == "true");
     CHECK(at("letter", 1) == "\\xe4");
@@ -355,11 +361,13 @@ TEST_SUITE("sinks") {
     program.loop.advance(3s);
     SUBCASE("read only") {
       server.sql("postgres", "ALTER DATABASE " + database + " SET default_transaction_read_only = on");
-      server.sql("postgres", "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '" + database + "'");
+      server.sql("postgres",
+                 "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '" + database + "'");
       program.loop.advance(5s);
       CHECK(program.told("name one that can be written to"));
       server.sql("postgres", "ALTER DATABASE " + database + " SET default_transaction_read_only = off");
-      server.sql("postgres", "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '" + database + "'");
+      server.sql("postgres",
+                 "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '" + database + "'");
     }
     SUBCASE("a lock held on the table") {
       PGconn* const other = PQconnectdb(server.url(database).c_str());
@@ -450,7 +458,8 @@ TEST_SUITE("sinks") {
       server.sql("postgres", "DROP DATABASE no_such");
     }
     SUBCASE("another encoding") {
-      const std::string latin = server.make_database("ENCODING 'LATIN1' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0");
+      const std::string latin = server.make_database(
+          "ENCODING 'LATIN1' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0");
       Program program({.url = server.url(latin)});
       program.loop.advance(3s);
       CHECK(program.told("its encoding is LATIN1"));
@@ -505,7 +514,7 @@ TEST_SUITE("sinks") {
       Node node(path, config);
       node.loop.advance(70s);
       const VerifyReport meanwhile = verify_server(config).or_throw();
-      CHECK(meanwhile.text() == doctest::Contains("recording"));
+      CHECK(has(meanwhile.text(), "recording"));
       CHECK(meanwhile.exit_code() == 0);
       node.loop.close();
       CHECK(node.all_errors() == "");
@@ -529,18 +538,21 @@ TEST_SUITE("sinks") {
       }
       return text;
     };
-    CHECK(problem_after("CREATE TABLE kept AS SELECT * FROM \"plant/number\" WHERE sequence = 17; DELETE FROM "
-                        "\"plant/number\" WHERE sequence = 17",
-                        "INSERT INTO \"plant/number\" SELECT * FROM kept") == doctest::Contains("17"));
-    CHECK(problem_after("UPDATE \"plant/number\" SET count = 4 WHERE sequence = 5",
-                        "UPDATE \"plant/number\" SET count = 5 WHERE sequence = 5") ==
-          doctest::Contains("a value was changed"));
-    CHECK(problem_after("UPDATE rtdata_ledger SET missed = missed + 1", "UPDATE rtdata_ledger SET missed = missed - 1") ==
-          doctest::Contains("rtdata_ledger"));
-    CHECK(problem_after("CREATE TABLE gaps AS TABLE rtdata_gap; DELETE FROM rtdata_gap",
-                        "INSERT INTO rtdata_gap TABLE gaps") == doctest::Contains("rtdata_gap"));
-    CHECK(problem_after("UPDATE rtdata_position SET rows = rows - 1", "UPDATE rtdata_position SET rows = rows + 1") ==
-          doctest::Contains("rtdata_position"));
+    CHECK(has(problem_after("CREATE TABLE kept AS SELECT * FROM \"plant/number\" WHERE sequence = 17; DELETE FROM "
+                            "\"plant/number\" WHERE sequence = 17",
+                            "INSERT INTO \"plant/number\" SELECT * FROM kept"),
+              "17"));
+    CHECK(has(problem_after("UPDATE \"plant/number\" SET count = 4 WHERE sequence = 5",
+                            "UPDATE \"plant/number\" SET count = 5 WHERE sequence = 5"),
+              "a value was changed"));
+    CHECK(has(
+        problem_after("UPDATE rtdata_ledger SET missed = missed + 1", "UPDATE rtdata_ledger SET missed = missed - 1"),
+        "rtdata_ledger"));
+    CHECK(has(problem_after("CREATE TABLE gaps AS TABLE rtdata_gap; DELETE FROM rtdata_gap",
+                            "INSERT INTO rtdata_gap TABLE gaps"),
+              "rtdata_gap"));
+    CHECK(has(problem_after("UPDATE rtdata_position SET rows = rows - 1", "UPDATE rtdata_position SET rows = rows + 1"),
+              "rtdata_position"));
     CHECK(verify_server(config).or_throw().exit_code() == 0);
   }
 
@@ -554,7 +566,7 @@ TEST_SUITE("sinks") {
       program.loop.close();
     }
     const VerifyReport report = verify_server(config).or_throw();
-    CHECK(report.text() == doctest::Contains("No account came along"));
+    CHECK(has(report.text(), "No account came along"));
     CHECK(report.verdict() == Verdict::unsealed);
     CHECK(report.runs.at(0).rows == 301);
   }
@@ -630,8 +642,11 @@ TEST_SUITE("sinks") {
     recordings::Folder folder;
     const std::string path = folder / "run.db";
     const PostgresqlConfig config{.url = server.url(database), .sink = {.batch_time = 5ms, .through = "recording"}};
-    const auto [first, count] = sinks::seeds(6);
-    for (unsigned seed = first; seed < first + count; ++seed) {
+    const char* const wanted = std::getenv("RTDATA_TEST_SEEDS");  // "FIRST COUNT", to look for more
+    char* rest = nullptr;
+    const unsigned long first = wanted != nullptr ? std::strtoul(wanted, &rest, 10) : 1;
+    const unsigned long count = wanted != nullptr ? std::strtoul(rest, nullptr, 10) : 6;
+    for (unsigned long seed = first; seed < first + count; ++seed) {
       CAPTURE(seed);
       const pid_t child = ::fork();
       if (child == 0) {
@@ -646,8 +661,8 @@ TEST_SUITE("sinks") {
         loop.run();
         ::_exit(0);
       }
-      std::mt19937 random(seed);
-      ::usleep(20'000 + random() % 300'000);  // the moment is what is tried
+      std::mt19937 random(static_cast<unsigned>(seed));
+      ::usleep(static_cast<useconds_t>(20000 + random() % 300000));  // the moment is what is tried
       ::kill(child, SIGKILL);
       REQUIRE(::waitpid(child, nullptr, 0) == child);
     }

@@ -6,9 +6,9 @@
 ///     return report.exit_code();
 ///
 /// Each run is on the server with the account of its recording when its sink goes `through` one; the server's rows are
-/// held to it as the recording's own are. Beside that each origin's rows are held to what rtdata_position says was sent:
-/// how many, from which to which, with which values (a sum of hashes that was made when they were sent). Of a run whose
-/// events came from memory that is all: the report says that no account came along, and that it is not sealed.
+/// held to it as the recording's own are. Beside that each origin's rows are held to what rtdata_position says was
+/// sent: how many, from which to which, with which values (a sum of hashes that was made when they were sent). Of a run
+/// whose events came from memory that is all: the report says that no account came along, and that it is not sealed.
 ///
 /// All rows go through a temporary file ($TMPDIR), which needs about as much room as a recording of them, and is
 /// removed with the object. Thread: any; blocks. Errors: those of the connection (see PostgresqlSink); not-a-recording:

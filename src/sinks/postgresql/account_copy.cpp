@@ -111,7 +111,8 @@ Result<bool> RunCopy::read(const Positions& positions) {
 
 Result<bool> RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
   auto has_positions = database_.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (!has_positions || *has_positions == 0) return has_positions ? Result<bool>(false) : std::move(has_positions).error();
+  if (!has_positions || *has_positions == 0)
+    return has_positions ? Result<bool>(false) : std::move(has_positions).error();
   auto tables = database_.prepare(
       "SELECT t.table_name, p.row FROM rtdata_topic t LEFT JOIN rtdata_position p ON p.table_name = t.table_name AND "
       "p.sink = ? WHERE t.topic = ?");
@@ -167,16 +168,14 @@ Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) 
     if (is_ledger) {
       // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
       // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
-      const auto number = [&](const char* column) {
-        return static_cast<std::uint64_t>(query->integer(at.at(column)));
-      };
+      const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query->integer(at.at(column))); };
       const auto found = positions.find(key_of(query->text(at.at("topic")), query->text(at.at("origin"))));
       const std::uint64_t stored = number("stored");
       const std::uint64_t here = found != positions.end() ? found->second.second : 0;
-      const std::uint64_t dropped =
-          number("dropped_newest") + number("dropped_oldest") + number("dropped_refused") + number("dropped_unsaved");
-      const bool has_first =
-          stored == 0 || (found != positions.end() && found->second.first <= number("first_sequence") + dropped);
+      const std::uint64_t dropped = number("dropped_newest") + number("dropped_oldest") + number("dropped_refused") +
+                                    number("dropped_unsaved");
+      const bool has_first = stored == 0 ||
+                             (found != positions.end() && found->second.first <= number("first_sequence") + dropped);
       const bool is_whole = has_first && number("pruned") == 0;
       if (here < stored && is_whole) return false;
       if (here < stored && has_ended_) {
@@ -262,8 +261,9 @@ Result<void> make_tables(Connection& connection, const std::vector<std::vector<A
     }
   }
   if (!known.contains("rtdata_checksum run"))
-    sql += "CREATE TABLE IF NOT EXISTS rtdata_checksum(run bigint NOT NULL, table_name text NOT NULL, columns integer NOT "
-           "NULL, rows bigint NOT NULL, sum bigint NOT NULL, PRIMARY KEY(run, table_name));";
+    sql +=
+        "CREATE TABLE IF NOT EXISTS rtdata_checksum(run bigint NOT NULL, table_name text NOT NULL, columns integer NOT "
+        "NULL, rows bigint NOT NULL, sum bigint NOT NULL, PRIMARY KEY(run, table_name));";
   if (sql.empty()) return {};
   return in_transaction(connection, [&]() -> Result<void> {
     if (auto made = connection.run(sql); !made) return std::move(made).error();
@@ -295,8 +295,8 @@ Result<std::vector<std::vector<AccountColumn>>> account_columns() {
       if (!*row) break;
       const std::string_view type = query.text(1);
       columns.push_back({std::string(query.text(0)), type == "INTEGER" ? "bigint"
-                                                      : type == "REAL"  ? "double precision"
-                                                                        : "text"});
+                                                     : type == "REAL"  ? "double precision"
+                                                                       : "text"});
     }
   }
   return all;

@@ -216,9 +216,10 @@ Result<void> Download::all() {
   for (int row = 0; row < there->rows(); ++row) tables_.emplace(there->text(row, 0), true);
   for (const char* table : {"rtdata_run", "rtdata_topic", "rtdata_position"}) {
     if (!tables_.contains(table)) {
-      return Error{Errc::not_a_recording, "cannot read the server", "database", std::string("it has no table ") + table,
-                   "name the database, and with ?options=-csearch_path%3DNAME the schema, that a postgresql sink stores "
-                   "into"};
+      return Error{
+          Errc::not_a_recording, "cannot read the server", "database", std::string("it has no table ") + table,
+          "name the database, and with ?options=-csearch_path%3DNAME the schema, that a postgresql sink stores "
+          "into"};
     }
   }
   if (auto done = database_.execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") +
@@ -237,7 +238,8 @@ Result<void> Download::all() {
     if (auto done = finish_account(run); !done) return done;
   }
   if (auto done = sqlite::write_utc_lines(database_); !done) return done;
-  return database_.execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
+  return database_.execute(sqlite::account_views() +
+                           ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
                            ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT");
 }
 
@@ -254,7 +256,8 @@ Result<void> Download::read_topics() {
     }
     topic.description = std::move(*description);
     auto columns = connection_.query(
-        "SELECT attname FROM pg_attribute WHERE attrelid = to_regclass($1) AND attnum > 0 AND NOT attisdropped ORDER BY "
+        "SELECT attname FROM pg_attribute WHERE attrelid = to_regclass($1) AND attnum > 0 AND NOT attisdropped ORDER "
+        "BY "
         "attnum",
         {{quoted_name(topic.table)}});
     if (!columns) return std::move(columns).error();
@@ -276,8 +279,7 @@ Result<void> Download::read_topics() {
 }
 
 Result<std::vector<Run>> Download::read_runs() {
-  auto runs = connection_.run(
-      "SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
+  auto runs = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
   if (!runs) return std::move(runs).error();
   std::vector<Run> all;
   for (int row = 0; row < runs->rows(); ++row) {
@@ -296,8 +298,18 @@ Result<void> Download::copy_run(const Run& run) {
   for (int row = 0; row < rows->rows(); ++row) {
     Position& position = positions_[{std::string(rows->text(row, 0)), std::string(rows->text(row, 1))}];
     const auto at = [&](int column) { return static_cast<std::uint64_t>(rows->integer(row, column)); };
-    position = {std::string(rows->text(row, 2)), std::string(rows->text(row, 1)), std::string(rows->text(row, 0)),
-                at(3), at(4), at(5), at(6), 0, 0, 0, 0, true};
+    position = {std::string(rows->text(row, 2)),
+                std::string(rows->text(row, 1)),
+                std::string(rows->text(row, 0)),
+                at(3),
+                at(4),
+                at(5),
+                at(6),
+                0,
+                0,
+                0,
+                0,
+                true};
   }
   for (const Topic& topic : topics_) {
     if (auto done = copy_rows(run, topic); !done) return done;
@@ -320,8 +332,7 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
     PGresult* const raw = reply.raw();
     const std::string_view origin = reply.text(0, 3);
     if (slots.empty() || slots.back()->origin != origin) {
-      slots.push_back(std::make_unique<SlotInfo>(
-          SlotInfo{0, std::string(origin), topic.topic, topic.description, {}}));
+      slots.push_back(std::make_unique<SlotInfo>(SlotInfo{0, std::string(origin), topic.topic, topic.description, {}}));
       position = &positions_[{topic.table, std::string(origin)}];
       position->topic = topic.topic;
       position->origin = std::string(origin);
@@ -374,8 +385,9 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
     return table->insert(
         {static_cast<std::uint32_t>(slots.size() - 1), slots.back().get(), header, std::span(payload)});
   };
-  auto done = connection_.each(std::string("SELECT ") + fixed_columns + topic.columns + " FROM " + quoted_name(topic.table) +
-                                   " WHERE run = " + std::to_string(run.run) + " ORDER BY run, origin, sequence",
+  auto done = connection_.each(std::string("SELECT ") + fixed_columns + topic.columns + " FROM " +
+                                   quoted_name(topic.table) + " WHERE run = " + std::to_string(run.run) +
+                                   " ORDER BY run, origin, sequence",
                                row);
   if (done && table) done = table->flush();
   if (done) done = ranges.write(database_, sqlite::ValueRanges::Close::all, Time{});
@@ -432,8 +444,7 @@ Result<void> Download::copy_account(const Run& run) {
   if (!is_open) return std::move(is_open).error();
   if (open->integer(0) == 0) return {};
   open->reset();
-  auto update = database_.prepare(
-      "UPDATE rtdata_ledger SET rows_up_to = ? WHERE run = ? AND topic = ? AND origin = ?");
+  auto update = database_.prepare("UPDATE rtdata_ledger SET rows_up_to = ? WHERE run = ? AND topic = ? AND origin = ?");
   if (!update) return std::move(update).error();
   auto ledger = database_.prepare("SELECT topic, origin, stored - pruned FROM rtdata_ledger WHERE run = ?");
   if (!ledger) return std::move(ledger).error();
@@ -480,8 +491,9 @@ Result<void> Download::make_account(const Run& run) {
   if (!insert) return std::move(insert).error();
   insert->bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(4, std::int64_t{sqlite::schema_version});
   if (auto done = insert->run(); !done) return done;
-  notes.emplace_back(run.run, "No account came along, as of events that are sent from memory: what is here is "
-                                   "whole, what never came is not known.");
+  notes.emplace_back(run.run,
+                     "No account came along, as of events that are sent from memory: what is here is "
+                     "whole, what never came is not known.");
   return {};
 }
 
