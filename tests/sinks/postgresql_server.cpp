@@ -43,6 +43,10 @@ struct Finish {
 
 const std::string& PostgresqlServer::why_none() { return reason(); }
 
+bool PostgresqlServer::is_there() {
+  return !find_programs().empty() && (::getuid() != 0 || ::getpwnam("postgres") != nullptr);
+}
+
 PostgresqlServer* PostgresqlServer::shared() {
   static std::unique_ptr<PostgresqlServer> server;
   static bool has_tried = false;

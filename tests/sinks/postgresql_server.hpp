@@ -14,6 +14,8 @@ class PostgresqlServer {
  public:
   /// The one that all tests share; null when there is none: `why_none` has the reason. It runs.
   static PostgresqlServer* shared();
+  /// Whether there is one, without starting it.
+  static bool is_there();
   static const std::string& why_none();
 
   ~PostgresqlServer();

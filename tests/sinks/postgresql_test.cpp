@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <fstream>
 #include <random>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -68,6 +69,35 @@ struct Program {
   PostgresqlSink sink;
   Sensor<Number> pulse;
 };
+
+/// Of the contract that all kinds of sinks keep (sink_contract_test.cpp). A schema each: databases take long to make.
+class PostgresqlStore final : public sinks::Store {
+ public:
+  Sink make(Loop& loop, SinkConfig config) override {
+    return PostgresqlSink(loop, {.url = server_.url("postgres"), .schema = schema_, .sink = std::move(config)});
+  }
+  std::vector<sinks::Row> rows() override {
+    std::vector<sinks::Row> all;
+    const std::string in = "SET search_path = " + schema_ + ";";
+    if (server_.sql("postgres", in + "SELECT coalesce(to_regclass('rtdata_topic')::text, '')").empty()) return all;
+    std::istringstream topics(server_.sql("postgres", in + "SELECT topic FROM rtdata_topic ORDER BY topic"));
+    for (std::string topic; std::getline(topics, topic);) {
+      std::istringstream rows(server_.sql(
+          "postgres", in + "SELECT sequence || ' ' || value FROM \"" + topic + "\" ORDER BY sequence"));
+      sinks::Row row{topic};
+      while (rows >> row.sequence >> row.value) all.push_back(row);
+    }
+    return all;
+  }
+
+ private:
+  static inline int number_ = 0;
+  PostgresqlServer& server_ = *PostgresqlServer::shared();
+  std::string schema_ = "store" + std::to_string(++number_);
+};
+const bool is_added =
+    PostgresqlServer::is_there() &&
+    sinks::add_sink_kind({"PostgreSQL", [] { return std::make_unique<PostgresqlStore>(); }});
 
 bool has(const std::string& text, std::string_view part) { return text.find(part) != std::string::npos; }
 

@@ -505,8 +505,7 @@ Result<void> Download::finish_account(const Run& run) {
   auto row = state->step();
   if (!row) return std::move(row).error();
   if (!*row) return {};
-  if (state->text(0) == "recording")  // those of its rows are made when it ends, too
-    return database_.execute("DELETE FROM rtdata_checksum WHERE run = " + std::to_string(run.run));
+  if (state->text(0) == "recording") return {};  // it gets them when it ends
   auto lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum WHERE run = " +
                                std::to_string(run.run));
   if (!lines) return std::move(lines).error();

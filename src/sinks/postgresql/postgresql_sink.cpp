@@ -1,5 +1,3 @@
-#include "loop/runtime/runtime_core.hpp"
-#include "loop/support/first_line.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/sinks/postgresql.hpp"
 #include "sinks/postgresql/postgresql_writer.hpp"
@@ -13,16 +11,10 @@ SinkConfig named(const PostgresqlConfig& config) {
   return sink;
 }
 
-std::unique_ptr<Writer> make_writer(Loop& loop, const PostgresqlConfig& config) {
-  detail::RuntimeCore& runtime = loop.runtime().core();
+std::unique_ptr<Writer> make_writer(const PostgresqlConfig& config) {
   PostgresqlConfig whole = config;
   whole.sink = named(config);
-  return std::make_unique<postgresql::PostgresqlWriter>(
-      whole,
-      postgresql::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name, runtime.config.notes,
-                          runtime.configurations.whole(), runtime.clock().boot_id(), loop.time(),
-                          runtime.clock_log.start().realtime.time_since_epoch() -
-                              runtime.clock_log.start().monotonic.time_since_epoch()});
+  return std::make_unique<postgresql::PostgresqlWriter>(whole);
 }
 
 }  // namespace
@@ -51,6 +43,6 @@ std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const Topic
 }
 
 PostgresqlSink::PostgresqlSink(Loop& loop, PostgresqlConfig config)
-    : Sink(loop, named(config), make_writer(loop, config)) {}
+    : Sink(loop, named(config), make_writer(config)) {}
 
 }  // namespace rtdata

@@ -13,7 +13,7 @@ namespace {
 constexpr std::size_t transaction_bytes = std::size_t{4} << 20;
 #ifdef RTDATA_WITH_SQLITE
 constexpr std::chrono::seconds account_interval{30};
-constexpr std::chrono::seconds last_account_time{2};
+constexpr std::chrono::seconds last_account_time{1};
 #endif
 
 std::string host_name() {
@@ -34,10 +34,9 @@ Address address_of(const PostgresqlConfig& config) {
           config.password, config.schema, config.port,     config.timeout};
 }
 
-PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config, RunInfo run)
+PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config)
     : config_(config),
       address_(address_of(config)),
-      own_(std::move(run)),
       machine_(config.machine.empty() ? host_name() : config.machine) {
   auto parts = look_at_url(config.url);
   if (!parts) throw SetupError(std::move(parts).error());
@@ -90,7 +89,7 @@ Result<std::int64_t> PostgresqlWriter::run_of(const std::string& uuid) {
 }
 
 Result<void> PostgresqlWriter::prepare(Slot& slot, const SlotInfo& info) {
-  auto run = run_of(info.run.empty() ? own_.uuid : info.run);
+  auto run = run_of(info.run);
   if (!run) return std::move(run).error();
   const auto key = std::pair(info.topic, info.description->serial());
   auto table = tables_.find(key);

@@ -16,19 +16,12 @@
 
 namespace rtdata::postgresql {
 
-/// The run of this program, for events that come from memory.
-struct RunInfo {
-  std::string uuid, name, notes, configuration, boot_id;
-  Time started{};
-  Duration clock_offset{0};
-};
-
 Address address_of(const PostgresqlConfig& config);
 
 /// It keeps no account of its own: with `through`, that of the recording is copied.
 class PostgresqlWriter final : public Writer {
  public:
-  PostgresqlWriter(const PostgresqlConfig& config, RunInfo run);
+  explicit PostgresqlWriter(const PostgresqlConfig& config);
 
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
@@ -59,7 +52,6 @@ class PostgresqlWriter final : public Writer {
 
   const PostgresqlConfig config_;
   const Address address_;
-  const RunInfo own_;
   const std::string machine_;
   Connection connection_;
   std::map<std::string, std::int64_t, std::less<>> runs_;  // by uuid: their numbers on the server
