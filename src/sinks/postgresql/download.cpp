@@ -227,6 +227,8 @@ Result<void> Download::all() {
       !done)
     return done;
   if (auto done = sums_.watch(database_); !done) return done;
+  constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
+  sums_.begin(no_run);
   if (auto done = read_topics(); !done) return done;
   auto runs = read_runs();
   if (!runs) return std::move(runs).error();
