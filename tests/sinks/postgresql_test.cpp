@@ -82,8 +82,8 @@ class PostgresqlStore final : public sinks::Store {
     if (server_.sql("postgres", in + "SELECT coalesce(to_regclass('rtdata_topic')::text, '')").empty()) return all;
     std::istringstream topics(server_.sql("postgres", in + "SELECT topic FROM rtdata_topic ORDER BY topic"));
     for (std::string topic; std::getline(topics, topic);) {
-      std::istringstream rows(server_.sql(
-          "postgres", in + "SELECT sequence || ' ' || value FROM \"" + topic + "\" ORDER BY sequence"));
+      std::istringstream rows(
+          server_.sql("postgres", in + "SELECT sequence || ' ' || value FROM \"" + topic + "\" ORDER BY sequence"));
       sinks::Row row{topic};
       while (rows >> row.sequence >> row.value) all.push_back(row);
     }
@@ -95,9 +95,8 @@ class PostgresqlStore final : public sinks::Store {
   PostgresqlServer& server_ = *PostgresqlServer::shared();
   std::string schema_ = "store" + std::to_string(++number_);
 };
-const bool is_added =
-    PostgresqlServer::is_there() &&
-    sinks::add_sink_kind({"PostgreSQL", [] { return std::make_unique<PostgresqlStore>(); }});
+const bool is_added = PostgresqlServer::is_there() &&
+                      sinks::add_sink_kind({"PostgreSQL", [] { return std::make_unique<PostgresqlStore>(); }});
 
 bool has(const std::string& text, std::string_view part) { return text.find(part) != std::string::npos; }
 

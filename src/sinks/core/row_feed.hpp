@@ -19,10 +19,10 @@ struct FeedConfig {
   std::string sink;                 ///< its name: that of its position
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;
-  Time attached{};                  ///< when it was attached: what is older is not now
+  Time attached{};  ///< when it was attached: what is older is not now
   /// The times that it gets: as they are recorded, or UTC as far as it is known when they are read.
   enum class Times { recorded, utc } times = Times::recorded;
-  std::size_t rows = 0;             ///< put into the queue at a time, about
+  std::size_t rows = 0;  ///< put into the queue at a time, about
 };
 
 /// Rows, since the sink was attached.
@@ -48,7 +48,8 @@ class RowFeed {
   virtual FeedCounts counts() const noexcept = 0;
   /// The file of the recording.
   virtual const std::string& path() const noexcept = 0;
-  /// To be called on the recording's lane once that is closed and has its last account. What it returns goes to the log.
+  /// To be called on the recording's lane once that is closed and has its last account. What it returns goes to the
+  /// log.
   virtual void at_end(std::function<std::string()> call) = 0;
   /// What the user should hear of although nothing failed. Asked after each turn of work.
   virtual std::vector<std::string> take_remarks() = 0;

@@ -42,7 +42,6 @@ std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const Topic
   return refused;
 }
 
-PostgresqlSink::PostgresqlSink(Loop& loop, PostgresqlConfig config)
-    : Sink(loop, named(config), make_writer(config)) {}
+PostgresqlSink::PostgresqlSink(Loop& loop, PostgresqlConfig config) : Sink(loop, named(config), make_writer(config)) {}
 
 }  // namespace rtdata

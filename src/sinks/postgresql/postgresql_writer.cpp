@@ -35,9 +35,7 @@ Address address_of(const PostgresqlConfig& config) {
 }
 
 PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config)
-    : config_(config),
-      address_(address_of(config)),
-      machine_(config.machine.empty() ? host_name() : config.machine) {
+    : config_(config), address_(address_of(config)), machine_(config.machine.empty() ? host_name() : config.machine) {
   auto parts = look_at_url(config.url);
   if (!parts) throw SetupError(std::move(parts).error());
   if (parts->has_password) {
