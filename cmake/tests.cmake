@@ -16,6 +16,11 @@ target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rt
   $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>)
+if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
+  rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
+  target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
+  target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
+endif()
 if(RTDATA_PCH)
   target_precompile_headers(rtdata_tests PRIVATE <pch/tests_pch.hpp>)  # in <>: no path of this clone gets into the file
   set_source_files_properties(tests/main.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON)  # configures doctest before including it

@@ -128,11 +128,21 @@ class ScriptedStore final : public Store {
   Duration lane_duration_;
 };
 
+std::vector<SinkKind>& added_kinds() {
+  static std::vector<SinkKind> kinds;
+  return kinds;
+}
+
 }  // namespace
+
+bool add_sink_kind(SinkKind kind) {
+  added_kinds().push_back(std::move(kind));
+  return true;
+}
 
 const std::vector<SinkKind>& sink_kinds() {
   using namespace std::chrono_literals;
-  static const std::vector<SinkKind> kinds = {
+  static std::vector<SinkKind> kinds = {
       {"file, JSON lines", [] { return std::make_unique<FileStore>("jsonl"); }},
       {"file, CSV", [] { return std::make_unique<FileStore>("csv"); }},
       {"file, CBOR", [] { return std::make_unique<FileStore>("cbor"); }},
@@ -143,6 +153,8 @@ const std::vector<SinkKind>& sink_kinds() {
       {"slow writer", [] { return std::make_unique<ScriptedStore>(300ms, 0); }},
       {"failing writer", [] { return std::make_unique<ScriptedStore>(0ms, 3); }},
   };
+  for (SinkKind& kind : added_kinds()) kinds.push_back(std::move(kind));
+  added_kinds().clear();
   return kinds;
 }
 

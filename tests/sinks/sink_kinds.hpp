@@ -43,6 +43,8 @@ struct SinkKind {
 };
 
 const std::vector<SinkKind>& sink_kinds();
+/// One of a part that is not always built; before main.
+bool add_sink_kind(SinkKind kind);
 
 /// A new empty directory, removed at the end.
 class Directory {

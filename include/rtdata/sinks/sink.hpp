@@ -26,6 +26,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -194,6 +195,13 @@ class Writer {
   virtual Result<void> flush() { return {}; }
   /// The last call: what was written is made durable and the resources are released. Not after an `open` that failed.
   virtual Result<void> close() { return {}; }
+  /// On the loop's thread, once, before the other calls: its sink goes through the recording in this file. What it
+  /// returns is called on the recording's lane after this writer is closed, once the recording is closed too and has
+  /// its last account; the text that it returns goes to the log. Null: nothing is to be called.
+  virtual std::function<std::string()> goes_through(const std::string& recording) {
+    (void)recording;
+    return {};
+  }
   /// The sink calls it once: `this` if the writer is a RecordingWriter, else null.
   virtual RecordingWriter* as_recording() noexcept { return nullptr; }
   /// The same for a Sender (sender.hpp).

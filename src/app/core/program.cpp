@@ -241,12 +241,12 @@ CLI::Validator at_least(std::int64_t least) {
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<app::VerifyOptions>();
   command.footer(
-      "example:\n  rtdata verify bench.db\nexit status:\n"
+      "examples:\n  rtdata verify bench.db\n  rtdata verify postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
       "     so up to the kill or power cut that ended it; or being recorded\n"
       "  1  not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
-  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
   command.add_flag_callback(
       "--json", [options] { options->output = app::Output::json; }, "Print JSON");
   return [options](const Registry&) {

@@ -21,6 +21,9 @@
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/sensors/modbus.hpp"
 #endif
+#ifdef RTDATA_WITH_POSTGRESQL
+#include "rtdata/sinks/postgresql.hpp"
+#endif
 #ifdef RTDATA_WITH_SQLITE
 #include "rtdata/sinks/sqlite.hpp"
 #endif
@@ -208,6 +211,12 @@ Registry standard_registry() {
       "file", "a file of JSON lines, CSV, CBOR, lines of InfluxDB or raw bytes",
       [](const ShippedFileConfig& config) { return config.path; },
       [](Loop& loop, const ShippedFileConfig& config) { return FileSink(loop, config); });
+#ifdef RTDATA_WITH_POSTGRESQL
+  registry.add_sink<PostgresqlConfig>(
+      "postgresql", "tables of a PostgreSQL server, each event exactly once",
+      [](const PostgresqlConfig&) { return std::string(); },
+      [](Loop& loop, const PostgresqlConfig& config) { return PostgresqlSink(loop, config); });
+#endif
   registry.add_sink<ConsoleConfig>(
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },

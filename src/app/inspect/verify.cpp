@@ -4,15 +4,26 @@
 
 #include "app/core/recording_commands.hpp"
 
+#ifdef RTDATA_WITH_POSTGRESQL
+#include "rtdata/sinks/postgresql_recording.hpp"
+#endif
+
 namespace rtdata::app {
+namespace {
+
+Result<VerifyReport> report_of(const std::string& database) {
+#ifdef RTDATA_WITH_POSTGRESQL
+  if (is_server_url(database)) return verify_server({.url = database});
+#endif
+  auto recording = Recording::open(database);
+  if (!recording) return std::move(recording).error();
+  return rtdata::verify(*recording);
+}
+
+}  // namespace
 
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
-  auto recording = Recording::open(options.database);
-  if (!recording) {
-    err << "rtdata: " << recording.error().text() << "\n";
-    return 2;
-  }
-  auto report = rtdata::verify(*recording);
+  auto report = report_of(options.database);
   if (!report) {
     err << "rtdata: " << report.error().text() << "\n";
     return 2;

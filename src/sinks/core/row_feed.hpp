@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -49,6 +50,11 @@ class RowFeed {
   /// Of what was put into the queue nothing more is settled: it is given again.
   virtual void forget() noexcept = 0;
   virtual FeedCounts counts() const noexcept = 0;
+  /// The file of the recording.
+  virtual const std::string& path() const noexcept = 0;
+  /// To be called on the recording's lane once that is closed and has its last account. What it returns goes to the
+  /// log.
+  virtual void at_end(std::function<std::string()> call) = 0;
   /// What the user should hear of although nothing failed. Asked after each turn of work.
   virtual std::vector<std::string> take_remarks() = 0;
 };

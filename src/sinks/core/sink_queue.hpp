@@ -184,7 +184,10 @@ class SinkQueue {
   /// Null: the writer is none.
   Sender* sender() const noexcept { return sender_; }
   /// From here on the rows come from a recording, on the lane.
-  void feed_from(std::unique_ptr<RowFeed> feed) { feed_ = std::move(feed); }
+  void feed_from(std::unique_ptr<RowFeed> feed) {
+    feed_ = std::move(feed);
+    if (auto at_end = writer_->goes_through(feed_->path())) feed_->at_end(std::move(at_end));
+  }
   const RowFeed* feed() const noexcept { return feed_.get(); }
   void note_committed() { feed_->note_committed(); }
   bool is_recording() const noexcept { return recording_ != nullptr; }

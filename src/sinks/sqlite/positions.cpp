@@ -42,6 +42,24 @@ void Positions::set_last_row(const std::string& table, const std::string& topic,
   committed.last_row = row;
 }
 
+void Positions::at_end(std::function<std::string()> call) {
+  const std::lock_guard lock(mutex_);
+  at_end_.push_back(std::move(call));
+}
+
+std::vector<std::string> Positions::end() {
+  std::vector<std::function<std::string()>> calls;
+  {
+    const std::lock_guard lock(mutex_);
+    calls = std::exchange(at_end_, {});
+  }
+  std::vector<std::string> said;
+  for (const auto& call : calls) {
+    if (std::string text = call(); !text.empty()) said.push_back(std::move(text));
+  }
+  return said;
+}
+
 bool Positions::is_dirty() const {
   const std::lock_guard lock(mutex_);
   return !dirty_.empty() || !refusals_.empty();

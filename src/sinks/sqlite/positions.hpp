@@ -4,6 +4,7 @@
 
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <string>
@@ -70,6 +71,12 @@ class Positions {
   // ---- the recording's writer
   void begin_run(std::int64_t run);
   void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
+  /// To be called when the recording is closed.
+  void at_end(std::function<std::string()> call);
+
+  // ---- the recording's writer
+  /// Calls those; what they say, if anything.
+  std::vector<std::string> end();
   bool is_dirty() const;
   /// In a transaction: stores what has changed.
   Result<void> write(Database& database, const std::string& host);
@@ -110,6 +117,7 @@ class Positions {
   std::map<std::string, Committed> last_rows_;
   std::int64_t run_ = 0;
   std::size_t refusals_in_transaction_ = 0;
+  std::vector<std::function<std::string()>> at_end_;
   int readers_ = 0;
   bool is_held_off_ = false;
 };

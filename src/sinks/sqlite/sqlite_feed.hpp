@@ -29,6 +29,8 @@ class SqliteFeed final : public detail::RowFeed {
   void note_committed() override;
   void forget() noexcept override;
   detail::FeedCounts counts() const noexcept override;
+  const std::string& path() const noexcept override { return path_; }
+  void at_end(std::function<std::string()> call) override { positions_->at_end(std::move(call)); }
   std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
 
  private:

@@ -338,6 +338,7 @@ Result<void> SqliteWriter::close() {
     lock_.remove();
   }
   is_closed_ = true;
+  for (std::string& said : positions_->end()) remarks_.push_back(std::move(said));
   return {};
 }
 

@@ -1,0 +1,76 @@
+/// PostgresqlSink: events into tables of a PostgreSQL server, each exactly once.
+///
+///     rtdata::PostgresqlSink server(loop, {.url = "postgresql://rt@db.example/plant?sslmode=verify-full",
+///                                          .sink = {.through = "run.db"}});
+///
+/// One table a topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
+/// `origin`, `sequence`, then one column a field, with units as comments. Rows go in by COPY, in one transaction with
+/// the position up to which the server has the origin (rtdata_position). After whatever happened to either side, the
+/// position is read again and what the server has is not sent again. docs/postgresql.md has the layout.
+///
+/// While the server is away events wait: in the sink's queue, or, with `through`, in the recording of that name. With
+/// `through` the account of the recording goes along, so that `rtdata verify postgresql://...` can hold the server's
+/// rows to it.
+///
+/// The sink opens its connection with its first batch and makes it anew after every failure. What a server cannot do
+/// for now (it is away, full, read only, a table is locked or is not ours) is reported and tried again; nothing is
+/// refused. Passwords are in no report.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; libpq is called on the sink's lane, and
+/// never waits longer than `timeout`. Errors of the constructor (SetupError): bad_argument (a URL that is none, a
+/// password in it), those of `Sink`.
+#pragma once
+
+#include <string>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata {
+
+class ConfigItem;
+class Problems;
+
+struct PostgresqlConfig {
+  std::string url = {};       ///< postgresql://user@host:port/database?sslmode=...; the others add to it
+  std::string host = {};      ///< a name, an address, or the folder of a Unix socket; libpq's default when empty
+  int port = 0;               ///< 0: libpq's default, 5432
+  std::string database = {};  ///< libpq's default when empty: the user's name
+  std::string user = {};
+  std::string password = {};  ///< empty: ~/.pgpass, PGPASSFILE or none
+  std::string schema = {};    ///< where the tables are; it is made. Empty: the first of the server's search_path
+  std::string machine = {};   ///< what this machine is called on the server; its host name when empty
+  Duration timeout = std::chrono::seconds{30};  ///< of connecting, of each answer of the server, of its statements
+  /// Larger batches than other sinks': each is a transaction, which the server forces onto its disk.
+  SinkConfig sink = {.batch_rows = 5000};
+
+  friend constexpr auto parameters(type_tag<PostgresqlConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("url", &PostgresqlConfig::url,
+                  "postgresql://user@host/database?sslmode=verify-full, without a password"),
+        parameter("host", &PostgresqlConfig::host, "name, address, or the folder of a Unix socket"),
+        parameter("port", &PostgresqlConfig::port, "0: 5432, or what PGPORT says", range(0, 65535)),
+        parameter("database", &PostgresqlConfig::database, "its name"),
+        parameter("user", &PostgresqlConfig::user, "the user's name on the server"),
+        parameter("password", &PostgresqlConfig::password,
+                  "as {\"env\": ...} or {\"file\": ...}; without one ~/.pgpass is asked"),
+        parameter("schema", &PostgresqlConfig::schema, "of the tables; made when it is not there"),
+        parameter("machine", &PostgresqlConfig::machine, "this machine's name on the server; its host name by default",
+                  TextIs::name),
+        parameter("timeout", &PostgresqlConfig::timeout, "the server has so long for each answer", range(100ms, 1h)),
+        include_member(&PostgresqlConfig::sink));
+  }
+  friend void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems);
+};
+
+/// Returns an error, `where` its topic, for each topic that the server cannot have a table for.
+std::vector<Error> refused_topics(const PostgresqlConfig& config, std::span<const TopicToRecord> topics);
+
+class PostgresqlSink : public Sink {
+ public:
+  PostgresqlSink() noexcept = default;
+  PostgresqlSink(Loop& loop, PostgresqlConfig config);
+};
+
+}  // namespace rtdata

@@ -1,0 +1,369 @@
+#include "sinks/postgresql/account_copy.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <map>
+#include <set>
+
+#include "rtdata/data/value.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "sinks/postgresql/layout.hpp"
+#include "sinks/sqlite/checksum.hpp"
+#include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
+
+namespace rtdata::postgresql {
+namespace {
+
+using sqlite::account_tables;
+
+/// As COPY takes it: a line a row, tabs between the values.
+void append_text(std::string& out, std::string_view text) {
+  for (const char c : text) {
+    switch (c) {
+      case '\\':
+        out += "\\\\";
+        break;
+      case '\t':
+        out += "\\t";
+        break;
+      case '\n':
+        out += "\\n";
+        break;
+      case '\r':
+        out += "\\r";
+        break;
+      case '\0':  // no text of the server has one
+        out += "\\\\x00";
+        break;
+      default:
+        out += c;
+    }
+  }
+}
+
+void append_value(std::string& out, sqlite3_stmt* row, int column) {
+  switch (sqlite3_column_type(row, column)) {
+    case SQLITE_NULL:
+      out += "\\N";
+      break;
+    case SQLITE_INTEGER:
+      out += std::to_string(sqlite3_column_int64(row, column));
+      break;
+    case SQLITE_FLOAT:
+      out += to_string(Value{sqlite3_column_double(row, column)});
+      break;
+    default:
+      append_text(out, {reinterpret_cast<const char*>(sqlite3_column_text(row, column)),
+                        static_cast<std::size_t>(sqlite3_column_bytes(row, column))});
+  }
+}
+
+std::string key_of(std::string_view topic, std::string_view origin) {
+  return std::string(topic).append("\n").append(origin);
+}
+
+/// What the server has of the run.
+using Positions = std::map<std::string, std::pair<std::uint64_t, std::uint64_t>>;  // first sequence, rows
+
+class RunCopy {
+ public:
+  struct Run {
+    std::int64_t local = 0, server = 0;  ///< its numbers
+    bool has_ended = false;
+  };
+  RunCopy(const sqlite::Database& database, const AccountCopy& copy, const Run& run,
+          const std::vector<std::vector<AccountColumn>>& columns)
+      : database_(database),
+        copy_(copy),
+        local_(run.local),
+        run_(run.server),
+        has_ended_(run.has_ended),
+        columns_(columns) {}
+
+  /// False: the server has not all rows yet.
+  Result<bool> read(const Positions& positions);
+  /// In one round trip and transaction.
+  Result<void> write(Connection& connection) const;
+
+ private:
+  Result<bool> read_table(std::size_t table, const Positions& positions);
+  /// Whether the sink is done with all rows of the origin that are in the recording.
+  Result<bool> is_done_with(std::string_view topic, std::string_view origin) const;
+
+  const sqlite::Database& database_;
+  const AccountCopy& copy_;
+  const std::int64_t local_, run_;
+  const bool has_ended_;
+  const std::vector<std::vector<AccountColumn>>& columns_;
+  std::vector<std::string> rows_;
+  std::vector<sqlite::RowSum> sums_;
+  std::map<std::string, bool> takes_;  // by topic
+};
+
+Result<bool> RunCopy::read(const Positions& positions) {
+  for (std::size_t table = 0; table < account_tables.size(); ++table) {
+    auto has_all = read_table(table, positions);
+    if (!has_all || !*has_all) return has_all;
+  }
+  return true;
+}
+
+Result<bool> RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
+  auto has_positions = database_.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  if (!has_positions || *has_positions == 0)
+    return has_positions ? Result<bool>(false) : std::move(has_positions).error();
+  auto tables = database_.prepare(
+      "SELECT t.table_name, p.row FROM rtdata_topic t LEFT JOIN rtdata_position p ON p.table_name = t.table_name AND "
+      "p.sink = ? WHERE t.topic = ?");
+  if (!tables) return std::move(tables).error();
+  tables->bind(1, copy_.sink).bind(2, topic);
+  for (;;) {
+    auto row = tables->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return true;
+    if (tables->is_null(1)) return false;
+    auto left = database_.prepare("SELECT 1 FROM " + sqlite::quoted(tables->text(0)) +
+                                  " WHERE rowid > ? AND run = ? AND origin = ? LIMIT 1");
+    if (!left) return std::move(left).error();
+    left->bind(1, tables->integer(1)).bind(2, local_).bind(3, origin);
+    auto is_left = left->step();
+    if (!is_left) return std::move(is_left).error();
+    if (*is_left) return false;
+  }
+}
+
+Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) {
+  const std::string_view name = account_tables[table];
+  std::string sql = "SELECT ";
+  std::map<std::string_view, int> at;
+  for (const AccountColumn& column : columns_[table]) {
+    at.emplace(column.name, static_cast<int>(at.size()));
+    sql += (at.size() == 1 ? "" : ",") + sqlite::quoted(column.name);
+  }
+  auto query = database_.prepare(sql + " FROM " + std::string(name) + " WHERE run = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, local_);
+  const auto topic = at.find("topic");
+  const bool is_ledger = name == "rtdata_ledger";
+  std::string& rows = rows_.emplace_back();
+  sqlite::RowSum& sum = sums_.emplace_back();
+  sqlite::RowHash hash;
+  const int width = static_cast<int>(columns_[table].size());
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return true;
+    if (topic != at.end()) {
+      const std::string of(query->text(topic->second));
+      const auto [takes, is_new] = takes_.try_emplace(of, false);
+      if (is_new) {
+        takes->second = std::any_of(copy_.topics.begin(), copy_.topics.end(),
+                                    [&](const std::string& pattern) { return topic_matches(pattern, of); });
+      }
+      if (!takes->second) continue;
+    }
+    int replaced = -1;
+    std::int64_t replacement = 0;
+    if (is_ledger) {
+      // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
+      // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
+      const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query->integer(at.at(column))); };
+      const auto found = positions.find(key_of(query->text(at.at("topic")), query->text(at.at("origin"))));
+      const std::uint64_t stored = number("stored");
+      const std::uint64_t here = found != positions.end() ? found->second.second : 0;
+      const std::uint64_t dropped = number("dropped_newest") + number("dropped_oldest") + number("dropped_refused") +
+                                    number("dropped_unsaved");
+      const bool has_first = stored == 0 ||
+                             (found != positions.end() && found->second.first <= number("first_sequence") + dropped);
+      const bool is_whole = has_first && number("pruned") == 0;
+      if (here < stored && is_whole) return false;
+      if (here < stored && has_ended_) {
+        auto is_done = is_done_with(query->text(at.at("topic")), query->text(at.at("origin")));
+        if (!is_done || !*is_done) return is_done;
+      }
+      replaced = at.at("pruned");
+      replacement = is_whole ? 0 : static_cast<std::int64_t>(stored - std::min(stored, here));
+    }
+    rows += std::to_string(run_);
+    hash.begin();
+    for (int column = 1; column < width; ++column) {
+      rows += '\t';
+      if (column == replaced) {
+        rows += std::to_string(replacement);
+        hash.integer(replacement);
+      } else {
+        append_value(rows, query->raw(), column);
+        hash.column(query->raw(), column);
+      }
+    }
+    rows += '\n';
+    sum.add(hash.hash());
+  }
+}
+
+Result<void> RunCopy::write(Connection& connection) const {
+  std::string sql = "BEGIN;SELECT 1 FROM rtdata_run WHERE run = " + std::to_string(run_) + " FOR UPDATE;";
+  std::vector<std::string_view> data;
+  std::string sums;
+  const std::string run = std::to_string(run_);
+  for (std::size_t table = 0; table < account_tables.size(); ++table) {
+    const std::string name(account_tables[table]);
+    const bool is_run = name == "rtdata_run";
+    std::string columns;
+    for (const AccountColumn& column : columns_[table])
+      columns += (columns.empty() ? "" : ",") + quoted_name(column.name);
+    // Its row is there already: the values come by way of a table of this transaction alone.
+    const std::string into = is_run ? "rtdata_run_copy" : name;
+    if (is_run) {
+      sql += "CREATE TEMP TABLE rtdata_run_copy ON COMMIT DROP AS SELECT " + columns + " FROM rtdata_run LIMIT 0;";
+    } else {
+      sql += "DELETE FROM " + name + " WHERE run = " + run + ";";
+    }
+    if (!rows_[table].empty()) {
+      sql += "COPY " + into + "(" + columns + ") FROM STDIN;";
+      data.push_back(rows_[table]);
+    }
+    if (is_run) {
+      sql += "UPDATE rtdata_run r SET ";
+      for (std::size_t i = 1; i < columns_[table].size(); ++i) {
+        if (columns_[table][i].name == "uuid") continue;
+        sql += quoted_name(columns_[table][i].name) + "=c." + quoted_name(columns_[table][i].name) + ",";
+      }
+      sql += "account_at = c.ended FROM rtdata_run_copy c WHERE r.run = c.run;";
+    }
+    sums += (sums.empty() ? "(" : ",(") + run + ",'" + name + "'," + std::to_string(columns_[table].size()) + "," +
+            std::to_string(sums_[table].rows) + "," + std::to_string(static_cast<std::int64_t>(sums_[table].sum)) + ")";
+  }
+  sql += "DELETE FROM rtdata_checksum WHERE run = " + run +
+         ";INSERT INTO rtdata_checksum(run, table_name, columns, rows, sum) VALUES " + sums + ";COMMIT";
+  auto done = connection.copy(sql, data);
+  if (!done) connection.roll_back();
+  return done;
+}
+
+/// The tables of the account on the server, with all columns.
+Result<void> make_tables(Connection& connection, const std::vector<std::vector<AccountColumn>>& columns) {
+  auto there = connection.run(
+      "SELECT c.relname || ' ' || a.attname FROM pg_attribute a JOIN pg_class c ON c.oid = a.attrelid WHERE "
+      "pg_table_is_visible(c.oid) AND c.relname LIKE 'rtdata\\_%' AND a.attnum > 0 AND NOT a.attisdropped");
+  if (!there) return std::move(there).error();
+  std::set<std::string, std::less<>> known;
+  for (int row = 0; row < there->rows(); ++row) known.emplace(there->text(row, 0));
+  std::string sql;
+  for (std::size_t table = 0; table < account_tables.size(); ++table) {
+    const std::string name(account_tables[table]);
+    if (!known.contains(name + " run"))
+      sql += "CREATE TABLE IF NOT EXISTS " + name + "(run bigint NOT NULL);CREATE INDEX ON " + name + "(run);";
+    for (const AccountColumn& column : columns[table]) {
+      if (column.name == "run" || known.contains(name + " " + column.name)) continue;
+      sql += "ALTER TABLE " + name + " ADD COLUMN IF NOT EXISTS " + quoted_name(column.name) + " " + column.type + ";";
+    }
+  }
+  if (!known.contains("rtdata_checksum run"))
+    sql +=
+        "CREATE TABLE IF NOT EXISTS rtdata_checksum(run bigint NOT NULL, table_name text NOT NULL, columns integer NOT "
+        "NULL, rows bigint NOT NULL, sum bigint NOT NULL, PRIMARY KEY(run, table_name));";
+  if (sql.empty()) return {};
+  return in_transaction(connection, [&]() -> Result<void> {
+    if (auto made = connection.run(sql); !made) return std::move(made).error();
+    return {};
+  });
+}
+
+}  // namespace
+
+Result<std::vector<std::vector<AccountColumn>>> account_columns() {
+  struct Close {
+    void operator()(sqlite3* database) const noexcept { sqlite3_close_v2(database); }
+  };
+  sqlite3* raw = nullptr;
+  const int opened = sqlite3_open_v2(":memory:", &raw, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE, nullptr);
+  const std::unique_ptr<sqlite3, Close> database(raw);
+  if (opened != SQLITE_OK || sqlite3_exec(raw, sqlite::schema, nullptr, nullptr, nullptr) != SQLITE_OK)
+    return Error{Errc::io_failed, "cannot copy the account", "", "no memory", ""};
+  std::vector<std::vector<AccountColumn>> all;
+  for (const std::string_view table : account_tables) {
+    sqlite3_stmt* prepared = nullptr;
+    sqlite3_prepare_v2(raw, "SELECT name, type FROM pragma_table_info(?) ORDER BY cid", -1, &prepared, nullptr);
+    sqlite::Statement query(prepared);
+    query.bind(1, table);
+    std::vector<AccountColumn>& columns = all.emplace_back();
+    for (;;) {
+      auto row = query.step();
+      if (!row) return std::move(row).error();
+      if (!*row) break;
+      const std::string_view type = query.text(1);
+      columns.push_back({std::string(query.text(0)), type == "INTEGER" ? "bigint"
+                                                     : type == "REAL"  ? "double precision"
+                                                                       : "text"});
+    }
+  }
+  return all;
+}
+
+Result<void> copy_accounts(Connection& connection, const AccountCopy& copy) {
+  auto opened = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read);
+  if (!opened) return std::move(opened).error();
+  const sqlite::Database& database = *opened;
+  auto version = database.integer("PRAGMA user_version");
+  if (!version) return std::move(version).error();
+  if (*version != sqlite::schema_version) return {};
+  auto columns = account_columns();
+  if (!columns) return std::move(columns).error();
+  if (auto made = make_tables(connection, *columns); !made) return made;
+
+  auto ended = connection.run("SELECT uuid FROM rtdata_run WHERE state IN ('closed', 'sealed')");
+  if (!ended) return std::move(ended).error();
+  std::set<std::string, std::less<>> done;
+  for (int row = 0; row < ended->rows(); ++row) done.emplace(ended->text(row, 0));
+  auto runs = database.prepare("SELECT run, uuid, state FROM rtdata_run ORDER BY run");
+  if (!runs) return std::move(runs).error();
+  struct Wanted {
+    std::int64_t run;
+    std::string uuid;
+    bool has_ended;
+  };
+  std::vector<Wanted> wanted;
+  std::int64_t last = 0;
+  for (;;) {
+    auto row = runs->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    last = runs->integer(0);
+    if (done.contains(runs->text(1))) continue;
+    wanted.push_back({last, std::string(runs->text(1)), runs->text(2) != "recording"});
+  }
+  runs->reset();
+  for (const Wanted& one : wanted) {
+    // A run without a row here is none of this sink's, unless it is the last: that may have nothing but gaps.
+    if (one.run == last) {
+      auto made = connection.query("INSERT INTO rtdata_run(uuid, machine) VALUES($1, $2) ON CONFLICT (uuid) DO NOTHING",
+                                   {{one.uuid, copy.machine}});
+      if (!made) return std::move(made).error();
+    }
+    auto found = connection.query("SELECT run FROM rtdata_run WHERE uuid = $1", {{one.uuid}});
+    if (!found) return std::move(found).error();
+    if (found->rows() == 0) continue;
+    const std::int64_t run = found->integer(0, 0);
+    auto here = connection.query("SELECT topic, origin, first_sequence, rows FROM rtdata_position WHERE run = $1",
+                                 {{std::to_string(run)}});
+    if (!here) return std::move(here).error();
+    Positions positions;
+    for (int i = 0; i < here->rows(); ++i) {
+      positions[key_of(here->text(i, 0), here->text(i, 1))] = {static_cast<std::uint64_t>(here->integer(i, 2)),
+                                                               static_cast<std::uint64_t>(here->integer(i, 3))};
+    }
+    // All of it at one moment, into memory: the recording's log is not held while the network is waited for.
+    if (auto begun = database.execute("BEGIN"); !begun) return begun;
+    RunCopy account(database, copy, {one.run, run, one.has_ended}, *columns);
+    auto has_all = account.read(positions);
+    if (auto ended_reading = database.execute("COMMIT"); !ended_reading) return ended_reading;
+    if (!has_all) return std::move(has_all).error();
+    if (!*has_all) continue;
+    if (auto written = account.write(connection); !written) return written;
+  }
+  return {};
+}
+
+}  // namespace rtdata::postgresql

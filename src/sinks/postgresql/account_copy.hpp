@@ -1,0 +1,35 @@
+// Copies the account of a recording's runs to the server: rtdata_ledger, _schedule, _gap, _clock, _error, _health,
+// _escaped, _configuration and what rtdata_run has, of the topics that the sink takes.
+//
+// An account goes along once the server has all rows that it counts, so that the two can be held to each other. That of
+// a run that goes on is replaced by the next; that of a run that has ended stays. Each table has a checksum of its rows
+// (rtdata_checksum), as in a recording.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "sinks/postgresql/connection.hpp"
+#include "sinks/sqlite/database.hpp"
+
+namespace rtdata::postgresql {
+
+/// The columns of the tables of the account, in the order of `sqlite::account_tables`, as this version has them; their
+/// first is the run.
+struct AccountColumn {
+  std::string name, type;  ///< the type on the server
+};
+Result<std::vector<std::vector<AccountColumn>>> account_columns();
+
+struct AccountCopy {
+  std::string recording;            ///< path
+  std::string machine;              ///< of runs that the server does not know yet
+  std::string sink;                 ///< its name: that of its position in the recording
+  std::vector<std::string> topics;  ///< patterns
+};
+
+/// Errors: those of the recording and of the connection. Nothing is done for a recording that an older version wrote.
+Result<void> copy_accounts(Connection& connection, const AccountCopy& copy);
+
+}  // namespace rtdata::postgresql

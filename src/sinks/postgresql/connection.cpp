@@ -1,0 +1,385 @@
+#include "sinks/postgresql/connection.hpp"
+
+#include <poll.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <cstdlib>
+#include <utility>
+
+#include "data/hidden.hpp"
+
+namespace rtdata::postgresql {
+namespace {
+
+constexpr const char* what = "cannot use the server";
+
+struct FreeOptions {
+  void operator()(PQconninfoOption* options) const noexcept { PQconninfoFree(options); }
+};
+using Options = std::unique_ptr<PQconninfoOption, FreeOptions>;
+
+const char* value_of(const Options& options, std::string_view keyword) {
+  for (const PQconninfoOption* option = options.get(); option != nullptr && option->keyword != nullptr; ++option) {
+    if (option->keyword == keyword && option->val != nullptr) return option->val;
+  }
+  return "";
+}
+
+/// libpq's texts have several lines, and line ends at their ends.
+std::string one_line(std::string_view text) {
+  std::string line;
+  for (const char c : text) {
+    if (c == '\n' || c == '\t') {
+      if (!line.empty() && line.back() != ' ') line += c == '\n' ? "; " : " ";
+    } else {
+      line += c;
+    }
+  }
+  while (line.ends_with(' ') || line.ends_with(';')) line.pop_back();
+  return line;
+}
+
+/// Takes the code out of "FATAL:  28P01: password ..." and what only the server's authors need.
+std::string take_state(std::string& text) {
+  std::string state;
+  for (std::size_t at = text.find(": "); at != std::string::npos; at = text.find(": ", at + 1)) {
+    const std::size_t begin = text.find_first_not_of(' ', at + 1);
+    if (begin == std::string::npos || text.size() < begin + 6 || text[begin + 5] != ':') continue;
+    const std::string_view code = std::string_view(text).substr(begin, 5);
+    const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+    const auto is_of_code = [&](char c) { return is_digit(c) || (c >= 'A' && c <= 'Z'); };
+    if (!std::all_of(code.begin(), code.end(), is_of_code)) continue;
+    if (std::none_of(code.begin(), code.end(), is_digit)) continue;  // "FATAL"
+    state = code;
+    text.erase(begin, 7);
+    break;
+  }
+  if (const auto place = text.find("; LOCATION:"); place != std::string::npos) text.erase(place);
+  return state;
+}
+
+struct Meaning {
+  const char* state;  // or its beginning
+  Errc code;
+  const char* advice;
+};
+constexpr Meaning meanings[] = {
+    {"28", Errc::not_permitted, "check `user` and `password`, or pg_hba.conf of the server"},
+    {"3D000", Errc::not_found, "check `database`, or make it: createdb"},
+    {"42501", Errc::not_permitted, "grant the user CREATE and USAGE on the schema, and INSERT on the tables"},
+    {"25006", Errc::not_permitted, "the server is read only (a standby?): name one that can be written to"},
+    {"53100", Errc::storage_full, "make room on the server; events wait until then"},
+    {"53300", Errc::busy, "the server has too many clients: raise max_connections"},
+    {"55P03", Errc::busy, "another client holds a lock on the table: see pg_locks on the server"},
+    {"57014", Errc::timed_out, "the server is too slow for `timeout`"},
+    {"57P", Errc::disconnected, "it is tried again"},
+    {"08", Errc::disconnected, "it is tried again"},
+    {"23505", Errc::busy,
+     "rows are there that rtdata_position does not know: was it changed, or is it of another time?"},
+    {"22012", Errc::busy, "another program has sent events of this run meanwhile: the position is read again"},
+    {"42P01", Errc::description_differs, "a table was dropped or renamed; it is looked for again"},
+    {"42703", Errc::description_differs, "a column was dropped or renamed; give the table back its columns"},
+    {"42804", Errc::description_differs, "a column has another type; give the table back its columns"},
+};
+
+Meaning meaning_of(std::string_view state) {
+  for (const Meaning& one : meanings) {
+    if (state.starts_with(one.state)) return one;
+  }
+  return {"", Errc::io_failed, ""};
+}
+
+std::string milliseconds(Duration duration) {
+  return std::to_string(
+      std::max<std::int64_t>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count(), 1));
+}
+
+}  // namespace
+
+std::string quoted_name(std::string_view name) {
+  std::string out = "\"";
+  for (const char c : name) {
+    if (c == '"') out += '"';
+    out += c;
+  }
+  return out + "\"";
+}
+
+Result<UrlParts> look_at_url(const std::string& url) {
+  UrlParts parts;
+  if (url.empty()) return parts;
+  char* why = nullptr;
+  const Options options(PQconninfoParse(url.c_str(), &why));
+  if (options == nullptr) {
+    // What libpq says may hold part of the URL, and so of a password.
+    PQfreemem(why);
+    return Error{Errc::bad_argument, "cannot connect", "`url`", "libpq does not understand it",
+                 "write postgresql://user@host:port/database, with % and two digits for other characters"};
+  }
+  parts.password = value_of(options, "password");
+  parts.has_password = !parts.password.empty();
+  return parts;
+}
+
+std::int64_t Reply::integer(int row, int column) const noexcept {
+  const std::string_view digits = text(row, column);
+  std::int64_t value = 0;
+  std::from_chars(digits.data(), digits.data() + digits.size(), value);
+  return value;
+}
+
+Result<Connection> Connection::open(const Address& address) {
+  Connection made;
+  made.timeout_ = address.timeout;
+  if (!address.password.empty()) made.secrets_.push_back(address.password);
+  auto parts = look_at_url(address.url);
+  if (!parts) return std::move(parts).error();
+  if (parts->has_password) made.secrets_.push_back(parts->password);
+
+  const std::string port = address.port != 0 ? std::to_string(address.port) : "";
+  const std::string patience = milliseconds(address.timeout);
+  std::vector<const char*> keywords, values;
+  const auto set = [&](const char* keyword, const std::string& value) {
+    if (value.empty()) return;
+    keywords.push_back(keyword);
+    values.push_back(value.c_str());
+  };
+  // Those before the URL are defaults, those after it hold.
+  const std::string name = "rtdata", idle = "30", interval = "10", count = "3";
+  set("application_name", name);
+  set("keepalives_idle", idle);
+  set("keepalives_interval", interval);
+  set("keepalives_count", count);
+  set("tcp_user_timeout", patience);
+  set("dbname", address.url);
+  set("host", address.host);
+  set("port", port);
+  set("dbname", address.database);
+  set("user", address.user);
+  set("password", address.password);
+  const std::string encoding = "UTF8";
+  set("client_encoding", encoding);
+  keywords.push_back(nullptr);
+  values.push_back(nullptr);
+
+  made.connection_.reset(PQconnectStartParams(keywords.data(), values.data(), 1));
+  PGconn* const connection = made.connection_.get();
+  if (connection == nullptr) return Error{Errc::io_failed, "cannot connect", "", "no memory", ""};
+  PQsetNoticeProcessor(
+      connection, [](void*, const char*) {}, nullptr);
+  PQsetErrorVerbosity(connection, PQERRORS_VERBOSE);  // the code stands in the text alone while connecting
+  const auto place = [&] {
+    const auto text = [](const char* value) { return value != nullptr ? std::string(value) : std::string(); };
+    std::string where = "server " + text(PQhost(connection));
+    if (const std::string at = text(PQport(connection)); !at.empty()) where += ", port " + at;
+    if (const std::string database = text(PQdb(connection)); !database.empty()) where += ", database " + database;
+    return where;
+  };
+  const auto refuse = [&](Error error) {
+    error.why = detail::hidden(std::move(error.why), made.secrets_);
+    return error;
+  };
+  const auto until = Clock::now() + address.timeout;
+  for (PostgresPollingStatusType status = PGRES_POLLING_WRITING; status != PGRES_POLLING_OK;) {
+    made.where_ = place();
+    if (PQstatus(connection) == CONNECTION_BAD || status == PGRES_POLLING_FAILED) {
+      std::string why = one_line(PQerrorMessage(connection));
+      const std::string state = take_state(why);
+      const Meaning meaning = meaning_of(state);
+      const bool is_away = state.empty();
+      return refuse({is_away ? Errc::disconnected : meaning.code, "cannot connect", made.where_, std::move(why),
+                     is_away ? "events wait until the server is there" : meaning.advice});
+    }
+    if (auto ready = made.wait(status == PGRES_POLLING_READING ? POLLIN : POLLOUT, until); !ready) {
+      Error error = std::move(ready).error();
+      error.what = "cannot connect";
+      return error;
+    }
+    status = PQconnectPoll(connection);
+  }
+  made.where_ = place();
+  PQsetErrorVerbosity(connection, PQERRORS_DEFAULT);
+  PQsetnonblocking(connection, 1);
+  const char* server_encoding = PQparameterStatus(connection, "server_encoding");
+  if (server_encoding == nullptr || std::string_view(server_encoding) != "UTF8") {
+    return Error{Errc::bad_argument, "cannot use the database", made.where_,
+                 std::string("its encoding is ") + (server_encoding != nullptr ? server_encoding : "not known") +
+                     ", in which not every text has a place",
+                 "make one with the encoding UTF8: createdb -E UTF8 -T template0"};
+  }
+  // The server's own limits are shorter than ours, so that it is its reason that is told.
+  std::string sql = "SET statement_timeout=" + milliseconds(address.timeout * 4 / 5) +
+                    ";SET lock_timeout=" + milliseconds(address.timeout / 2) +
+                    ";SET idle_in_transaction_session_timeout=" + milliseconds(address.timeout * 2) +
+                    ";SET DateStyle=ISO;SET TimeZone='UTC';SET standard_conforming_strings=on;"
+                    "SET extra_float_digits=1;SET default_transaction_isolation='read committed'";
+  if (!address.schema.empty()) sql += ";SET search_path=" + quoted_name(address.schema) + ",pg_catalog";
+  auto done = made.run(sql);
+  if (!done) return std::move(done).error();
+  return made;
+}
+
+bool Connection::is_in_transaction() const noexcept {
+  return connection_ != nullptr && PQtransactionStatus(connection_.get()) != PQTRANS_IDLE;
+}
+
+Error Connection::lost() {
+  std::string why = one_line(PQerrorMessage(connection_.get()));
+  if (why.empty()) why = "the server has closed the connection";
+  Error error{Errc::disconnected, what, where_, detail::hidden(std::move(why), secrets_), "it is tried again"};
+  close();
+  return error;
+}
+
+Error Connection::failed(const PGresult* result, std::string doing) {
+  if (PQstatus(connection_.get()) == CONNECTION_BAD) return lost();
+  const char* state = PQresultErrorField(result, PG_DIAG_SQLSTATE);
+  const char* primary = PQresultErrorField(result, PG_DIAG_MESSAGE_PRIMARY);
+  const char* more = PQresultErrorField(result, PG_DIAG_MESSAGE_DETAIL);
+  const char* context = PQresultErrorField(result, PG_DIAG_CONTEXT);
+  std::string why = one_line(primary != nullptr ? primary : PQerrorMessage(connection_.get()));
+  if (more != nullptr) why += " (" + one_line(more) + ")";
+  if (context != nullptr && std::string_view(context).starts_with("COPY")) why += ", in " + one_line(context);
+  const Meaning meaning = meaning_of(state != nullptr ? state : "");
+  if (state != nullptr) why += ", SQLSTATE " + std::string(state);
+  return {meaning.code, std::move(doing), where_, detail::hidden(std::move(why), secrets_), meaning.advice};
+}
+
+Result<void> Connection::wait(short events, Clock::time_point until) {
+  for (;;) {
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - Clock::now()).count();
+    pollfd ready{PQsocket(connection_.get()), events, 0};
+    const int count = left > 0 ? ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(left, 1 << 30))) : 0;
+    if (count > 0) return {};
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) return lost();
+    Error error{Errc::timed_out, what, where_, "it does not answer", "it is tried again with a new connection"};
+    close();
+    return error;
+  }
+}
+
+Result<PGresult*> Connection::next() {
+  auto until = Clock::now() + timeout_;
+  PGconn* const connection = connection_.get();
+  for (;;) {
+    const int flushed = PQflush(connection);
+    if (flushed < 0) return lost();
+    if (flushed == 0 && PQisBusy(connection) == 0) return PQgetResult(connection);
+    if (auto ready = wait(static_cast<short>(POLLIN | (flushed > 0 ? POLLOUT : 0)), until); !ready)
+      return std::move(ready).error();
+    if (PQconsumeInput(connection) == 0) return lost();
+  }
+}
+
+Result<Reply> Connection::run(const std::string& sql) { return query(sql, {}); }
+
+Result<Reply> Connection::query(const std::string& sql, std::span<const std::string> parameters) {
+  PGconn* const connection = connection_.get();
+  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
+  std::vector<const char*> values;
+  for (const std::string& parameter : parameters) values.push_back(parameter.c_str());
+  const int sent = parameters.empty() ? PQsendQuery(connection, sql.c_str())
+                                      : PQsendQueryParams(connection, sql.c_str(), static_cast<int>(values.size()),
+                                                          nullptr, values.data(), nullptr, nullptr, 0);
+  if (sent == 0) return lost();
+  Reply last(nullptr);
+  Result<void> done;
+  for (;;) {
+    auto result = next();
+    if (!result) return std::move(result).error();
+    if (*result == nullptr) break;
+    Reply reply(*result);
+    const ExecStatusType status = PQresultStatus(reply.raw());
+    if (status != PGRES_COMMAND_OK && status != PGRES_TUPLES_OK && status != PGRES_EMPTY_QUERY && done) {
+      done = failed(reply.raw(), what);
+      if (connection_ == nullptr) break;
+    }
+    last = std::move(reply);
+  }
+  if (!done) return std::move(done).error();
+  return last;
+}
+
+Result<void> Connection::put(std::string_view data) {
+  constexpr std::size_t piece = std::size_t{64} << 10;
+  PGconn* const connection = connection_.get();
+  for (std::size_t at = 0; at < data.size(); at += piece) {
+    const std::string_view now = data.substr(at, piece);
+    if (PQputCopyData(connection, now.data(), static_cast<int>(now.size())) < 0) return lost();
+    // What libpq holds back is bounded: no more is given before it is gone.
+    const auto until = Clock::now() + timeout_;
+    for (int flushed = PQflush(connection); flushed != 0; flushed = PQflush(connection)) {
+      if (flushed < 0) return lost();
+      if (auto ready = wait(POLLIN | POLLOUT, until); !ready) return ready;
+      if (PQconsumeInput(connection) == 0) return lost();
+    }
+  }
+  return {};
+}
+
+Result<void> Connection::copy(const std::string& sql, std::span<const std::string_view> data) {
+  PGconn* const connection = connection_.get();
+  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
+  if (PQsendQuery(connection, sql.c_str()) == 0) return lost();
+  Result<void> done;
+  std::size_t given = 0;
+  for (;;) {
+    auto result = next();
+    if (!result) return std::move(result).error();
+    if (*result == nullptr) return done;
+    const Reply reply(*result);
+    const ExecStatusType status = PQresultStatus(reply.raw());
+    if (status == PGRES_COPY_IN) {
+      if (auto put_in = put(data[given++]); !put_in) return put_in;
+      if (PQputCopyEnd(connection, nullptr) < 0) return lost();
+    } else if (status != PGRES_COMMAND_OK && status != PGRES_TUPLES_OK && done) {
+      done = failed(reply.raw(), "cannot store");
+      if (connection_ == nullptr) return done;
+    }
+  }
+}
+
+Result<void> Connection::each(const std::string& sql, const std::function<Result<void>(const Reply&)>& row) {
+  PGconn* const connection = connection_.get();
+  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
+  constexpr int binary = 1;
+  if (PQsendQueryParams(connection, sql.c_str(), 0, nullptr, nullptr, nullptr, nullptr, binary) == 0) return lost();
+  PQsetSingleRowMode(connection);
+  Result<void> done;
+  for (;;) {
+    auto result = next();
+    if (!result) return std::move(result).error();
+    if (*result == nullptr) return done;
+    const Reply reply(*result);
+    const ExecStatusType status = PQresultStatus(reply.raw());
+    if (status == PGRES_SINGLE_TUPLE) {
+      if (done) done = row(reply);
+    } else if (status != PGRES_TUPLES_OK && status != PGRES_COMMAND_OK && done) {
+      done = failed(reply.raw(), "cannot read from the server");
+      if (connection_ == nullptr) return done;
+    }
+  }
+}
+
+void Connection::roll_back() noexcept {
+  try {
+    if (connection_ == nullptr || PQtransactionStatus(connection_.get()) == PQTRANS_IDLE) return;
+    if (auto done = run("ROLLBACK"); !done) close();
+  } catch (...) {  // no memory
+    close();
+  }
+}
+
+std::string Connection::literal(std::string_view text) const {
+  std::string out = "'";
+  for (const char c : text) {
+    if (c == '\'') out += '\'';
+    out += c;
+  }
+  return out + "'";
+}
+
+}  // namespace rtdata::postgresql

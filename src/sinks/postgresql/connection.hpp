@@ -1,0 +1,98 @@
+// A connection to a PostgreSQL server over libpq, none of whose calls waits for longer than the time-out. Not
+// thread-safe: one user at a time.
+#pragma once
+
+#include <libpq-fe.h>
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::postgresql {
+
+struct Address {
+  std::string url = {}, host = {}, database = {}, user = {}, password = {}, schema = {};
+  int port = 0;
+  Duration timeout = std::chrono::seconds{30};
+};
+
+/// Errors: bad_argument (libpq does not understand the URL). `has_password`: one is in the URL itself.
+struct UrlParts {
+  bool has_password = false;
+  std::string password = {};
+};
+Result<UrlParts> look_at_url(const std::string& url);
+
+struct Clear {
+  void operator()(PGresult* result) const noexcept { PQclear(result); }
+};
+/// Rows of an answer, as texts or in binary.
+class Reply {
+ public:
+  explicit Reply(PGresult* result) : result_(result) {}
+  PGresult* raw() const noexcept { return result_.get(); }
+  int rows() const noexcept { return PQntuples(result_.get()); }
+  bool is_null(int row, int column) const noexcept { return PQgetisnull(result_.get(), row, column) != 0; }
+  std::string_view text(int row, int column) const noexcept {
+    return {PQgetvalue(result_.get(), row, column), static_cast<std::size_t>(PQgetlength(result_.get(), row, column))};
+  }
+  std::int64_t integer(int row, int column) const noexcept;
+
+ private:
+  std::unique_ptr<PGresult, Clear> result_;
+};
+
+class Connection {
+ public:
+  Connection() = default;
+  /// Errors: not_permitted, not_found (the database), disconnected, timed_out, bad_argument (not UTF8).
+  static Result<Connection> open(const Address& address);
+
+  explicit operator bool() const noexcept { return connection_ != nullptr; }
+  /// One or more statements; returns the last answer.
+  Result<Reply> run(const std::string& sql);
+  /// One statement with parameters, all of them texts.
+  Result<Reply> query(const std::string& sql, std::span<const std::string> parameters);
+  /// Statements among which are `COPY ... FROM STDIN`: each gets the next of `data`. In one round trip.
+  Result<void> copy(const std::string& sql, std::span<const std::string_view> data);
+  /// One statement, whose values come in binary: calls `row` with one answer for each row.
+  Result<void> each(const std::string& sql, const std::function<Result<void>(const Reply&)>& row);
+  void set_timeout(Duration timeout) noexcept { timeout_ = timeout; }
+  /// After a statement that failed within a transaction.
+  void roll_back() noexcept;
+  void close() noexcept { connection_.reset(); }
+  bool is_in_transaction() const noexcept;
+
+  /// 'text' with quotes doubled, for use in SQL.
+  std::string literal(std::string_view text) const;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  struct Finish {
+    void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
+  };
+  /// Sends what is waiting and returns the next result; null after the last.
+  Result<PGresult*> next();
+  Result<void> wait(short events, Clock::time_point until);
+  Result<void> put(std::string_view data);
+  Error failed(const PGresult* result, std::string what);
+  Error lost();
+
+  std::unique_ptr<PGconn, Finish> connection_;
+  std::string where_;
+  std::vector<std::string> secrets_;
+  Duration timeout_{};
+};
+
+/// "name" with quotes doubled, for use in SQL.
+std::string quoted_name(std::string_view name);
+
+}  // namespace rtdata::postgresql

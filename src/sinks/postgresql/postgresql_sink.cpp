@@ -1,0 +1,47 @@
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/sinks/postgresql.hpp"
+#include "sinks/postgresql/postgresql_writer.hpp"
+
+namespace rtdata {
+namespace {
+
+SinkConfig named(const PostgresqlConfig& config) {
+  SinkConfig sink = config.sink;
+  if (sink.name.empty()) sink.name = "postgresql";
+  return sink;
+}
+
+std::unique_ptr<Writer> make_writer(const PostgresqlConfig& config) {
+  PostgresqlConfig whole = config;
+  whole.sink = named(config);
+  return std::make_unique<postgresql::PostgresqlWriter>(whole);
+}
+
+}  // namespace
+
+void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems) {
+  const auto tell = [&](std::string message) {
+    const ConfigItem* url = item.find("url");
+    problems.add((url != nullptr ? *url : item).problem("bad-value", std::move(message)));
+  };
+  const auto parts = postgresql::look_at_url(config.url);
+  if (!parts) return tell(parts.error().why + "; " + parts.error().advice);
+  if (parts->has_password)
+    tell(
+        "it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": "
+        "...}");
+}
+
+std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const TopicToRecord> topics) {
+  std::vector<Error> refused;
+  for (const TopicToRecord& topic : topics) {
+    if (topic.description == nullptr) continue;
+    if (auto fits = postgresql::check_columns(topic.name, *topic.description); !fits)
+      refused.push_back(std::move(fits).error());
+  }
+  return refused;
+}
+
+PostgresqlSink::PostgresqlSink(Loop& loop, PostgresqlConfig config) : Sink(loop, named(config), make_writer(config)) {}
+
+}  // namespace rtdata

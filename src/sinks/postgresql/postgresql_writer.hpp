@@ -1,0 +1,71 @@
+// The writer of a PostgresqlSink. On the sink's lane.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/sinks/postgresql.hpp"
+#include "sinks/postgresql/connection.hpp"
+#include "sinks/postgresql/server_table.hpp"
+
+namespace rtdata::postgresql {
+
+Address address_of(const PostgresqlConfig& config);
+
+/// It keeps no account of its own: with `through`, that of the recording is copied.
+class PostgresqlWriter final : public Writer {
+ public:
+  explicit PostgresqlWriter(const PostgresqlConfig& config);
+
+  Result<void> open() override;
+  Result<void> write(Batch& batch) override;
+  Result<void> flush() override;
+  std::function<std::string()> goes_through(const std::string& recording) override;
+  Result<void> close() override;
+
+ private:
+  /// What rtdata_position has of an origin.
+  struct Position {
+    bool is_there = false;
+    std::uint64_t first = 0, last = 0, rows = 0, sum = 0;
+  };
+  struct Slot {
+    const SlotInfo* info = nullptr;  // null: nothing is known of it since the connection was made
+    std::int64_t run = 0;
+    ServerTable* table = nullptr;
+    Position stored, pending;
+    bool is_touched = false;
+  };
+  Result<void> prepare(Slot& slot, const SlotInfo& info);
+  Result<std::int64_t> run_of(const std::string& uuid);
+  /// All that was appended, in one transaction.
+  Result<void> send();
+  std::string positions_sql() const;
+  /// After whatever failed: what the server has is asked for anew.
+  void forget() noexcept;
+
+  const PostgresqlConfig config_;
+  const Address address_;
+  const std::string machine_;
+  Connection connection_;
+  std::map<std::string, std::int64_t, std::less<>> runs_;  // by uuid: their numbers on the server
+  std::map<std::int64_t, std::map<std::string, Position, std::less<>>> positions_;  // by run, then topic and origin
+  std::map<std::pair<std::string, std::uint64_t>, ServerTable> tables_;  // by topic and the serial of its description
+  std::vector<Slot> slots_;
+  std::vector<std::uint32_t> touched_;
+  std::size_t waiting_bytes_ = 0;
+
+  // with `through`: the account of the recording
+  using Clock = std::chrono::steady_clock;
+  std::string recording_;  // path; empty: from memory
+  Clock::time_point account_due_{};
+  std::shared_ptr<std::atomic<bool>> is_there_ = std::make_shared<std::atomic<bool>>(false);
+};
+
+}  // namespace rtdata::postgresql
