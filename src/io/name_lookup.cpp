@@ -34,8 +34,7 @@ int look_up(const std::string& host, std::uint16_t port, int flags, std::vector<
 
 class NameLookup::Job final : public LaneJob {
  public:
-  Job(NameLookup& lookup, std::string host, std::uint16_t port)
-      : owner(&lookup), host_(std::move(host)), port_(port) {}
+  Job(NameLookup& lookup, std::string host, std::uint16_t port) : owner(&lookup), host_(std::move(host)), port_(port) {}
   void run() noexcept override {
     try {
       status = look_up(host_, port_, AI_ADDRCONFIG, addresses);
@@ -85,8 +84,7 @@ void NameLookup::looked_up(Job& job, LaneJob::Outcome outcome) {
   const std::shared_ptr<Job> ended = std::exchange(job_, nullptr);
   const Done done = std::exchange(done_, nullptr);
   if (outcome == LaneJob::Outcome::cancelled) return;
-  if (outcome == LaneJob::Outcome::given_up)
-    return done({}, "the name servers did not answer in " + to_string(limit));
+  if (outcome == LaneJob::Outcome::given_up) return done({}, "the name servers did not answer in " + to_string(limit));
   if (job.status != 0) return done({}, ::gai_strerror(job.status));
   done(std::move(job.addresses), "");
 }

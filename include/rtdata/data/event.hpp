@@ -60,6 +60,13 @@ class EventView {
   std::string_view origin() const noexcept { return header_->origin; }
   const Description& description() const noexcept { return *description_; }
   std::span<const std::byte> payload() const noexcept { return payload_; }
+  /// The run that it is of, where it leaves the machine: with origin and sequence its key anywhere. Else empty.
+  std::string_view run() const noexcept { return run_; }
+  EventView of_run(std::string_view run) const noexcept {
+    EventView view = *this;
+    view.run_ = run;
+    return view;
+  }
 
   /// The value of one of the description's leaves.
   Value value(const Leaf& leaf) const { return read(leaf, payload_.data()); }
@@ -79,6 +86,7 @@ class EventView {
   const EventHeader* header_;
   const Description* description_;
   std::span<const std::byte> payload_;
+  std::string_view run_{};
 };
 
 }  // namespace rtdata

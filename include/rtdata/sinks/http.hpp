@@ -7,9 +7,9 @@
 /// 408, 429 and 5xx, the request is sent again, after the time that the peer asks for (Retry-After, an hour at most) or
 /// a delay that doubles. After 400 and 422 its events are sent in halves, down to the one that the peer does not take,
 /// which is dropped as refused, with the first line of the answer as the reason; after 413 in halves, too. After any
-/// other answer (401 and 403 of a token that has expired, 404 of a URL that is wrong) nothing is thrown away: the sink is
-/// faulted, says what to do, and tries again after `retry_longest`. Redirections by 307 and 308 within the same scheme,
-/// host and port are followed, others are such an answer.
+/// other answer (401 and 403 of a token that has expired, 404 of a URL that is wrong) nothing is thrown away: the sink
+/// is faulted, says what to do, and tries again after `retry_longest`. Redirections by 307 and 308 within the same
+/// scheme, host and port are followed, others are such an answer.
 ///
 /// An event may arrive twice, when an answer gets lost. Its run, origin and sequence tell; so does the header
 /// Idempotency-Key, which is the same whenever the same events are sent again in one request. With a `window` above 1
@@ -55,20 +55,20 @@ constexpr auto describe(type_tag<HttpCompression>) {
 }
 
 struct HttpConfig {
-  std::string url;                       ///< http:// or https://, without user and password
+  std::string url;  ///< http:// or https://, without user and password
   HttpMethod method = HttpMethod::post;
   /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object a line), "cbor" (one
   /// after the other), "influx", "raw", or a name of the registry
   std::string format = "json";
-  std::string content_type = {};                     ///< empty: the format's
-  std::map<std::string, std::string> headers = {};   ///< sent with each request
-  std::string bearer = {};                           ///< sent as "Authorization: Bearer ..."
-  std::string user = {};                             ///< with `password`: basic authentication
+  std::string content_type = {};                    ///< empty: the format's
+  std::map<std::string, std::string> headers = {};  ///< sent with each request
+  std::string bearer = {};                          ///< sent as "Authorization: Bearer ..."
+  std::string user = {};                            ///< with `password`: basic authentication
   std::string password = {};
   HttpVersion http_version = HttpVersion::automatic;
   HttpCompression compression = HttpCompression::none;
-  TlsConfig tls = {};                                ///< of https
-  std::string proxy = {};                            ///< URL of an HTTP proxy; empty: none
+  TlsConfig tls = {};      ///< of https
+  std::string proxy = {};  ///< URL of an HTTP proxy; empty: none
   std::string proxy_user = {};
   std::string proxy_password = {};
   SendingConfig sending = {};
@@ -78,9 +78,10 @@ struct HttpConfig {
     return parameter_list(
         parameter("url", &HttpConfig::url, "where to: http:// or https://, without user and password", required),
         parameter("method", &HttpConfig::method, "of the requests"),
-        parameter("format", &HttpConfig::format,
-                  "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "
-                  "by the program"),
+        parameter(
+            "format", &HttpConfig::format,
+            "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "
+            "by the program"),
         parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
         parameter("headers", &HttpConfig::headers, "sent with each request, by name"),
         parameter("bearer", &HttpConfig::bearer, "token of the header Authorization"),
@@ -92,8 +93,8 @@ struct HttpConfig {
         parameter("tls", &HttpConfig::tls, "how https proves who is there"),
         parameter("proxy", &HttpConfig::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
         parameter("proxy_user", &HttpConfig::proxy_user, "of the proxy"),
-        parameter("proxy_password", &HttpConfig::proxy_password, "of that user"),
-        include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
+        parameter("proxy_password", &HttpConfig::proxy_password, "of that user"), include_member(&HttpConfig::sending),
+        include_member(&HttpConfig::sink));
   }
   /// What no parameter says by itself. Nothing is sent.
   friend void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems);

@@ -112,7 +112,9 @@ struct Record {
   EventHeader header;
   std::span<const std::byte> payload;
   /// Valid as long as this record is.
-  EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
+  EventView view() const noexcept {
+    return EventView(info->topic, header, *info->description, payload).of_run(info->run);
+  }
 };
 
 struct Account;

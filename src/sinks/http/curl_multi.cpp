@@ -87,8 +87,7 @@ void CurlMulti::watch(int fd, FdWatch::Events events) {
   if (socket.watch.is_open() && socket.events == events) return;
   socket.events = events;
   if (socket.watch.is_open()) return socket.watch.set_events(events);
-  socket.watch =
-      FdWatch(loop_, fd, events, config_.name, [this, fd](const FdEvent& event) { ready(fd, event); });
+  socket.watch = FdWatch(loop_, fd, events, config_.name, [this, fd](const FdEvent& event) { ready(fd, event); });
 }
 
 void CurlMulti::ready(int fd, const FdEvent& event) {

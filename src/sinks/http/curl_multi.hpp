@@ -61,7 +61,7 @@ class CurlMulti {
   CURLM* multi_;
   std::unordered_map<int, Socket> sockets_;
   Timer timer_;
-  long timeout_ms_ = -1;  // that libcurl asked for last; -1: none
+  long timeout_ms_ = -1;                         // that libcurl asked for last; -1: none
   std::chrono::steady_clock::time_point due_{};  // of the timer, while it runs. libcurl knows no virtual time
   int running_ = 0;
   bool is_acting_ = false;

@@ -36,16 +36,19 @@ constexpr Status statuses[] = {
     {405, "Method Not Allowed", "the server wants another method at this URL: correct `method` or `url`"},
     {406, "Not Acceptable", "correct `headers`"},
     {407, "Proxy Authentication Required", "the proxy wants to know who sends: give `proxy_user` and `proxy_password`"},
-    {408, "Request Timeout", "the server did not get the request in time: is the network slow? Try a smaller `parcel_rows`"},
+    {408, "Request Timeout",
+     "the server did not get the request in time: is the network slow? Try a smaller `parcel_rows`"},
     {409, "Conflict", "see what the server says"},
     {410, "Gone", "nothing is at this URL any more: correct `url`"},
     {411, "Length Required", "something between here and the server removes the length: ask who runs it"},
     {413, "Content Too Large", ""},
     {414, "URI Too Long", "shorten `url`"},
-    {415, "Unsupported Media Type", "the server does not take this format: correct `format`, `content_type` or `compression`"},
+    {415, "Unsupported Media Type",
+     "the server does not take this format: correct `format`, `content_type` or `compression`"},
     {422, "Unprocessable Content", ""},
     {425, "Too Early", ""},
-    {429, "Too Many Requests", "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
+    {429, "Too Many Requests",
+     "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
     {500, "Internal Server Error", "look into the server's log"},
     {501, "Not Implemented", "look into the server's log"},
@@ -65,18 +68,26 @@ Errc errc_of(long status) {
   switch (status) {
     case 401:
     case 403:
-    case 407: return Errc::not_permitted;
+    case 407:
+      return Errc::not_permitted;
     case 404:
-    case 410: return Errc::not_found;
+    case 410:
+      return Errc::not_found;
     case 400:
-    case 422: return Errc::bad_data;
-    case 413: return Errc::does_not_fit;
+    case 422:
+      return Errc::bad_data;
+    case 413:
+      return Errc::does_not_fit;
     case 408:
-    case 504: return Errc::timed_out;
+    case 504:
+      return Errc::timed_out;
     case 429:
-    case 503: return Errc::busy;
-    case 507: return Errc::storage_full;
-    default: return Errc::io_failed;
+    case 503:
+      return Errc::busy;
+    case 507:
+      return Errc::storage_full;
+    default:
+      return Errc::io_failed;
   }
 }
 
@@ -91,7 +102,8 @@ Error said(const HttpAnswer& answer, const std::string& origin) {
 std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
   const auto to = answer.redirect.empty() ? Result<HttpUrl>(Error{}) : parse_http_url(answer.redirect);
   if (!to) return "it does not say where to: ask who runs it";
-  if (to->origin != origin) return "it wants the events sent to " + to->origin + ": if that is right, write it into `url`";
+  if (to->origin != origin)
+    return "it wants the events sent to " + to->origin + ": if that is right, write it into `url`";
   return "it wants another path at the same server: correct `url` (`curl -i` shows where)";
 }
 
@@ -158,7 +170,8 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     error.where = origin + " by the proxy " + proxy_origin;
     say(errc_of(failure.connect_status),
         "the proxy answers " + std::to_string(failure.connect_status) + (status.number != 0 ? " " : "") + status.name,
-        failure.connect_status == 407 ? std::string(status.advice) + kept : "does the proxy let this machine go there?");
+        failure.connect_status == 407 ? std::string(status.advice) + kept
+                                      : "does the proxy let this machine go there?");
     if (failure.connect_status < 500) judgement.verdict = HttpVerdict::faulted;
     return judgement;
   }
@@ -183,18 +196,23 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       error.code = Errc::not_permitted;
       const long result = failure.verify_result;  // X509_V_ERR_...
       if (result == 10 || mentions("expired")) {
-        error.advice = "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
+        error.advice =
+            "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
       } else if (result == 9 || mentions("not yet valid")) {
-        error.advice = "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
+        error
+            .advice = "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
       } else if (mentions("subject name") || mentions("does not match") || result == 62 || result == 64) {
-        error.advice = "the server's certificate is for another name: use that name in `url`, or have the certificate made "
-                       "for this one";
+        error.advice =
+            "the server's certificate is for another name: use that name in `url`, or have the certificate made "
+            "for this one";
       } else if (result == 18 || result == 19 || mentions("self-signed") || mentions("self signed")) {
-        error.advice = "nobody vouches for the server's certificate but itself: give the certificate (or that of its "
-                       "authority) as `tls.ca_file`, if you know that it is right";
+        error.advice =
+            "nobody vouches for the server's certificate but itself: give the certificate (or that of its "
+            "authority) as `tls.ca_file`, if you know that it is right";
       } else {
-        error.advice = "this machine does not trust who has signed the server's certificate: give the authority's as "
-                       "`tls.ca_file`, or install the package ca-certificates";
+        error.advice =
+            "this machine does not trust who has signed the server's certificate: give the authority's as "
+            "`tls.ca_file`, or install the package ca-certificates";
       }
       break;
     }
@@ -222,10 +240,15 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     case CURLE_UNSUPPORTED_PROTOCOL:
     case CURLE_BAD_CONTENT_ENCODING:
     case CURLE_WRITE_ERROR:
-      say(Errc::bad_data, "", "what answers there is no server of HTTP, or of another version of it: is the port right?");
+      say(Errc::bad_data, "",
+          "what answers there is no server of HTTP, or of another version of it: is the port right?");
       break;
-    case CURLE_OUT_OF_MEMORY: error.advice = "this machine is out of memory"; break;
-    default: error.advice = "look at both ends, and at what is between them"; break;
+    case CURLE_OUT_OF_MEMORY:
+      error.advice = "this machine is out of memory";
+      break;
+    default:
+      error.advice = "look at both ends, and at what is between them";
+      break;
   }
   return judgement;
 }

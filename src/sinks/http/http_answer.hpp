@@ -19,7 +19,7 @@ struct HttpAnswer {
 
 enum class HttpVerdict {
   taken,
-  refused,   // at least one of the events; which, only halves tell
+  refused,  // at least one of the events; which, only halves tell
   too_large,
   elsewhere,  // to be sent to `redirect`
   later,
@@ -40,11 +40,11 @@ std::string first_line_of(std::string_view body);
 
 /// A transfer that has failed, of libcurl.
 struct HttpFailure {
-  int code = 0;              // CURLcode
-  long verify_result = 0;    // OpenSSL's, of the peer's certificate
-  long connect_status = 0;   // of the proxy
-  int error_number = 0;      // of the operating system
-  std::string text{};        // of libcurl
+  int code = 0;             // CURLcode
+  long verify_result = 0;   // OpenSSL's, of the peer's certificate
+  long connect_status = 0;  // of the proxy
+  int error_number = 0;     // of the operating system
+  std::string text{};       // of libcurl
 };
 HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const std::string& proxy_origin);
 

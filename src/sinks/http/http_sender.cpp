@@ -17,8 +17,8 @@ namespace {
 
 constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
 constexpr int most_redirects = 3;
-constexpr std::size_t most_text = 1024;                       // of an answer, to show
-constexpr std::size_t most_answer = std::size_t{1} << 20;     // then it is no answer
+constexpr std::size_t most_text = 1024;                    // of an answer, to show
+constexpr std::size_t most_answer = std::size_t{1} << 20;  // then it is no answer
 constexpr Duration longest_compression = std::chrono::seconds{30};
 
 std::string type_of(const HttpConfig& config, const Codec& codec) {
@@ -46,12 +46,14 @@ std::string text_of(const SocketAddress& address) {
   char text[INET6_ADDRSTRLEN] = "";
   if (address.socket.ss_family == AF_INET) {
     in_addr number{};
-    std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in, sin_addr), sizeof number);
+    std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in, sin_addr),
+                sizeof number);
     return ::inet_ntop(AF_INET, &number, text, sizeof text) != nullptr ? text : "";
   }
   if (address.socket.ss_family != AF_INET6) return "";
   in6_addr number{};
-  std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in6, sin6_addr), sizeof number);
+  std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in6, sin6_addr),
+              sizeof number);
   return ::inet_ntop(AF_INET6, &number, text, sizeof text) != nullptr ? "[" + std::string(text) + "]" : "";
 }
 
@@ -166,15 +168,15 @@ struct HttpSender::Request {
   MonotonicTime began{};     // of the parcel
   MonotonicTime deadline{};  // of this request
   int redirects = 0;
-  std::string body;                        // where it is not the parcel's bytes as they are
-  std::span<const std::byte> bytes;        // that are sent
+  std::string body;                  // where it is not the parcel's bytes as they are
+  std::span<const std::byte> bytes;  // that are sent
   std::string idempotency;
-  curl_slist first{};                      // of the headers
-  std::uint64_t addresses_number = 0;      // those that libcurl has
+  curl_slist first{};                  // of the headers
+  std::uint64_t addresses_number = 0;  // those that libcurl has
   std::string addresses;
   curl_slist resolve{};
-  bool has_own_url = false;                // after a redirection
-  std::string text;                        // how the answer begins
+  bool has_own_url = false;  // after a redirection
+  std::string text;          // how the answer begins
   std::size_t answer_size = 0;
   std::shared_ptr<GzipJob> gzip;
   char error[CURL_ERROR_SIZE] = "";
@@ -190,9 +192,10 @@ void HttpSender::GzipJob::done(Outcome outcome) {
   }
   if (outcome != Outcome::finished) owner = nullptr;  // it may still run
   if (outcome != Outcome::finished) request.gzip = nullptr;
-  sender.give_up(request, {HttpVerdict::later,
-                           {Errc::io_failed, "cannot compress", sender.url_.origin, "there is no memory, or no time", ""},
-                           {}});
+  sender.give_up(request,
+                 {HttpVerdict::later,
+                  {Errc::io_failed, "cannot compress", sender.url_.origin, "there is no memory, or no time", ""},
+                  {}});
 }
 
 HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
@@ -278,15 +281,16 @@ void HttpSender::make_easy(Request& request) {
   set(CURLOPT_TCP_KEEPIDLE, 30L);
   set(CURLOPT_TCP_KEEPINTVL, 10L);
   set(CURLOPT_WRITEDATA, &request);
-  set(CURLOPT_WRITEFUNCTION, +[](char* data, std::size_t, std::size_t size, void* to) {
-    auto& into = *static_cast<Request*>(to);
-    into.answer_size += size;
-    into.text.append(data, std::min(size, most_text - std::min(into.text.size(), most_text)));
-    return into.answer_size > most_answer ? std::size_t{0} : size;
-  });
+  set(
+      CURLOPT_WRITEFUNCTION, +[](char* data, std::size_t, std::size_t size, void* to) {
+        auto& into = *static_cast<Request*>(to);
+        into.answer_size += size;
+        into.text.append(data, std::min(size, most_text - std::min(into.text.size(), most_text)));
+        return into.answer_size > most_answer ? std::size_t{0} : size;
+      });
   const bool may_be_two = config_.http_version == HttpVersion::two ||
                           (config_.http_version == HttpVersion::automatic && url_.is_encrypted());
-  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two             ? CURL_HTTP_VERSION_1_1
+  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two           ? CURL_HTTP_VERSION_1_1
                                               : url_.is_encrypted() ? CURL_HTTP_VERSION_2TLS
                                                                     : CURL_HTTP_VERSION_2_PRIOR_KNOWLEDGE));
   if (may_be_two) set(CURLOPT_PIPEWAIT, 1L);  // one connection for all
@@ -327,7 +331,8 @@ void HttpSender::send(const Parcel& parcel, Answer answer) {
   request.redirects = 0;
   request.has_answers = false;
   request.rest = {};
-  const auto known = std::find_if(rests_.begin(), rests_.end(), [&](const auto& rest) { return rest.first == request.key; });
+  const auto known = std::find_if(rests_.begin(), rests_.end(),
+                                  [&](const auto& rest) { return rest.first == request.key; });
   if (known != rests_.end()) {  // it goes on where it was
     request.rest = std::move(known->second);
     request.has_answers = true;
@@ -342,8 +347,9 @@ void HttpSender::start(Request& request) {
   if (request.rest.ranges.empty()) return complete(request);
   const Range range = request.rest.ranges.back();
   const std::span<const std::byte> bytes = request.parcel->bytes(range.first, range.last);
-  const HttpKey key =
-      range.first == 0 && range.last == request.parcel->rows().size() ? request.key : key_of(*request.parcel, range.first, range.last);
+  const HttpKey key = range.first == 0 && range.last == request.parcel->rows().size()
+                          ? request.key
+                          : key_of(*request.parcel, range.first, range.last);
   char text[64];
   std::snprintf(text, sizeof text, "Idempotency-Key: \"%016llx%016llx\"", static_cast<unsigned long long>(key[0]),
                 static_cast<unsigned long long>(key[1]));
@@ -363,7 +369,8 @@ void HttpSender::start(Request& request) {
     put_body(request.gzip->in);
     watch_deadlines();
     if (!gzip_lane_->submit(request.gzip))
-      give_up(request, {HttpVerdict::later, {Errc::io_failed, "cannot compress", url_.origin, "there is no thread", ""}, {}});
+      give_up(request,
+              {HttpVerdict::later, {Errc::io_failed, "cannot compress", url_.origin, "there is no thread", ""}, {}});
     return;
   }
   request.bytes = bytes;
@@ -414,9 +421,10 @@ void HttpSender::looked_up(std::vector<SocketAddress> addresses, const std::stri
     if (!addresses_.empty()) {
       transfer(request);
     } else {
-      give_up(request, {HttpVerdict::later,
-                        {Errc::not_found, "cannot send", peer.origin, why, "check the name; an address needs no looking up"},
-                        {}});
+      give_up(request,
+              {HttpVerdict::later,
+               {Errc::not_found, "cannot send", peer.origin, why, "check the name; an address needs no looking up"},
+               {}});
     }
     if (!*alive || multi_ == nullptr) return;
   }
@@ -444,7 +452,8 @@ void HttpSender::transfer(Request& request) {
   request.state = State::transferring;
   watch_deadlines();
   if (multi_->add(request.easy)) return;
-  give_up(request, {HttpVerdict::later, {Errc::io_failed, "cannot send", url_.origin, "libcurl takes no request", ""}, {}});
+  give_up(request,
+          {HttpVerdict::later, {Errc::io_failed, "cannot send", url_.origin, "libcurl takes no request", ""}, {}});
 }
 
 void HttpSender::transferred(CURL* easy, CURLcode result) {
@@ -505,12 +514,12 @@ void HttpSender::take(Request& request, HttpJudgement judgement) {
     }
   }
   if (!request.rest.ranges.empty() && loop_->now() - request.began > config_.sending.timeout) {
-    return give_up(request, {HttpVerdict::later,
-                             {Errc::timed_out, "cannot send", url_.origin,
-                              "the events of a parcel did not get through one by one in " +
-                                  to_string(config_.sending.timeout),
-                              "those that did are not sent again"},
-                             Duration{0}});
+    return give_up(request,
+                   {HttpVerdict::later,
+                    {Errc::timed_out, "cannot send", url_.origin,
+                     "the events of a parcel did not get through one by one in " + to_string(config_.sending.timeout),
+                     "those that did are not sent again"},
+                    Duration{0}});
   }
   start(request);
 }
@@ -589,7 +598,8 @@ Error HttpSender::where_it_stands(const Request& request) const {
     error.why = "there was no connection" + limit;
     error.advice = "is the machine on, and does the network reach it? A firewall may swallow what is sent";
   } else if (url_.is_encrypted() &&
-             (::curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK || encrypted == 0)) {
+             (::curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK ||
+              encrypted == 0)) {
     error.why = "the connection was not encrypted" + limit;
     error.advice = "does the server speak TLS at this port?";
   } else {

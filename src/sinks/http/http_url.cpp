@@ -30,7 +30,8 @@ std::string lower(std::string text) {
 /// Of RFC 9110: what the name of a header is made of.
 bool is_token(const std::string& text) {
   return !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
-    return (c < 0x80 && std::isalnum(c) != 0) || (c != '\0' && std::string_view("!#$%&'*+-.^_`|~").find(static_cast<char>(c)) != std::string_view::npos);
+    return (c < 0x80 && std::isalnum(c) != 0) ||
+           (c != '\0' && std::string_view("!#$%&'*+-.^_`|~").find(static_cast<char>(c)) != std::string_view::npos);
   });
 }
 
@@ -63,8 +64,9 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   const auto wrong = [](std::string why) { return Error{Errc::bad_argument, "cannot send", "", std::move(why), ""}; };
   if (text.empty()) return wrong("there is no URL");
   if (!std::all_of(text.begin(), text.end(), [](unsigned char c) { return c > 0x20 && c < 0x7f; }))
-    return wrong("a URL has no blanks, no control characters and no letters but those of ASCII: write them as %20 and so "
-                 "on, a host's name in Punycode (xn--)");
+    return wrong(
+        "a URL has no blanks, no control characters and no letters but those of ASCII: write them as %20 and so "
+        "on, a host's name in Punycode (xn--)");
   const std::unique_ptr<CURLU, void (*)(CURLU*)> url(::curl_url(), ::curl_url_cleanup);
   if (url == nullptr) return wrong("there is no memory");
   const std::size_t colon = text.find("://");
@@ -107,10 +109,10 @@ std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
   if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
   if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` of whom it could be");
   if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
-  for (const auto& [key, text] : {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user},
-                                  std::pair{"password", &config.password}, std::pair{"content_type", &config.content_type},
-                                  std::pair{"proxy_user", &config.proxy_user},
-                                  std::pair{"proxy_password", &config.proxy_password}})
+  for (const auto& [key, text] :
+       {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user}, std::pair{"password", &config.password},
+        std::pair{"content_type", &config.content_type}, std::pair{"proxy_user", &config.proxy_user},
+        std::pair{"proxy_password", &config.proxy_password}})
     if (!is_one_line(*text)) add(key, "it has a line break or another control character");
   for (const auto& [name, text] : config.headers) {
     const std::string why = owner_of(name);
