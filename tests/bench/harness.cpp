@@ -202,6 +202,7 @@ int run(int count, char** arguments) {
   bench_sinks(report);
   bench_disk(report);
   bench_export(report);
+  bench_http(report);
   bench_verify(report);
   bench_program(report);
   bench_real_time(report);

@@ -92,6 +92,7 @@ void bench_filter(Report& report);
 void bench_sinks(Report& report);
 void bench_disk(Report& report);
 void bench_export(Report& report);
+void bench_http(Report& report);
 void bench_verify(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);

@@ -76,8 +76,9 @@ TEST_SUITE("sinks") {
     CHECK(of(307, 0s, same).verdict == HttpVerdict::elsewhere);
     CHECK(of(308, 0s, "https://COLLECTOR.example:443/v2").verdict == HttpVerdict::elsewhere);
     for (const long status : {300, 301, 302, 303}) CHECK(of(status, 0s, same).verdict == HttpVerdict::faulted);
-    for (const char* elsewhere : {"http://collector.example/", "https://collector.example:444/", "https://other.example/",
-                                  "https://user:secret@collector.example/", "ftp://collector.example/", "", "nonsense"}) {
+    for (const char* elsewhere :
+         {"http://collector.example/", "https://collector.example:444/", "https://other.example/",
+          "https://user:secret@collector.example/", "ftp://collector.example/", "", "nonsense"}) {
       CAPTURE(elsewhere);
       const HttpJudgement judgement = of(307, 0s, elsewhere);
       CHECK(judgement.verdict == HttpVerdict::faulted);
@@ -106,8 +107,9 @@ TEST_SUITE("sinks") {
     CHECK(has(advice({.code = CURLE_COULDNT_CONNECT, .error_number = ECONNREFUSED}).why.advice, "nobody listens"));
     CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .verify_result = 10}).why.advice, "date"));
     CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .verify_result = 18}).why.advice, "tls.ca_file"));
-    CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .text = "no alternative certificate subject name"}).why.advice,
-              "another name"));
+    CHECK(has(
+        advice({.code = CURLE_PEER_FAILED_VERIFICATION, .text = "no alternative certificate subject name"}).why.advice,
+        "another name"));
     CHECK(has(advice({.code = CURLE_SSL_CONNECT_ERROR}).why.advice, "TLS"));
     const HttpJudgement proxy = advice({.code = CURLE_RECV_ERROR, .connect_status = 407}, "http://proxy.example:3128");
     CHECK(proxy.verdict == HttpVerdict::faulted);
@@ -168,7 +170,11 @@ TEST_SUITE("sinks") {
       CHECK_MESSAGE(has(problems, expected), problems);
       CHECK(!has(problems, "secret1"));
     }
-    CHECK(checked(url + R"("format": "jsonl", "bearer": "abc", "headers": {"X-Api": "1"}, "parcel_rows": 1, "compression": "gzip")") == "");
+    CHECK(
+        checked(
+            url +
+            R"("format": "jsonl", "bearer": "abc", "headers": {"X-Api": "1"}, "parcel_rows": 1, "compression": "gzip")") ==
+        "");
     CHECK(checked(R"("url": "http://[::1]:8086/write?precision=ns", "format": "influx")") == "");
   }
 

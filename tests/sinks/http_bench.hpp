@@ -102,9 +102,12 @@ class HttpServer {
 };
 
 struct HttpBench {
-  explicit HttpBench(rtdata::HttpConfig config, const rtdata::CodecRegistry& formats = rtdata::CodecRegistry::standard()) {
+  explicit HttpBench(rtdata::HttpConfig config,
+                     const rtdata::CodecRegistry& formats = rtdata::CodecRegistry::standard()) {
     loop.on_error([this](const rtdata::ErrorReport& report) { errors.push_back(report.error); });
-    loop.runtime().on_log([this](const rtdata::LogRecord& record) { log += std::string(record.object) + ": " + std::string(record.text) + "\n"; });
+    loop.runtime().on_log([this](const rtdata::LogRecord& record) {
+      log += std::string(record.object) + ": " + std::string(record.text) + "\n";
+    });
     config.sink.batch_time = std::chrono::milliseconds{10};
     sink = rtdata::HttpSink(loop, config, formats);
     feed = rtdata::Feed<Number>(loop, {.name = "chamber", .topic = "test/number"});

@@ -38,10 +38,10 @@ void check_all_once(HttpBench& bench, const HttpServer& server) {
   CHECK(counts.stored == bench.published);
 }
 
-#define NEEDS_PYTHON()                                                \
-  if (!is_program(python)) {                                          \
+#define NEEDS_PYTHON()                                              \
+  if (!is_program(python)) {                                        \
     MESSAGE("skipped: there is no " << python << ", which serves"); \
-    return;                                                           \
+    return;                                                         \
   }
 
 }  // namespace
@@ -51,7 +51,9 @@ TEST_SUITE_BEGIN("sinks");
 TEST_CASE("US-32 events go out by HTTP: JSON in arrays, with their keys, many on one connection") {
   NEEDS_PYTHON();
   HttpServer server;
-  HttpBench bench({.url = server.url("/in?a=b"), .headers = {{"X-Site", "roof"}, {"X-Empty", ""}}, .bearer = "token-1",
+  HttpBench bench({.url = server.url("/in?a=b"),
+                   .headers = {{"X-Site", "roof"}, {"X-Empty", ""}},
+                   .bearer = "token-1",
                    .sending = {.window = 4, .parcel_rows = 10}});
   for (int i = 0; i < 5; ++i) {
     bench.publish(40);
@@ -84,7 +86,8 @@ TEST_CASE("US-32 events go out by HTTP: JSON in arrays, with their keys, many on
   CHECK(bench.errors.empty());
 }
 
-TEST_CASE("US-32 US-31 every format by its name, with its type: one event a request, PUT, gzip, a format of one's own") {
+TEST_CASE(
+    "US-32 US-31 every format by its name, with its type: one event a request, PUT, gzip, a format of one's own") {
   NEEDS_PYTHON();
   class Hash final : public Codec {
    public:
@@ -263,16 +266,20 @@ TEST_CASE("US-32 a token that has expired throws nothing away, and is never show
   for (const char* status : {"401", "403", "404", "405", "407", "301", "302"}) {
     CAPTURE(status);
     server.forget();
-    server.become(std::string("status ") + status + " Location:https://other.example/ -- Bearer s3cr3t-token is not known, nor "
+    server.become(std::string("status ") + status +
+                  " Location:https://other.example/ -- Bearer s3cr3t-token is not known, nor "
                   "dXNlcjpzM2NyM3Q=");
-    HttpBench bench({.url = server.url("/hook/of-mine?key=value"), .bearer = "s3cr3t-token", .sending = {.parcel_rows = 3},
+    HttpBench bench({.url = server.url("/hook/of-mine?key=value"),
+                     .bearer = "s3cr3t-token",
+                     .sending = {.parcel_rows = 3},
                      .sink = {.name = "collector", .retry_longest = 1min}});
     bench.publish(20);
     CHECK(bench.is_faulted());
     CHECK_MESSAGE(has(bench.reason(), "nothing is thrown away"), bench.reason());
     CHECK(has(bench.reason(), status));
     CHECK_MESSAGE(has(bench.said(), "(secret)"), bench.said());
-    for (const char* secret : {"s3cr3t-token", "of-mine", "key=value"}) CHECK_MESSAGE(!has(bench.said(), secret), bench.said());
+    for (const char* secret : {"s3cr3t-token", "of-mine", "key=value"})
+      CHECK_MESSAGE(!has(bench.said(), secret), bench.said());
     const std::size_t asked = server.request_count();
     bench.loop.advance(50s);
     CHECK(server.request_count() == asked);  // again after the longest delay only
@@ -358,7 +365,8 @@ TEST_CASE("US-32 redirections: followed at the same server, told elsewhere") {
   CHECK_MESSAGE(has(bench.reason(), "http://127.0.0.1:9"), bench.reason());
 }
 
-TEST_CASE("US-32 NFR-1 a name that does not resolve is told; names are looked up again, and no thread of libcurl does it") {
+TEST_CASE(
+    "US-32 NFR-1 a name that does not resolve is told; names are looked up again, and no thread of libcurl does it") {
   NEEDS_PYTHON();
   HttpBench lost({.url = "http://no-such-host.invalid/x"});
   lost.publish(1);
@@ -378,7 +386,9 @@ TEST_CASE("US-32 NFR-1 a name that does not resolve is told; names are looked up
 TEST_CASE("US-32 through a proxy, which alone looks up the name") {
   NEEDS_PYTHON();
   HttpServer proxy;
-  HttpBench bench({.url = "http://no-such-host.invalid/x", .proxy = "http://127.0.0.1:" + proxy.port(), .proxy_user = "me",
+  HttpBench bench({.url = "http://no-such-host.invalid/x",
+                   .proxy = "http://127.0.0.1:" + proxy.port(),
+                   .proxy_user = "me",
                    .proxy_password = "pass"});
   bench.publish(3);
   check_all_once(bench, proxy);
@@ -409,8 +419,10 @@ TEST_CASE("a sink of HTTP that is destroyed in the middle of everything leaves n
     HttpServer server;
     server.become(mode);
     for (int turns = 0; turns < 6; ++turns) {
-      HttpBench bench({.url = server.url(), .compression = turns % 2 == 0 ? HttpCompression::none : HttpCompression::gzip,
-                       .sending = {.parcel_rows = 2}, .sink = {.close_deadline = 0ms}});
+      HttpBench bench({.url = server.url(),
+                       .compression = turns % 2 == 0 ? HttpCompression::none : HttpCompression::gzip,
+                       .sending = {.parcel_rows = 2},
+                       .sink = {.close_deadline = 0ms}});
       bench.publish(20);
       for (int i = 0; i < turns; ++i) bench.loop.poll();
       bench.sink.close();

@@ -30,18 +30,21 @@ class Certificates {
     return made;
   }
   std::string operator/(const std::string& name) const { return folder_.path() + "/" + name; }
-  std::vector<std::string> of(const std::string& name) const { return {*this / (name + ".pem"), *this / (name + ".key")}; }
+  std::vector<std::string> of(const std::string& name) const {
+    return {*this / (name + ".pem"), *this / (name + ".key")};
+  }
 
  private:
   Certificates() {
     const std::string key = " -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes ";
     run("req -x509" + key + "-keyout ca.key -out ca.pem -days 30 -subj /CN=authority");
-    run("req -x509" + key + "-keyout self.key -out self.pem -days 30 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1");
+    run("req -x509" + key +
+        "-keyout self.key -out self.pem -days 30 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1");
     const auto signed_by_ca = [&](const std::string& name, const std::string& names, const std::string& days) {
       run("req" + key + "-keyout " + name + ".key -out " + name + ".csr -subj /CN=" + name);
       folder_.write(name + ".ext", "subjectAltName=" + names + "\n");
-      run("x509 -req -in " + name + ".csr -CA ca.pem -CAkey ca.key -CAcreateserial -days " + days + " -extfile " + name +
-          ".ext -out " + name + ".pem");
+      run("x509 -req -in " + name + ".csr -CA ca.pem -CAkey ca.key -CAcreateserial -days " + days + " -extfile " +
+          name + ".ext -out " + name + ".pem");
     };
     signed_by_ca("right", "DNS:localhost,IP:127.0.0.1", "30");
     signed_by_ca("expired", "DNS:localhost,IP:127.0.0.1", "-1");
@@ -56,10 +59,10 @@ class Certificates {
   rtdata::test::Folder folder_;
 };
 
-#define NEEDS_PROGRAM(program)                        \
-  if (!is_program(program)) {                         \
+#define NEEDS_PROGRAM(program)                     \
+  if (!is_program(program)) {                      \
     MESSAGE("skipped: there is no " << (program)); \
-    return;                                           \
+    return;                                        \
   }
 
 /// A port of this machine that is free now.
@@ -81,26 +84,40 @@ class Nginx {
  public:
   Nginx(const HttpServer& behind, const std::string& limit) : port(free_port()), plain_port(free_port()) {
     const Certificates& certificates = Certificates::all();
-    folder_.write("nginx.conf", "daemon off; pid nginx.pid; error_log errors; worker_processes 1; user root;\n"
-                                "events { worker_connections 64; }\n"
-                                "http {\n"
-                                "  log_format short '$server_protocol $connection $status';\n"
-                                "  access_log access short;\n"
-                                "  client_body_temp_path body; proxy_temp_path proxy; fastcgi_temp_path fastcgi;\n"
-                                "  uwsgi_temp_path uwsgi; scgi_temp_path scgi;\n"
-                                "  server {\n"
-                                "    listen 127.0.0.1:" + port + " ssl http2;\n"
-                                "    listen 127.0.0.1:" + plain_port + ";\n"
-                                "    ssl_certificate " + certificates / "right.pem" + ";\n"
-                                "    ssl_certificate_key " + certificates / "right.key" + ";\n"
-                                "    client_max_body_size " + limit + ";\n"
-                                "    location / { proxy_pass http://127.0.0.1:" + behind.port() + "; }\n"
-                                "  }\n"
-                                "}\n");
+    folder_.write("nginx.conf",
+                  "daemon off; pid nginx.pid; error_log errors; worker_processes 1; user root;\n"
+                  "events { worker_connections 64; }\n"
+                  "http {\n"
+                  "  log_format short '$server_protocol $connection $status';\n"
+                  "  access_log access short;\n"
+                  "  client_body_temp_path body; proxy_temp_path proxy; fastcgi_temp_path fastcgi;\n"
+                  "  uwsgi_temp_path uwsgi; scgi_temp_path scgi;\n"
+                  "  server {\n"
+                  "    listen 127.0.0.1:" +
+                      port +
+                      " ssl http2;\n"
+                      "    listen 127.0.0.1:" +
+                      plain_port +
+                      ";\n"
+                      "    ssl_certificate " +
+                      certificates / "right.pem" +
+                      ";\n"
+                      "    ssl_certificate_key " +
+                      certificates / "right.key" +
+                      ";\n"
+                      "    client_max_body_size " +
+                      limit +
+                      ";\n"
+                      "    location / { proxy_pass http://127.0.0.1:" +
+                      behind.port() +
+                      "; }\n"
+                      "  }\n"
+                      "}\n");
     start();
   }
   void start() {
-    process_.emplace(folder_, nginx, std::vector<std::string>{"-p", folder_.path(), "-c", folder_.path() + "/nginx.conf"});
+    process_.emplace(folder_, nginx,
+                     std::vector<std::string>{"-p", folder_.path(), "-c", folder_.path() + "/nginx.conf"});
     const auto limit = std::chrono::steady_clock::now() + 20s;
     while (!answers() && std::chrono::steady_clock::now() < limit) ::usleep(2000);
     REQUIRE_MESSAGE(answers(), folder_.read("errors"));
@@ -232,7 +249,8 @@ TEST_CASE("US-32 nginx: HTTP/2 on one connection, its limit on a request, and a 
   NEEDS_PROGRAM(nginx);
   HttpServer server;
   Nginx front(server, "2k");
-  HttpBench bench({.url = front.url(), .tls = {.ca_file = Certificates::all() / "ca.pem"},
+  HttpBench bench({.url = front.url(),
+                   .tls = {.ca_file = Certificates::all() / "ca.pem"},
                    .sending = {.window = 4, .parcel_rows = 8}});
   bench.publish(200);
   REQUIRE_MESSAGE(bench.is_all_sent(), bench.said());
@@ -267,7 +285,9 @@ TEST_CASE("US-32 nginx: what is too large for it arrives in halves; a server beh
   Nginx front(server, "1k");
   for (const HttpVersion version : {HttpVersion::automatic, HttpVersion::one}) {
     server.forget();
-    HttpBench bench({.url = front.url(), .http_version = version, .tls = {.ca_file = Certificates::all() / "ca.pem"},
+    HttpBench bench({.url = front.url(),
+                     .http_version = version,
+                     .tls = {.ca_file = Certificates::all() / "ca.pem"},
                      .sending = {.window = 2, .parcel_rows = 64}});
     bench.publish(128);
     CHECK_MESSAGE(bench.is_all_sent(), bench.said());
