@@ -131,7 +131,8 @@ class Receiver {
 double http_sink_row(const std::string& url, const std::string& format) {
   rtdata::Loop loop;
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
-  rtdata::HttpSink sink(loop, {.url = url, .format = format, .sending = {.window = window, .parcel_rows = rows_of_post}});
+  rtdata::HttpSink sink(loop,
+                        {.url = url, .format = format, .sending = {.window = window, .parcel_rows = rows_of_post}});
   constexpr unsigned at_a_time = window * rows_of_post;
   unsigned left = rows / at_a_time;
   const std::int64_t begin = process_cpu_ns();
@@ -157,10 +158,15 @@ std::vector<std::string> make_bodies(const std::string& format) {
     bytes.clear();
     for (unsigned i = 0; i < rows_of_post; ++i) {
       const rtdata::Event<Eight> event{
-          {rtdata::from_nanoseconds(1'772'366'400'000'000'000 + static_cast<std::int64_t>(sequence)), ++sequence, "chamber"},
+          {rtdata::from_nanoseconds(1'772'366'400'000'000'000 + static_cast<std::int64_t>(sequence)), ++sequence,
+           "chamber"},
           reading(i)};
       const rtdata::EventView view("test/climate", event);
-      codec->encode(view.of_run("8e03978e-40d5-43e8-bc93-6894a57f9324"), bytes).or_throw();
+      codec
+          ->encode(rtdata::EventView("test/climate", event, view.description(), view.payload(),
+                                     "8e03978e-40d5-43e8-bc93-6894a57f9324"),
+                   bytes)
+          .or_throw();
       if (format == "json") bytes.back() = std::byte{','};
     }
     body = format == "json" ? "[" : "";
@@ -178,10 +184,11 @@ class BareCurl {
     multi_ = ::curl_multi_init();
     ::curl_multi_setopt(multi_, CURLMOPT_SOCKETFUNCTION, &BareCurl::on_socket);
     ::curl_multi_setopt(multi_, CURLMOPT_SOCKETDATA, this);
-    ::curl_multi_setopt(multi_, CURLMOPT_TIMERFUNCTION, +[](CURLM*, long milliseconds, void* self) {
-      static_cast<BareCurl*>(self)->timeout_ = milliseconds;
-      return 0;
-    });
+    ::curl_multi_setopt(
+        multi_, CURLMOPT_TIMERFUNCTION, +[](CURLM*, long milliseconds, void* self) {
+          static_cast<BareCurl*>(self)->timeout_ = milliseconds;
+          return 0;
+        });
     ::curl_multi_setopt(multi_, CURLMOPT_TIMERDATA, this);
     headers_ = ::curl_slist_append(::curl_slist_append(nullptr, type.c_str()), "Expect:");
     for (unsigned i = 0; i < window; ++i) {
@@ -190,7 +197,8 @@ class BareCurl {
       ::curl_easy_setopt(easy, CURLOPT_NOSIGNAL, 1L);
       ::curl_easy_setopt(easy, CURLOPT_POST, 1L);
       ::curl_easy_setopt(easy, CURLOPT_HTTPHEADER, headers_);
-      ::curl_easy_setopt(easy, CURLOPT_WRITEFUNCTION, +[](char*, std::size_t, std::size_t size, void*) { return size; });
+      ::curl_easy_setopt(
+          easy, CURLOPT_WRITEFUNCTION, +[](char*, std::size_t, std::size_t size, void*) { return size; });
       easies_.push_back(easy);
     }
   }

@@ -46,9 +46,10 @@ struct Event : EventHeader {
 class EventView {
  public:
   /// `payload` has the size of the description.
+  /// `run`: the uuid of the run that the event is of, where it is told of one outside of that run; else empty.
   EventView(std::string_view topic, const EventHeader& header, const Description& description,
-            std::span<const std::byte> payload) noexcept
-      : topic_(topic), header_(&header), description_(&description), payload_(payload) {}
+            std::span<const std::byte> payload, std::string_view run = {}) noexcept
+      : topic_(topic), header_(&header), description_(&description), payload_(payload), run_(run) {}
   template <Described T>
   EventView(std::string_view topic, const Event<T>& event)
       : EventView(topic, event, *description_of<T>(), std::as_bytes(std::span<const T, 1>(&event.data, 1))) {}
@@ -59,14 +60,9 @@ class EventView {
   std::uint64_t sequence() const noexcept { return header_->sequence; }
   std::string_view origin() const noexcept { return header_->origin; }
   const Description& description() const noexcept { return *description_; }
-  std::span<const std::byte> payload() const noexcept { return payload_; }
-  /// The run that it is of, where it leaves the machine: with origin and sequence its key anywhere. Else empty.
+  /// With origin and sequence it is the key of the event among those of all machines. Empty: not told.
   std::string_view run() const noexcept { return run_; }
-  EventView of_run(std::string_view run) const noexcept {
-    EventView view = *this;
-    view.run_ = run;
-    return view;
-  }
+  std::span<const std::byte> payload() const noexcept { return payload_; }
 
   /// The value of one of the description's leaves.
   Value value(const Leaf& leaf) const { return read(leaf, payload_.data()); }
@@ -86,7 +82,7 @@ class EventView {
   const EventHeader* header_;
   const Description* description_;
   std::span<const std::byte> payload_;
-  std::string_view run_{};
+  std::string_view run_;
 };
 
 }  // namespace rtdata

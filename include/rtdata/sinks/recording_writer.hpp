@@ -8,6 +8,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -93,6 +94,11 @@ struct StorePace {
   Duration sync_time{0};
 };
 
+namespace detail {
+struct FeedConfig;
+class RowFeed;
+}  // namespace detail
+
 /// A call on the loop's thread may use nothing of the loop but `post` and `stop`, as those on the lane.
 class RecordingWriter : public Writer {
  public:
@@ -127,6 +133,8 @@ class RecordingWriter : public Writer {
   /// With `Opening::at_set_up`, called after `open`, when all counts from before it have been moved to where
   /// `live_counts` and `keep` put them: from here on they are up to date there.
   virtual void begin_counting() {}
+  /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
+  virtual std::unique_ptr<detail::RowFeed> feed(const detail::FeedConfig& config);
 
   // ---- on the lane
   /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.

@@ -91,7 +91,8 @@ struct SinkConfig {
         parameter("close_deadline", &SinkConfig::close_deadline, "how long closing waits for what is queued",
                   range(0ms, 24h)),
         parameter("through", &SinkConfig::through,
-                  "name of a recording: events are taken from there, and wait there while the peer is away"),
+                  "name of a recording: events are taken from there, and wait there while the peer is away",
+                  names_part("sink", "sqlite")),
         parameter("from", &SinkConfig::from, "with `through`, at the first start: what comes now, or all there is"));
   }
 };
@@ -102,7 +103,7 @@ struct SlotInfo {
   std::string origin;
   std::string topic;
   std::shared_ptr<const Description> description;
-  std::string run = {};  ///< uuid of the run that the events are of; only where they leave the machine: senders have it
+  std::string run = {};  ///< uuid of the run that the events are of; with `through` that of the recording
 };
 
 /// One event as a writer gets it. Valid until `write` returns.
@@ -112,8 +113,10 @@ struct Record {
   EventHeader header;
   std::span<const std::byte> payload;
   /// Valid as long as this record is.
-  EventView view() const noexcept {
-    return EventView(info->topic, header, *info->description, payload).of_run(info->run);
+  EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
+  /// The same with its run: for what leaves the machine.
+  EventView keyed_view() const noexcept {
+    return EventView(info->topic, header, *info->description, payload, info->run);
   }
 };
 

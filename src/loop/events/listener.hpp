@@ -15,6 +15,7 @@
 namespace rtdata::detail {
 
 class OriginCore;
+class SinkNode;
 class TopicCore;
 
 /// Gets everything that a recording holds besides events: a sink's, or a bridge to another loop. Called on the loop's
@@ -41,6 +42,8 @@ class Recorder : public Listener {
   virtual void on_clock(const ClockPair& pair) = 0;
   virtual void on_configuration(const ConfigurationChange&) {}
   virtual SinkStatus status() const = 0;
+  /// Null: something else that records.
+  virtual SinkNode* as_sink() noexcept { return nullptr; }
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.
   virtual void drain(MonotonicTime deadline, Callback<void(std::uint64_t lost)> done) = 0;
 

@@ -6,6 +6,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/support/fatal.hpp"
+#include "loop/support/first_line.hpp"
 #include "loop/support/name.hpp"
 #include "loop/tier/bridge.hpp"
 #include "loop/tier/tier_core.hpp"
@@ -44,6 +45,11 @@ RuntimeCore::~RuntimeCore() {
          "let it outlive its loop, and return from its callbacks first"});
   }
   // Handles hold pointers into topics and origins; the loops, which close them, are gone by now.
+}
+
+const std::string& RuntimeCore::run_uuid() {
+  if (run_uuid_.empty()) run_uuid_ = first_line("/proc/sys/kernel/random/uuid");
+  return run_uuid_;
 }
 
 void RuntimeCore::attach(LoopCore& loop) {

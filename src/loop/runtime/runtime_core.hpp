@@ -55,6 +55,8 @@ class RuntimeCore {
   Names names{*this};
   Exchange exchange{*this};
 
+  /// Of this run, made when it is first asked for.
+  const std::string& run_uuid();
   Clock& clock() noexcept { return clock_log.clock(); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
   Time event_now() noexcept { return event_time(clock().monotonic()); }
@@ -142,6 +144,7 @@ class RuntimeCore {
   void turn_done();
 
  private:
+  std::string run_uuid_;
   std::vector<std::unique_ptr<TopicCore>> topics_;
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
   std::unordered_map<std::string, std::string> name_by_lower_case_;

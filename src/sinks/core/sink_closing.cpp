@@ -11,6 +11,8 @@ void SinkNode::drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done)
   drained_.push_back(std::move(done));
   if (drained_.size() > 1) return;
   Call call(*this);
+  // The recording that it goes through is closed after it.
+  if (is_fed()) deadline = later(loop()->now(), std::max(span_between(loop()->now(), deadline), Duration{0}) / 4 * 3);
   deadline_.start_at(deadline);
   begin_closing(deadline);
 }
@@ -37,15 +39,16 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   is_between_parts_ = false;
   early_at_.reset();
   account_timer_.stop();
-  queue_->hand_over();
-  enqueue_account(SinkAccount::Part::last);
+  if (!is_fed()) queue_->hand_over();
+  if (is_end_due()) enqueue_account(SinkAccount::Part::last);
   queue_->keep_own_counts();
   if (is_scheduled()) loop()->schedule().remove(*this);
   if (is_waiting()) {  // one try at once, then the delays begin anew
     stop_waiting();
     backoff_.reset();
   }
-  start_work();
+  if (transfer_ != nullptr) transfer_->try_now();
+  if (life_ == Life::closing) start_work();
 }
 
 void SinkNode::finish_drain() {
@@ -63,6 +66,7 @@ std::uint64_t SinkNode::leave() noexcept {
   const bool is_closed = std::exchange(life_, Life::left) == Life::closed;
   stop_waiting();
   work_timer_.stop();
+  if (transfer_ != nullptr) transfer_->end();
   queue_->abandon();
   RuntimeCore& runtime = loop()->runtime;
   runtime.detach(*this);
@@ -73,13 +77,15 @@ std::uint64_t SinkNode::leave() noexcept {
     last_->health = health_;
     last_->counts = queue_->counts();
   }
-  const std::uint64_t lost = std::exchange(last_->counts.queued, 0);
+  leave_recording();
+  // What waits in a recording stays there.
+  const std::uint64_t lost = is_fed() ? 0 : std::exchange(last_->counts.queued, 0);
   last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
   SinkStatus end;
   end.health = health_;
   end.counts = last_->counts;
   note([&] {
-    last_->dropped = queue_->dropped_by_topic(SinkQueue::Queued::lost);
+    last_->dropped = queue_->dropped_by_topic(is_fed() ? SinkQueue::Queued::waits : SinkQueue::Queued::lost);
     end = *last_;
   });
   runtime.closed_sinks.push_back(std::move(end));  // there is room for it
@@ -90,7 +96,7 @@ std::uint64_t SinkNode::leave() noexcept {
                      {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
                       "they could not be stored before the deadline" + why,
                       "look at the storage; of a recording, the next start writes down what was lost"});
-    } else if (!is_closed) {
+    } else if (!is_closed && !is_fed()) {
       runtime.report(loop(), object_name(),
                      {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,
                       "the next start seals the recording"});
@@ -102,10 +108,12 @@ std::uint64_t SinkNode::leave() noexcept {
 
 void SinkNode::on_close() noexcept {
   std::uint64_t lost = 0;
+  if (!followers_.empty()) leave_recording();  // they are not waited for
   if (is_attached()) {
     const MonotonicTime end = later(loop()->now(), config_.close_deadline);
     begin_closing(end);
-    while (life_ == Life::closing && loop()->now() < end) {
+    // What a Sender sends needs a loop that runs: Loop::close and Loop::drain wait for that.
+    while (life_ == Life::closing && work_ != Work::sending && loop()->now() < end) {
       if (!is_at_work()) {
         const bool is_retry = is_waiting();
         stop_waiting();
@@ -117,6 +125,7 @@ void SinkNode::on_close() noexcept {
     }
     lost = leave();
   }
+  leave_recording();
   account_.end();
   loop()->runtime.detach(*this);
   if (is_scheduled()) loop()->schedule().remove(*this);

@@ -77,6 +77,7 @@ bool SinkQueue::gather() {
 void SinkQueue::finish_batch() {
   const std::lock_guard lock(abandon_mutex_);
   if (abandoned_) return;
+  if (feed_ != nullptr) feed_->settled(std::numeric_limits<std::size_t>::max());
   revision_.fetch_add(1, std::memory_order_acq_rel);
   for (SlotStored* s : slots_in_batch_) {
     add(s->stored, s->in_batch - s->refused_in_batch);
@@ -91,6 +92,7 @@ void SinkQueue::finish_batch() {
     account_cursor_ = (account_cursor_ + 1) % account_count;
     box.after_ticket.store(0, std::memory_order_release);
   }
+  rows_settled_.store(0, std::memory_order_relaxed);
   revision_.fetch_add(1, std::memory_order_acq_rel);
   has_batch_ = false;
   if (topic_fault_.empty()) topic_fault_ = std::exchange(topic_fault_in_batch_, {});
@@ -101,6 +103,7 @@ void SinkQueue::finish_batch() {
 
 void SinkQueue::fail_batch() noexcept {
   is_open_ = false;
+  parcels_.clear();
   refusals_in_batch_ = 0;
   topic_fault_in_batch_.clear();
   if (!has_batch_) return;
@@ -154,13 +157,18 @@ Result<void> SinkQueue::store() {
       result = open();
       if (!is_open_) return result;
     }
-    if (!has_batch_ && !gather()) break;
+    if (!has_batch_) {
+      result = call_writer([this] { return fill(); });
+      if (!result) return result;
+      if (!gather()) break;
+    }
     has_batch_ = true;
     if (!has_ended_) {
-      result = call_writer([this] { return writer_->write(batch_); });
+      result = call_writer([this] { return sender_ != nullptr ? encode() : writer_->write(batch_); });
       if (!result && !has_ended_) return result;
     }
     if (has_ended_) refuse_batch();
+    if (!parcels_.empty()) return result;  // the loop sends them
     finish_batch();
   }
   if (has_ended_) return result;  // the error that ended it, once
@@ -169,7 +177,7 @@ Result<void> SinkQueue::store() {
 
 Result<void> SinkQueue::do_task(SinkTurn::Task task) {
   if (task == SinkTurn::Task::open) return is_abandoned() ? Result<void>{} : open();
-  if (auto stored = store(); !stored || is_abandoned()) return stored;
+  if (auto stored = store(); !stored || is_abandoned() || !parcels_.empty()) return stored;
   switch (task) {
     case SinkTurn::Task::store_and_sync:
       return recording_ != nullptr ? call_writer([this] { return recording_->sync(); }) : Result<void>{};
@@ -190,12 +198,16 @@ SinkTurnResult SinkQueue::work(const SinkTurn& turn) noexcept {
     now.result = no_memory();
   }
   now.has_ended = has_ended_;
+  now.has_parcels = !parcels_.empty();
   try {
     now.refused = take_refusals(now.refusal);
     now.topic_fault = topic_fault_;
     if (recording_ != nullptr) {
       now.warning = recording_->take_warning();
       now.remarks = recording_->take_remarks();
+    }
+    if (feed_ != nullptr) {
+      for (std::string& remark : feed_->take_remarks()) now.remarks.push_back(std::move(remark));
     }
   } catch (...) {  // a warning less
   }

@@ -26,6 +26,7 @@ SinkNode::SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> wr
       deadline_(loop.face, [this] { finish_drain(); }),
       is_to_open_(queue_->opens_at_set_up()) {
   drained_.reserve(1);
+  if (Sender* sender = queue_->sender()) transfer_ = std::make_shared<Transfer>(loop, *sender, config_, *this);
 }
 
 void SinkNode::attach() {
@@ -43,6 +44,7 @@ void SinkNode::attach() {
     }
   }
   job_->sink = this;
+  if (!config_.through.empty()) return follow_recording();
   // Events that tiers published before this are not recorded: takes them from the rings first, and waits for each tier
   // for a limited time only.
   const Exchange::Interest until_all_is_attached(runtime, config_.topics);
@@ -67,7 +69,7 @@ void SinkNode::attach() {
 // ---- Recorder
 
 Result<void> SinkNode::on_topic(TopicCore& topic) {
-  if (is_closing()) return {};
+  if (is_closing() || is_fed()) return {};
   const auto threw = [&](const char* what) {
     return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
   };
@@ -141,6 +143,8 @@ void SinkNode::tick(const Tick&) {
   RuntimeCore& runtime = loop()->runtime;
   runtime.clock_log.look();  // may log, as the next may, and a user's handler may close this sink
   runtime.reports.flush(Reports::Repeated::due);
+  if (is_fed()) return;  // by commits
+  if (std::exchange(are_positions_due_, false) && work_ == Work::idle) start_work();
   if (is_open()) hand_over(is_account_worth_it() ? Hand::rows_and_account : Hand::rows);
   if (is_open() && is_sync_due()) start_work();  // also when nothing more came
 }

@@ -19,10 +19,11 @@
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/core/sink_account.hpp"
 #include "sinks/core/sink_queue.hpp"
+#include "sinks/core/transfer.hpp"
 
 namespace rtdata::detail {
 
-class SinkNode final : public Node, public Recorder, public RateMember {
+class SinkNode final : public Node, public Recorder, public RateMember, public Transfer::Owner {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
@@ -41,6 +42,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   SinkStatus status() const override;
   void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override;
+  SinkNode* as_sink() noexcept override { return this; }
 
   // ---- batches by time
   void tick(const Tick&) override;
@@ -76,6 +78,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
     idle,
     opening,
     storing,
+    sending,             // nothing: the loop sends what it has encoded
     waiting,             // for the retry after an error
     waiting_for_thread,  // the same, after the system gave none
   };
@@ -102,6 +105,7 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   ~SinkNode() override = default;
   bool is_attached() const noexcept { return life_ >= Life::attached && life_ <= Life::closed; }
   bool is_closing() const noexcept { return life_ >= Life::closing; }
+  bool is_fed() const noexcept { return queue_->feed() != nullptr; }
   bool is_at_work() const noexcept { return work_ == Work::opening || work_ == Work::storing; }
   bool is_waiting() const noexcept { return work_ == Work::waiting || work_ == Work::waiting_for_thread; }
   std::string object_name() const { return "sink " + config_.name; }
@@ -152,6 +156,27 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   void report_result(const SinkTurnResult& turn, Health before);
   Error no_thread() const;
 
+  // ---- sending: sink_sending.cpp
+  void begin_sending();
+  void parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) override;
+  void all_settled() override;
+  void sending_failed(const Error& error) override;
+
+  // ---- through a recording: sink_through.cpp
+  /// Finds the recording, and is fed by it from now on. Throws SetupError.
+  void follow_recording();
+  void leave_recording() noexcept;
+  /// Of a recording: they get no more rows.
+  void leave_followers(const std::string& why) noexcept;
+  void commit_within(Duration time);
+  /// The recording has committed something.
+  void rows_came();
+  /// Of a recording: tells those that go through it.
+  void tell_followers();
+  /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
+  /// through, this is not yet due.
+  bool is_end_due() const noexcept { return followers_.empty(); }
+
   // ---- closing: sink_closing.cpp
   /// Takes no event from here on, and hands over what is left.
   void begin_closing(MonotonicTime deadline);
@@ -199,6 +224,16 @@ class SinkNode final : public Node, public Recorder, public RateMember {
   std::string reason_;
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it
+
+  // sending
+  std::shared_ptr<Transfer> transfer_;  // null: the writer is no Sender
+
+  // through a recording
+  SinkNode* recording_ = nullptr;     // of this sink; null: none, or it has gone
+  std::vector<SinkNode*> followers_;  // of this recording
+  bool is_readable_ = false;          // this recording is open: its rows may be read
+  bool has_all_rows_ = false;         // it closes, and all rows are committed
+  bool are_positions_due_ = false;    // of followers: to be stored with the next batch
 
   // the end
   std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain

@@ -11,6 +11,7 @@ namespace rtdata {
 
 LiveCounts* RecordingWriter::live_counts(std::uint32_t) { return nullptr; }
 void RecordingWriter::keep(const OriginAccount&, const Gap*) {}
+std::unique_ptr<detail::RowFeed> RecordingWriter::feed(const detail::FeedConfig&) { return nullptr; }
 Result<void> RecordingWriter::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {
@@ -24,6 +25,8 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
     : config_(config),
       writer_(std::move(writer)),
       recording_(writer_->as_recording()),
+      sender_(writer_->as_sender()),
+      sending_(sender_ != nullptr ? sender_->sending() : SendingConfig{}),
       opens_at_set_up_(recording_ != nullptr && recording_->opening() == RecordingWriter::Opening::at_set_up),
       pace_(recording_ != nullptr ? recording_->pace() : StorePace{}),
       due_rows_(pace_.bytes == 0 ? config.batch_rows : std::numeric_limits<std::size_t>::max()),
@@ -241,6 +244,13 @@ SinkCounts SinkQueue::sum() const noexcept {
   }
   for (const ChunkHeader& chunk : chunks_) {
     if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) != ChunkHeader::free) sum.queued += chunk.rows;
+  }
+  sum.queued -= std::min(sum.queued, rows_settled_.load(std::memory_order_relaxed));
+  if (feed_ != nullptr) {
+    const FeedCounts fed = feed_->counts();
+    sum.offered = fed.offered;
+    sum.queued = fed.backlog;
+    sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += fed.removed;
   }
   return sum;
 }

@@ -15,6 +15,8 @@
 #include <vector>
 
 #include "rtdata/sinks/recording_writer.hpp"
+#include "rtdata/sinks/sender.hpp"
+#include "sinks/core/row_feed.hpp"
 
 namespace rtdata::detail {
 
@@ -97,10 +99,19 @@ struct SinkTurnResult {
   std::string topic_fault;  ///< why a topic can never be stored; empty: all can
   std::optional<Error> warning;
   std::vector<std::string> remarks;  ///< for the log
+  bool has_parcels = false;          ///< the batch is encoded, and is to be sent
 
   bool has_opened() const noexcept { return task == SinkTurn::Task::open && (result || has_ended); }
   bool has_synced() const noexcept { return task == SinkTurn::Task::store_and_sync && result; }
-  bool has_closed() const noexcept { return task == SinkTurn::Task::store_and_close && (result || has_ended); }
+  bool has_closed() const noexcept {
+    return task == SinkTurn::Task::store_and_close && !has_parcels && (result || has_ended);
+  }
+};
+
+/// A row of a parcel that the peer will never take.
+struct RefusedRow {
+  std::size_t row = 0;
+  Error why;
 };
 
 class SinkQueue {
@@ -170,6 +181,31 @@ class SinkQueue {
   void keep_own_counts() noexcept;
   /// Whatever the lane still does: no batch is begun or counted after this returns.
   void abandon();
+  /// Null: the writer is none.
+  Sender* sender() const noexcept { return sender_; }
+  /// From here on the rows come from a recording, on the lane.
+  void feed_from(std::unique_ptr<RowFeed> feed) { feed_ = std::move(feed); }
+  const RowFeed* feed() const noexcept { return feed_.get(); }
+  bool is_recording() const noexcept { return recording_ != nullptr; }
+  /// For a sink that goes through this recording; null: this is none.
+  std::unique_ptr<RowFeed> make_feed(const FeedConfig& config) {
+    return recording_ != nullptr ? recording_->feed(config) : nullptr;
+  }
+  /// Of a sink that is fed by a recording: about as many as fit into half of the queue, and make some parcels.
+  std::size_t rows_at_once() const noexcept {
+    return std::max(config_.batch_rows, sender_ != nullptr ? 2 * sending_.window * sending_.parcel_rows : 0);
+  }
+  /// Memory that rows of a recording may take at a time.
+  std::size_t bytes_at_once() const noexcept { return memory_bytes_ / 2; }
+
+  // ---- loop, while the lane is idle and the batch is sent: sink_sending.cpp
+  const std::vector<Parcel>& parcels() const noexcept { return parcels_; }
+  /// The next parcel, in order, is with the peer but for these rows.
+  void settle(std::size_t parcel, std::span<const RefusedRow> refused) noexcept;
+  /// All parcels are settled.
+  void end_sending() noexcept;
+  /// What was refused since the last call: how many, and the first reason.
+  std::uint64_t take_refusals(Error& why);
 
   // ---- lane (sink_lane.cpp)
   /// An error leaves what is queued there, unless it is `closed`: then all that comes is refused.
@@ -218,14 +254,19 @@ class SinkQueue {
   Result<void> open();
   Result<void> store();
   Result<void> do_task(SinkTurn::Task task);
-  /// What was refused since the last call: how many, and the first reason.
-  std::uint64_t take_refusals(Error& why);
+  /// Fills the queue from the recording, if that is where the rows come from.
+  Result<void> fill();
+  /// The batch becomes parcels.
+  Result<void> encode();
+  Parcel& add_parcel();
   template <class Call>
   Result<void> call_writer(Call&& call);
 
   const SinkConfig config_;
   const std::unique_ptr<Writer> writer_;
   RecordingWriter* const recording_;  // the same; null: it is none
+  Sender* const sender_;              // as well
+  const SendingConfig sending_;
   const bool opens_at_set_up_;
   const StorePace pace_;
   std::size_t due_rows_ = 0;     // a batch by number
@@ -263,6 +304,11 @@ class SinkQueue {
   std::string topic_fault_;
   std::string topic_fault_in_batch_;
   bool has_ended_ = false;
+  // the lane's, and while it is idle the loop's
+  std::unique_ptr<RowFeed> feed_;
+  std::vector<Parcel> parcels_;
+  std::vector<Parcel> spare_parcels_;           // for their memory
+  std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted
   std::mutex abandon_mutex_;

@@ -16,6 +16,7 @@ constexpr const char* opening_reason = "opening, which takes long; events wait i
 
 void SinkNode::hand_over(Hand what) {
   if (is_closing()) return;
+  if (is_fed()) return rows_came();
   bool has_rows = false;
   if (work_ != Work::idle) {  // the chunk goes on filling
     is_due_ = true;
@@ -37,14 +38,15 @@ bool SinkNode::is_sync_due() const noexcept {
 
 SinkTurn::Task SinkNode::next_task() const noexcept {
   if (is_to_open_) return SinkTurn::Task::open;
-  if (is_closing()) return SinkTurn::Task::store_and_close;
+  const bool has_all = recording_ == nullptr || recording_->has_all_rows_;
+  if (is_closing() && is_end_due() && has_all) return SinkTurn::Task::store_and_close;
   return is_sync_due() ? SinkTurn::Task::store_and_sync : SinkTurn::Task::store;
 }
 
 void SinkNode::start_work() {
   if (work_ != Work::idle || !is_attached() || life_ == Life::closed) return;
   if (!is_to_open_ && !unsynced_since_) unsynced_since_ = loop()->now();
-  if (is_closing() && !is_last_told_) {
+  if (is_closing() && !is_last_told_ && is_end_due()) {
     enqueue_account(SinkAccount::Part::last);
     if (!is_last_told_) return retry_later(Work::waiting);
   }
@@ -127,9 +129,16 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
       if (turn.result && life_ == Life::attached) account_.move_counts(*loop());
     }
     const Health before = health_;
-    go_on_after(turn);
+    if (turn.has_parcels) {
+      begin_sending();
+    } else {
+      go_on_after(turn);
+    }
     report_result(turn, before);
     if (is_open() && turn.has_closed()) finish_drain();
+    is_readable_ = is_readable_ || turn.has_opened();
+    if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
+    if (is_open() && turn.result) tell_followers();
   }
   tell_health();  // at the end, since this sink may take the event itself
 }
@@ -158,10 +167,12 @@ void SinkNode::go_on_after(const SinkTurnResult& turn) {
   if (turn.has_closed()) {
     life_ = Life::closed;
   } else if (is_closing()) {
-    start_work();
+    const bool is_done = queue_->is_idle() && !std::exchange(is_due_, false);
+    has_all_rows_ = !is_end_due() && is_done;
+    if (next_task() == SinkTurn::Task::store_and_close || !is_done) start_work();
   } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
     is_due_ = false;
-    queue_->hand_over();
+    if (!is_fed()) queue_->hand_over();
     if (is_account_due_) begin_account();
     start_work();
   }

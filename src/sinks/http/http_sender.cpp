@@ -244,7 +244,7 @@ void HttpSender::begin(Loop& loop) {
 }
 
 Result<void> HttpSender::encode(const Record& record, std::vector<std::byte>& out) {
-  auto encoded = codec_->encode(record.view(), out);
+  auto encoded = codec_->encode(record.keyed_view(), out);
   // The elements of an array: a comma after each, of which the last one is left out.
   if (encoded && is_array_ && !out.empty() && out.back() == std::byte{'\n'}) out.back() = std::byte{','};
   return encoded;

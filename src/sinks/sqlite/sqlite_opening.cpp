@@ -11,11 +11,6 @@ namespace {
 
 std::string random_uuid() { return detail::first_line("/proc/sys/kernel/random/uuid"); }
 
-std::string host_name() {
-  char name[256] = {};
-  return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
-}
-
 /// The version of the recording's format; 0: the file is empty.
 Result<std::int64_t> format_of(const Database& database, const std::string& path) {
   auto id = database.integer("PRAGMA application_id");
@@ -39,6 +34,11 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
 }
 
 }  // namespace
+
+std::string host_name() {
+  char name[256] = {};
+  return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
+}
 
 Result<void> SqliteWriter::begin() {
   if (auto is_path = check_path(config_.path); !is_path) return is_path;

@@ -60,6 +60,7 @@ Result<void> SqliteWriter::tend_log() {
   const auto bytes = static_cast<std::uint64_t>(log_pages_) * static_cast<std::uint64_t>(page_bytes_);
   const SteadyTime now = std::chrono::steady_clock::now();
   if (bytes >= most) {
+    const Positions::HoldOff hold_off(*positions_);
     if (auto done = checkpoint(SQLITE_CHECKPOINT_PASSIVE); !done) return done;
     log_pages_ = 0;
     // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "data/permissions.hpp"
+#include "sinks/sqlite/sqlite_feed.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -191,6 +192,7 @@ Result<void> SqliteWriter::store(Batch& batch) {
   if (done) done = account_.write_escaped(batch, escaped_);
   if (done && batch.account() != nullptr) done = account_.write(batch, *batch.account(), tables_);
   if (done) done = write_checksums(batch.account());
+  if (done) done = positions_->write(database_, host_name());
   if (done) stage();
   if (done) done = commit();
   return done;
@@ -259,6 +261,7 @@ void SqliteWriter::stage() {
 }
 
 void SqliteWriter::committed() {
+  positions_->committed();
   ranges_.committed(live_);
   sums_.committed();
   if (live_) live_.sums().settle();
@@ -266,6 +269,7 @@ void SqliteWriter::committed() {
 }
 
 void SqliteWriter::rolled_back() {
+  positions_->rolled_back();
   ranges_.rolled_back(live_);
   sums_.rolled_back();
 }
@@ -277,14 +281,28 @@ Result<void> SqliteWriter::flush() {
   for (int i = 0; i < most_transactions && pruner_.has_more(); ++i) {
     if (auto done = prune(); !done) return done;
   }
-  return {};
+  return positions_->is_dirty() ? write_positions() : Result<void>{};
+}
+
+std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::FeedConfig& config) {
+  return std::make_unique<SqliteFeed>(config_.path, positions_, config);
+}
+
+Result<void> SqliteWriter::write_positions() {
+  return transaction([this] { return positions_->write(database_, host_name()); });
 }
 
 Result<void> SqliteWriter::prune() {
+  auto done = transaction([this] { return pruner_.make_room(database_, ranges_, now_); });
+  return done ? tend_log() : done;
+}
+
+template <class Work>
+Result<void> SqliteWriter::transaction(Work&& work) {
   Result<void> done;
   try {
     done = begin_transaction();
-    if (done) done = pruner_.make_room(database_, ranges_, now_);
+    if (done) done = work();
     if (done) done = sums_.write_changes(database_);
     if (done) stage();
     if (done) done = commit();
@@ -297,7 +315,7 @@ Result<void> SqliteWriter::prune() {
     return done;
   }
   committed();
-  return tend_log();
+  return {};
 }
 
 Result<void> SqliteWriter::close() {

@@ -16,6 +16,7 @@
 #include "sinks/sqlite/account_writer.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/live_file.hpp"
+#include "sinks/sqlite/positions.hpp"
 #include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
@@ -50,6 +51,7 @@ class SqliteWriter final : public RecordingWriter {
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
   void begin_counting() override;
+  std::unique_ptr<detail::RowFeed> feed(const detail::FeedConfig& config) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
@@ -84,6 +86,10 @@ class SqliteWriter final : public RecordingWriter {
   Result<void> commit();
   void roll_back() noexcept;
   Result<void> prune();
+  Result<void> write_positions();
+  /// Work of our own, between two batches.
+  template <class Work>
+  Result<void> transaction(Work&& work);
   /// Between two transactions: brings the log into the database when it is time.
   Result<void> tend_log();
   Result<void> checkpoint(int mode);
@@ -116,6 +122,7 @@ class SqliteWriter final : public RecordingWriter {
   std::optional<Error> warning_;
   Time space_looked_at_{};
   bool space_is_short_ = false;
+  const std::shared_ptr<Positions> positions_ = std::make_shared<Positions>();
   Pruner pruner_;
   bool is_too_large_ = false;  // and this was reported
   Time now_{};                 // of the last account

@@ -1,0 +1,52 @@
+// What a sink with `through` is fed with: the rows that are committed in a recording and that it has not stored yet.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata::detail {
+
+class SinkQueue;
+
+struct FeedConfig {
+  std::string sink;                 ///< its name: that of its position
+  std::vector<std::string> topics;  ///< patterns
+  From from = From::now;
+  Time attached{};  ///< when it was attached: what is older is not now
+  /// The times that it gets: as they are recorded, or UTC as far as it is known when they are read.
+  enum class Times { recorded, utc } times = Times::recorded;
+  std::size_t rows = 0;  ///< put into the queue at a time, about
+};
+
+/// Rows, since the sink was attached.
+struct FeedCounts {
+  std::uint64_t offered = 0;  ///< committed, of its topics; those that waited when it was attached too
+  std::uint64_t removed = 0;  ///< deleted by a limit of the recording before they were stored
+  std::uint64_t backlog = 0;  ///< wait in the recording
+  Time oldest{};              ///< of those; 0: none
+};
+
+/// Thread: the sink's lane, or its loop while the lane is idle, but for `counts`.
+class RowFeed {
+ public:
+  virtual ~RowFeed() = default;
+  /// With no batch under way: puts the next rows into the queue. False: there are none.
+  virtual Result<bool> fill(SinkQueue& queue) = 0;
+  /// Of the rows of the last `fill`, in order, the first `rows` need not come again. `refused`: of a row among them,
+  /// counted from 0, why it was refused; to be called before.
+  virtual void refused(std::size_t row, const Error& why) = 0;
+  virtual void settled(std::size_t rows) noexcept = 0;
+  /// Of what was put into the queue nothing more is settled: it is given again.
+  virtual void forget() noexcept = 0;
+  virtual FeedCounts counts() const noexcept = 0;
+  /// What the user should hear of although nothing failed. Asked after each turn of work.
+  virtual std::vector<std::string> take_remarks() = 0;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,85 @@
+// What becomes of a batch that is sent: parcels, made on the lane, and what was answered to them, counted on the loop.
+#include <limits>
+#include <utility>
+
+#include "sinks/core/sink_queue.hpp"
+
+namespace rtdata::detail {
+
+// ---- lane
+
+Result<void> SinkQueue::fill() {
+  if (feed_ == nullptr) return {};
+  auto filled = feed_->fill(*this);
+  if (!filled) return std::move(filled).error();
+  (void)hand_over();
+  return {};
+}
+
+Parcel& SinkQueue::add_parcel() {
+  if (spare_parcels_.empty()) return parcels_.emplace_back();
+  parcels_.push_back(std::move(spare_parcels_.back()));
+  spare_parcels_.pop_back();
+  Parcel& parcel = parcels_.back();
+  parcel.rows_.clear();
+  parcel.bytes_.clear();
+  return parcel;
+}
+
+Result<void> SinkQueue::encode() {
+  Parcel* parcel = nullptr;
+  std::size_t in_batch = 0;
+  for (const Record& record : batch_) {
+    if (parcel == nullptr || parcel->rows_.size() >= sending_.parcel_rows ||
+        parcel->bytes_.size() >= sending_.parcel_bytes) {
+      parcel = &add_parcel();
+    }
+    const std::size_t before = parcel->bytes_.size();
+    if (auto encoded = sender_->encode(record, parcel->bytes_)) {
+      parcel->rows_.push_back(
+          {record.info, record.slot, in_batch, record.header.sequence, record.header.time, parcel->bytes_.size()});
+    } else {
+      parcel->bytes_.resize(before);
+      batch_.refuse(record, encoded.error());
+      if (feed_ != nullptr) feed_->refused(in_batch, encoded.error());
+    }
+    ++in_batch;
+  }
+  if (parcel != nullptr && parcel->rows_.empty()) parcels_.pop_back();
+  return {};
+}
+
+// ---- loop
+
+void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) noexcept {
+  const Parcel& parcel = parcels_[number];
+  revision_.fetch_add(1, std::memory_order_acq_rel);
+  for (const Parcel::Row& row : parcel.rows_) {
+    SlotStored& slot = stored(row.slot);
+    --slot.in_batch;
+    slot.stored.fetch_add(1, std::memory_order_relaxed);
+  }
+  for (const RefusedRow& row : refused) {
+    const Parcel::Row& of = parcel.rows_[row.row];
+    SlotStored& slot = stored(of.slot);
+    slot.stored.fetch_sub(1, std::memory_order_relaxed);
+    slot.refused.fetch_add(1, std::memory_order_relaxed);
+    try {
+      if (refusals_ == 0) first_refusal_ = row.why;
+      if (feed_ != nullptr) feed_->refused(of.in_batch, row.why);
+    } catch (...) {  // no memory: counted without its reason
+    }
+    ++refusals_;
+  }
+  rows_settled_.fetch_add(parcel.rows_.size(), std::memory_order_relaxed);
+  if (feed_ != nullptr) feed_->settled(parcel.rows_.back().in_batch + 1);
+  revision_.fetch_add(1, std::memory_order_acq_rel);
+}
+
+void SinkQueue::end_sending() noexcept {
+  if (spare_parcels_.size() < parcels_.size()) spare_parcels_.swap(parcels_);
+  parcels_.clear();
+  finish_batch();
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,124 @@
+// How a sink goes through a recording: it is fed with what is committed there, and keeps its position in it.
+#include <algorithm>
+#include <string>
+
+#include "loop/support/deadline.hpp"
+#include "sinks/core/sink_node.hpp"
+
+namespace rtdata::detail {
+
+void SinkNode::follow_recording() {
+  RuntimeCore& runtime = loop()->runtime;
+  std::string others;
+  for (Recorder* recorder : runtime.recorders) {
+    SinkNode* const sink = recorder->as_sink();
+    if (sink == nullptr || sink == this) continue;
+    if (sink->config_.name == config_.through) recording_ = sink;
+    others += (others.empty() ? "" : ", ") + sink->config_.name;
+  }
+  const auto refuse = [&](std::string why, std::string advice) {
+    recording_ = nullptr;
+    throw SetupError({Errc::not_found, "cannot attach sink " + config_.name, "through " + config_.through,
+                      std::move(why), std::move(advice)});
+  };
+  if (recording_ == nullptr) {
+    refuse("there is no such sink on this loop",
+           others.empty() ? "make the recording first" : "make the recording first; there are: " + others);
+  }
+  if (queue_->is_recording()) refuse("this sink is a recording itself", "leave `through` out");
+  const std::size_t rows = queue_->rows_at_once();
+  auto feed = recording_->queue_->make_feed(
+      {config_.name, config_.topics, config_.from, runtime.event_time(loop()->now()),
+       queue_->sender() != nullptr ? FeedConfig::Times::utc : FeedConfig::Times::recorded, rows});
+  if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
+  queue_->feed_from(std::move(feed));
+  recording_->followers_.push_back(this);
+  runtime.attach(*this);
+  loop()->schedule().add(*this);
+  life_ = Life::attached;
+  recording_->commit_within(config_.batch_time);
+  if (recording_->is_readable_) start_work();
+}
+
+void SinkNode::leave_recording() noexcept {
+  leave_followers("the recording that it goes through was closed");
+  SinkNode* const recording = std::exchange(recording_, nullptr);
+  if (recording == nullptr) return;
+  std::erase(recording->followers_, this);
+  if (recording->life_ == Life::closing && recording->followers_.empty() && recording->work_ == Work::idle)
+    recording->start_work();
+}
+
+void SinkNode::leave_followers(const std::string& why) noexcept {
+  for (SinkNode* follower : std::exchange(followers_, {})) {
+    follower->recording_ = nullptr;
+    if (!follower->is_open() || follower->is_closing()) continue;
+    follower->fault_for_good(why);
+    follower->tell_health();
+  }
+}
+
+/// Rows are to be committed at the shortest time of those that go through.
+void SinkNode::commit_within(Duration time) {
+  if (time >= period() || !is_scheduled()) return;
+  loop()->schedule().remove(*this);
+  set_period(time);
+  loop()->schedule().add(*this);
+}
+
+void SinkNode::rows_came() {
+  if (!is_attached() || recording_ == nullptr) return;
+  if (work_ == Work::idle) {
+    start_work();
+  } else {
+    is_due_ = true;
+  }
+}
+
+void SinkNode::tell_followers() {
+  const std::vector<SinkNode*> followers = followers_;
+  for (SinkNode* follower : followers) {
+    if (std::find(followers_.begin(), followers_.end(), follower) != followers_.end()) follower->rows_came();
+  }
+}
+
+// ---- sending
+
+void SinkNode::begin_sending() {
+  work_ = Work::sending;
+  transfer_->begin(queue_->parcels());
+}
+
+void SinkNode::parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) {
+  queue_->settle(parcel, refused);
+  if (recording_ != nullptr) recording_->are_positions_due_ = true;
+  if (health_ == Health::ok || !fault_.empty()) return;
+  health_ = Health::ok;
+  reason_.clear();
+  tell_health();
+}
+
+void SinkNode::all_settled() {
+  Call call(*this);
+  queue_->end_sending();
+  work_ = Work::idle;
+  SinkTurnResult turn;
+  turn.refused = queue_->take_refusals(turn.refusal);
+  const Health before = health_;
+  is_due_ = is_due_ || is_fed();  // more may have been committed
+  go_on_after(turn);
+  report_result(turn, before);
+  tell_health();
+}
+
+void SinkNode::sending_failed(const Error& error) {
+  Call call(*this);
+  health_ = Health::faulted;
+  set_reason(error);
+  report(error, 1);
+  tell_health();
+  // What waits in a recording is safe there: closing does not wait for a peer that does not answer.
+  if (is_open() && life_ == Life::closing && is_fed()) finish_drain();
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,252 @@
+#include "sinks/core/transfer.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/support/deadline.hpp"
+
+namespace rtdata {
+
+Answer::Answer(Answer&& other) noexcept
+    : transfer_(std::move(other.transfer_)),
+      parcel_(other.parcel_),
+      transmission_(std::exchange(other.transmission_, 0)) {}
+
+Answer& Answer::operator=(Answer&& other) noexcept {
+  if (this != &other) {
+    if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+    transfer_ = std::move(other.transfer_);
+    parcel_ = other.parcel_;
+    transmission_ = std::exchange(other.transmission_, 0);
+  }
+  return *this;
+}
+
+Answer::~Answer() {
+  if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+}
+
+Answer::operator bool() const noexcept {
+  if (transmission_ == 0) return false;
+  const auto transfer = transfer_.lock();
+  return transfer != nullptr && transfer->awaited(parcel_, transmission_) != nullptr;
+}
+
+void Answer::acknowledge() {
+  if (const auto transfer = transfer_.lock()) transfer->acknowledge(parcel_, std::exchange(transmission_, 0));
+}
+
+void Answer::refuse(std::size_t row, Error why) {
+  if (const auto transfer = transfer_.lock()) transfer->refuse(parcel_, transmission_, row, std::move(why));
+}
+
+void Answer::again(Error why, std::optional<Duration> after) {
+  if (const auto transfer = transfer_.lock()) transfer->again(parcel_, std::exchange(transmission_, 0), why, after);
+}
+
+namespace detail {
+namespace {
+
+constexpr int most_in_a_turn = 64;  // then other callbacks have their turn
+
+}  // namespace
+
+Transfer::Transfer(LoopCore& loop, Sender& sender, const SinkConfig& config, Owner& owner)
+    : loop_(loop),
+      sender_(sender),
+      sending_(sender.sending()),
+      config_(config),
+      owner_(&owner),
+      timer_(loop.face, [this] { timer_fired(); }) {}
+
+template <class Call>
+void Transfer::call_sender(const char* name, Call&& call) noexcept {
+  try {
+    try {
+      call();
+    } catch (const std::exception& e) {
+      if (owner_ != nullptr) owner_->sending_failed({Errc::handler_threw, "the sender threw", name, e.what(), ""});
+    } catch (...) {
+      if (owner_ != nullptr)
+        owner_->sending_failed({Errc::handler_threw, "the sender threw", name, "no std::exception", ""});
+    }
+  } catch (...) {  // no memory for the report
+  }
+}
+
+void Transfer::begin(std::span<const Parcel> parcels) {
+  entries_.clear();
+  entries_.resize(parcels.size());
+  parcels_ = parcels;
+  next_ = settled_ = under_way_ = 0;
+  if (!std::exchange(has_begun_, true)) call_sender("begin", [this] { sender_.begin(loop_.face); });
+  go_on();
+}
+
+void Transfer::try_now() {
+  if (!blocked_until_) return;
+  blocked_until_.reset();
+  backoff_.reset();
+  go_on();
+}
+
+void Transfer::end() noexcept {
+  owner_ = nullptr;
+  const bool is_awaited = under_way_ > 0;
+  for (Entry& entry : entries_) entry.transmission = 0;
+  entries_.clear();
+  settled_ = under_way_ = 0;
+  timer_.close();
+  if (!has_begun_) return;
+  if (is_awaited) call_sender("cancel", [this] { sender_.cancel(); });
+  call_sender("end", [this] { sender_.end(); });
+}
+
+Transfer::Entry* Transfer::awaited(std::size_t parcel, std::uint64_t transmission) noexcept {
+  if (transmission == 0 || parcel >= entries_.size()) return nullptr;
+  Entry& entry = entries_[parcel];
+  return entry.state == Entry::State::sent && entry.transmission == transmission ? &entry : nullptr;
+}
+
+void Transfer::acknowledge(std::size_t parcel, std::uint64_t transmission) {
+  Entry* const entry = awaited(parcel, transmission);
+  if (entry == nullptr) return;
+  entry->state = Entry::State::answered;
+  --under_way_;
+  backoff_.reset();
+  go_on();
+}
+
+void Transfer::refuse(std::size_t parcel, std::uint64_t transmission, std::size_t row, Error why) {
+  Entry* const entry = awaited(parcel, transmission);
+  if (entry == nullptr || row >= parcels_[parcel].rows().size()) return;
+  for (const RefusedRow& other : entry->refused) {
+    if (other.row == row) return;
+  }
+  entry->refused.push_back({row, std::move(why)});
+}
+
+void Transfer::again(std::size_t parcel, std::uint64_t transmission, const Error& why, std::optional<Duration> after) {
+  Entry* const entry = awaited(parcel, transmission);
+  if (entry == nullptr) return;
+  entry->state = Entry::State::waiting;
+  entry->transmission = 0;
+  entry->refused.clear();
+  --under_way_;
+  next_ = std::min(next_, parcel);
+  wait_after(why, after);
+  go_on();
+}
+
+/// Several parcels fail together when their connection does: that is one failure.
+void Transfer::wait_after(const Error& why, std::optional<Duration> after) {
+  const MonotonicTime now = loop_.now();
+  if (blocked_until_) {
+    if (after) blocked_until_ = std::max(*blocked_until_, later(now, *after));
+    return;
+  }
+  const Duration delay = backoff_.next(config_.retry_first, config_.retry_longest, config_.name);
+  blocked_until_ = later(now, after ? std::max(*after, Duration{0}) : delay);
+  if (owner_ != nullptr) owner_->sending_failed(why);
+}
+
+void Transfer::go_on() {
+  is_more_to_do_ = true;
+  if (std::exchange(is_going_on_, true)) return;  // an answer within a call of the sender's
+  const auto self = shared_from_this();
+  while (owner_ != nullptr && std::exchange(is_more_to_do_, false)) {
+    settle_some();
+    if (owner_ != nullptr) send_some();
+  }
+  is_going_on_ = false;
+  if (owner_ == nullptr) return;
+  if (!entries_.empty() && settled_ == entries_.size()) {
+    entries_.clear();
+    settled_ = 0;
+    timer_.stop();
+    owner_->all_settled();
+  } else {
+    set_timer();
+  }
+}
+
+void Transfer::settle_some() {
+  while (owner_ != nullptr && settled_ < entries_.size() && entries_[settled_].state == Entry::State::answered) {
+    const std::size_t parcel = settled_++;
+    owner_->parcel_settled(parcel, entries_[parcel].refused);
+  }
+}
+
+void Transfer::send_some() {
+  int sent = 0;
+  while (owner_ != nullptr && !blocked_until_ && under_way_ < sending_.window) {
+    while (next_ < entries_.size() && entries_[next_].state != Entry::State::waiting) ++next_;
+    if (next_ == entries_.size()) return;
+    if (sending_.bytes_per_second != 0 && paced_until_ > loop_.now()) return;
+    if (++sent > most_in_a_turn) return;
+    send(next_++);
+  }
+}
+
+void Transfer::send(std::size_t parcel) {
+  const MonotonicTime now = loop_.now();
+  if (sending_.bytes_per_second != 0) {
+    const double seconds = static_cast<double>(parcels_[parcel].bytes().size()) /
+                           static_cast<double>(sending_.bytes_per_second);
+    paced_until_ = later(std::max(paced_until_, now), std::chrono::duration_cast<Duration>(
+                                                          std::chrono::duration<double>(std::min(seconds, 3600.0))));
+  }
+  Entry& entry = entries_[parcel];
+  entry.state = Entry::State::sent;
+  entry.transmission = ++transmissions_;
+  entry.deadline = later(now, sending_.timeout);
+  ++under_way_;
+  call_sender("send", [&] { sender_.send(parcels_[parcel], Answer(weak_from_this(), parcel, transmissions_)); });
+}
+
+void Transfer::timer_fired() {
+  const MonotonicTime now = loop_.now();
+  if (blocked_until_ && *blocked_until_ <= now) blocked_until_.reset();
+  const bool is_late = std::any_of(entries_.begin(), entries_.end(), [now](const Entry& entry) {
+    return entry.state == Entry::State::sent && entry.deadline <= now;
+  });
+  if (is_late) {
+    const auto self = shared_from_this();
+    for (Entry& entry : entries_) {
+      if (entry.state != Entry::State::sent) continue;
+      entry.state = Entry::State::waiting;
+      entry.transmission = 0;
+      entry.refused.clear();
+    }
+    under_way_ = 0;
+    next_ = settled_;
+    call_sender("cancel", [this] { sender_.cancel(); });
+    if (owner_ == nullptr) return;
+    wait_after({Errc::timed_out, "cannot send", config_.name, "no answer for " + to_string(sending_.timeout),
+                "look at the peer and the network; everything is sent again"},
+               {});
+    if (owner_ == nullptr) return;
+  }
+  go_on();
+}
+
+void Transfer::set_timer() {
+  std::optional<MonotonicTime> at = blocked_until_;
+  const auto wake_at = [&at](MonotonicTime time) { at = at ? std::min(*at, time) : time; };
+  bool is_any_waiting = false;
+  for (const Entry& entry : entries_) {
+    if (entry.state == Entry::State::sent) wake_at(entry.deadline);
+    is_any_waiting = is_any_waiting || entry.state == Entry::State::waiting;
+  }
+  if (is_any_waiting && !blocked_until_ && under_way_ < sending_.window)
+    wake_at(sending_.bytes_per_second != 0 ? std::max(paced_until_, loop_.now()) : loop_.now());
+  if (at) {
+    timer_.start_at(*at);
+  } else {
+    timer_.stop();
+  }
+}
+
+}  // namespace detail
+}  // namespace rtdata

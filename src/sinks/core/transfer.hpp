@@ -1,0 +1,91 @@
+// The parcels of a batch on their way to the peer: several at a time, each until it is answered, settled in order.
+// Loop's thread.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "loop/support/retry.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/sender.hpp"
+#include "sinks/core/sink_queue.hpp"
+
+namespace rtdata::detail {
+
+class LoopCore;
+
+class Transfer : public std::enable_shared_from_this<Transfer> {
+ public:
+  /// What the sink hears. Each call may end the transfer, but not destroy it.
+  class Owner {
+   public:
+    /// Of the parcels in order, the next.
+    virtual void parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) = 0;
+    virtual void all_settled() = 0;
+    /// Nothing is sent for a while.
+    virtual void sending_failed(const Error& error) = 0;
+
+   protected:
+    ~Owner() = default;
+  };
+
+  Transfer(LoopCore& loop, Sender& sender, const SinkConfig& config, Owner& owner);
+
+  /// None is under way. They live until all are settled or `end` was called.
+  void begin(std::span<const Parcel> parcels);
+  bool is_under_way() const noexcept { return settled_ < entries_.size(); }
+  /// It has failed, and waits before it sends again.
+  bool is_waiting() const noexcept { return blocked_until_.has_value(); }
+  /// The wait is over; the delays begin anew.
+  void try_now();
+  /// Gives up what is under way. Nothing is sent any more.
+  void end() noexcept;
+
+ private:
+  friend class rtdata::Answer;
+  struct Entry {
+    enum class State { waiting, sent, answered } state = State::waiting;
+    std::uint64_t transmission = 0;
+    MonotonicTime deadline{};
+    std::vector<RefusedRow> refused;
+  };
+  Entry* awaited(std::size_t parcel, std::uint64_t transmission) noexcept;
+  void acknowledge(std::size_t parcel, std::uint64_t transmission);
+  void refuse(std::size_t parcel, std::uint64_t transmission, std::size_t row, Error why);
+  void again(std::size_t parcel, std::uint64_t transmission, const Error& why, std::optional<Duration> after);
+  /// Sends what may be sent, and settles what is answered.
+  void go_on();
+  void send_some();
+  void send(std::size_t parcel);
+  void settle_some();
+  void wait_after(const Error& why, std::optional<Duration> after);
+  void timer_fired();
+  void set_timer();
+  /// A call of the sender's: what it throws is reported to the owner.
+  template <class Call>
+  void call_sender(const char* name, Call&& call) noexcept;
+
+  LoopCore& loop_;
+  Sender& sender_;
+  const SendingConfig sending_;
+  const SinkConfig& config_;
+  Owner* owner_;  // null: it has ended
+  std::span<const Parcel> parcels_;
+  std::vector<Entry> entries_;
+  std::size_t next_ = 0;  // before it, none waits
+  std::size_t settled_ = 0;
+  std::size_t under_way_ = 0;
+  std::uint64_t transmissions_ = 0;
+  bool has_begun_ = false;
+  bool is_going_on_ = false;
+  bool is_more_to_do_ = false;
+  Backoff backoff_;
+  std::optional<MonotonicTime> blocked_until_;
+  MonotonicTime paced_until_{};  // by the limit on bytes
+  Timer timer_;
+};
+
+}  // namespace rtdata::detail

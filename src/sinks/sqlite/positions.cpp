@@ -1,0 +1,96 @@
+#include "sinks/sqlite/positions.hpp"
+
+#include <chrono>
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr std::size_t most_refusals = 10'000;  // that wait to be written; those beyond are counted only
+constexpr auto longest_wait = std::chrono::milliseconds{500};
+
+}  // namespace
+
+void Positions::set(const std::string& sink, const std::string& table, Position position) {
+  const std::lock_guard lock(mutex_);
+  dirty_[{sink, table}] = std::move(position);
+}
+
+void Positions::add(Refusal refusal) {
+  const std::lock_guard lock(mutex_);
+  if (refusals_.size() < most_refusals) refusals_.push_back(std::move(refusal));
+}
+
+bool Positions::is_dirty() const {
+  const std::lock_guard lock(mutex_);
+  return !dirty_.empty() || !refusals_.empty();
+}
+
+Result<void> Positions::write(Database& database, const std::string& host) {
+  std::vector<Refusal> refusals;
+  {
+    const std::lock_guard lock(mutex_);
+    if (dirty_.empty() && refusals_.empty()) return {};
+    in_transaction_ = dirty_;
+    refusals = refusals_;
+    refusals_in_transaction_ = refusals.size();
+  }
+  if (auto made = database.execute(position_schema); !made) return made;
+  auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
+  if (!position) return std::move(position).error();
+  for (const auto& [key, at] : in_transaction_) {
+    position->bind(1, key.first).bind(2, key.second).bind(3, at.row).bind(4, at.run).bind(5, at.origin);
+    position->bind(6, at.sequence).bind(7, host);
+    if (auto done = position->run(); !done) return done;
+  }
+  auto refused = database.prepare("INSERT INTO rtdata_refused VALUES(?,?,?,?,?,?)");
+  if (!refused) return std::move(refused).error();
+  for (const Refusal& one : refusals) {
+    refused->bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);
+    refused->bind(6, one.reason);
+    if (auto done = refused->run(); !done) return done;
+  }
+  return {};
+}
+
+void Positions::committed() noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& [key, stored] : in_transaction_) {
+    const auto now = dirty_.find(key);
+    if (now != dirty_.end() && now->second.row == stored.row) dirty_.erase(now);
+  }
+  in_transaction_.clear();
+  refusals_.erase(refusals_.begin(), refusals_.begin() + static_cast<std::ptrdiff_t>(refusals_in_transaction_));
+  refusals_in_transaction_ = 0;
+}
+
+void Positions::rolled_back() noexcept {
+  const std::lock_guard lock(mutex_);
+  in_transaction_.clear();
+  refusals_in_transaction_ = 0;
+}
+
+Positions::Reading::Reading(Positions& of) : of_(of) {
+  std::unique_lock lock(of_.mutex_);
+  of_.changed_.wait(lock, [this] { return !of_.is_held_off_; });
+  ++of_.readers_;
+}
+
+Positions::Reading::~Reading() {
+  const std::lock_guard lock(of_.mutex_);
+  --of_.readers_;
+  of_.changed_.notify_all();
+}
+
+Positions::HoldOff::HoldOff(Positions& of) : of_(of) {
+  std::unique_lock lock(of_.mutex_);
+  of_.is_held_off_ = true;
+  of_.changed_.wait_for(lock, longest_wait, [this] { return of_.readers_ == 0; });
+}
+
+Positions::HoldOff::~HoldOff() {
+  const std::lock_guard lock(of_.mutex_);
+  of_.is_held_off_ = false;
+  of_.changed_.notify_all();
+}
+
+}  // namespace rtdata::sqlite

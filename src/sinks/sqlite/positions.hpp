@@ -1,0 +1,103 @@
+// How far the sinks that go through a recording have got in it. They set their positions; the recording's writer stores
+// them with its next transaction, so that the file has one writer. A kill repeats what was acknowledged since.
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <map>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "sinks/sqlite/database.hpp"
+
+namespace rtdata::sqlite {
+
+/// The last row of a topic's table that a sink is done with; its key too, since VACUUM numbers the rows anew.
+struct Position {
+  std::int64_t row = 0;  ///< 0: before the first
+  std::int64_t run = 0;
+  std::string origin = {};
+  std::int64_t sequence = 0;
+};
+
+/// A row that the peer of a sink will never take.
+struct Refusal {
+  std::string sink;
+  std::string topic;
+  std::string run;
+  std::string origin;
+  std::int64_t sequence = 0;
+  std::string reason;
+};
+
+/// In rtdata_position this stands for the table when a sink has come to the recording for the first time.
+inline constexpr const char* no_table = "";
+
+/// Of this machine.
+std::string host_name();
+
+inline constexpr const char* position_schema = R"sql(
+CREATE TABLE IF NOT EXISTS rtdata_position(
+  sink TEXT NOT NULL,
+  table_name TEXT NOT NULL,         -- of a topic; empty: the sink has been here
+  row INTEGER NOT NULL,             -- rowid of the last row that the sink is done with, and its key
+  run INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL,
+  host TEXT NOT NULL,               -- the machine whose sink it is
+  PRIMARY KEY(sink, table_name)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_refused(
+  sink TEXT NOT NULL, topic TEXT NOT NULL, run TEXT NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL,
+  reason TEXT NOT NULL);
+)sql";
+
+/// Thread: any, but for the calls of the recording's writer.
+class Positions {
+ public:
+  void set(const std::string& sink, const std::string& table, Position position);
+  void add(Refusal refusal);
+
+  // ---- the recording's writer
+  bool is_dirty() const;
+  /// In a transaction: stores what has changed.
+  Result<void> write(Database& database, const std::string& host);
+  void committed() noexcept;
+  void rolled_back() noexcept;
+
+  /// While one lives, its sink reads the recording.
+  class Reading {
+   public:
+    explicit Reading(Positions& of);
+    ~Reading();
+    Reading(const Reading&) = delete;
+    Reading& operator=(const Reading&) = delete;
+
+   private:
+    Positions& of_;
+  };
+  /// While one lives, no sink of this process reads: the log of the recording can begin anew. Waits for those that
+  /// read, for a limited time.
+  class HoldOff {
+   public:
+    explicit HoldOff(Positions& of);
+    ~HoldOff();
+    HoldOff(const HoldOff&) = delete;
+    HoldOff& operator=(const HoldOff&) = delete;
+
+   private:
+    Positions& of_;
+  };
+
+ private:
+  using Key = std::pair<std::string, std::string>;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::map<Key, Position> dirty_;
+  std::map<Key, Position> in_transaction_;
+  std::vector<Refusal> refusals_;
+  std::size_t refusals_in_transaction_ = 0;
+  int readers_ = 0;
+  bool is_held_off_ = false;
+};
+
+}  // namespace rtdata::sqlite

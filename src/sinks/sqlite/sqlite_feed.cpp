@@ -1,0 +1,351 @@
+#include "sinks/sqlite/sqlite_feed.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <limits>
+
+#include "rtdata/loop/topic.hpp"
+#include "sinks/core/sink_queue.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+enum Column { row_column, run_column, time_column, origin_column, sequence_column, fixed_columns };
+
+}  // namespace
+
+SqliteFeed::SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::FeedConfig config)
+    : path_(std::move(path)), positions_(std::move(positions)), config_(std::move(config)) {}
+
+// ---- opening
+
+Result<void> SqliteFeed::open() {
+  auto opened = Recording::open(path_);
+  if (!opened) return std::move(opened).error();
+  const detail::RecordingFile& file = *opened->file();
+  auto first = file.first_run_with_escapes();
+  if (!first) return std::move(first).error();
+  first_run_with_escapes_ = *first;
+  recording_.emplace(std::move(*opened));
+  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  if (!has_table) return std::move(has_table).error();
+  is_new_ = *has_table == 0;
+  if (!is_new_) {
+    auto known = file.prepare("SELECT host FROM rtdata_position WHERE sink = ? AND table_name = ''");
+    if (!known) return std::move(known).error();
+    known->bind(1, config_.sink);
+    auto row = known->step();
+    if (!row) return std::move(row).error();
+    is_new_ = !*row;
+    if (*row && known->text(0) != host_name()) {
+      remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
+                         " has got to in this recording; if that machine still sends it, events arrive twice");
+    }
+  }
+  if (is_new_) positions_->set(config_.sink, no_table, {});
+  return {};
+}
+
+Result<void> SqliteFeed::look() {
+  auto count = recording_->file()->database.integer("SELECT count(*) FROM rtdata_topic");
+  if (!count) return std::move(count).error();
+  if (*count != topics_known_) {
+    auto topics = recording_->topics();
+    if (!topics) return std::move(topics).error();
+    for (RecordedTopic& topic : *topics) {
+      const bool is_wanted = std::any_of(config_.topics.begin(), config_.topics.end(), [&](const std::string& pattern) {
+        return topic_matches(pattern, topic.topic);
+      });
+      const bool is_known = std::any_of(tables_.begin(), tables_.end(),
+                                        [&](const Table& table) { return table.topic.table == topic.table; });
+      if (!is_wanted || is_known) continue;
+      if (auto added = add(std::move(topic)); !added) return added;
+    }
+    topics_known_ = *count;
+  }
+  is_new_ = false;  // tables that are made from now on are new themselves
+  if (config_.times == detail::FeedConfig::Times::utc) {
+    auto pairs = recording_->file()->database.integer("SELECT coalesce(max(rowid), 0) FROM rtdata_clock");
+    if (!pairs) return std::move(pairs).error();
+    if (std::exchange(clock_pairs_, *pairs) != *pairs) {
+      for (auto& [number, run] : runs_) run.utc.reset();
+    }
+  }
+  for (Table& table : tables_) {
+    auto row = table.last.step();
+    if (!row) return std::move(row).error();
+    table.last_row = std::max(table.last_row, table.last.integer(0));
+    table.last.reset();
+  }
+  return {};
+}
+
+Result<void> SqliteFeed::add(RecordedTopic topic) {
+  Table& table = tables_.emplace_back();
+  const auto undo = [this](Error error) {
+    tables_.pop_back();
+    return error;
+  };
+  table.topic = std::move(topic);
+  table.reader.emplace(table.topic);
+  const detail::RecordingFile& file = *recording_->file();
+  auto next = file.prepare("SELECT t.rowid, t.run, t.time, t.origin, t.sequence" + table.reader->columns() + " FROM " +
+                           quoted(table.topic.table) + " t WHERE t.rowid > ? ORDER BY t.rowid LIMIT ?");
+  if (!next) return undo(std::move(next).error());
+  table.next = std::move(*next);
+  auto last = file.prepare("SELECT coalesce(max(rowid), 0) FROM " + quoted(table.topic.table));
+  if (!last) return undo(std::move(last).error());
+  table.last = std::move(*last);
+  auto position = position_in(table);
+  if (!position) return undo(std::move(position).error());
+  table.done = *position;
+  table.begin = table.read = table.last_row = position->row;
+  const auto number = static_cast<std::uint32_t>(topic_numbers_.size());
+  table.topic_number = topic_numbers_.try_emplace(table.topic.topic, number).first->second;
+  return {};
+}
+
+Result<std::int64_t> SqliteFeed::number(const std::string& sql, const Position& position) {
+  auto statement = recording_->file()->prepare(sql);
+  if (!statement) return std::move(statement).error();
+  const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement->raw(), name); };
+  if (index(":row") != 0) statement->bind(index(":row"), position.row);
+  if (index(":run") != 0) statement->bind(index(":run"), position.run);
+  if (index(":origin") != 0) statement->bind(index(":origin"), position.origin);
+  if (index(":sequence") != 0) statement->bind(index(":sequence"), position.sequence);
+  auto row = statement->step();
+  if (!row) return std::move(row).error();
+  return *row ? statement->integer(0) : 0;
+}
+
+Result<Position> SqliteFeed::position_in(const Table& table) {
+  const std::string name = quoted(table.topic.table);
+  const detail::RecordingFile& file = *recording_->file();
+  Position position;
+  if (is_new_ && config_.from == From::now) {
+    // From the end: only what has come since is read.
+    auto older = file.prepare("SELECT rowid FROM " + name + " WHERE time < ? ORDER BY rowid DESC LIMIT 1");
+    if (!older) return std::move(older).error();
+    older->bind(1, to_nanoseconds(config_.attached));
+    auto row = older->step();
+    if (!row) return std::move(row).error();
+    if (*row) position.row = older->integer(0);
+  } else if (!is_new_) {
+    auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+    if (!has_table) return std::move(has_table).error();
+    if (*has_table == 0) return position;
+    auto stored = file.prepare(
+        "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
+    if (!stored) return std::move(stored).error();
+    stored->bind(1, config_.sink).bind(2, table.topic.table);
+    auto row = stored->step();
+    if (!row) return std::move(row).error();
+    if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
+    if (position.row == 0 || position.sequence == 0) return position;
+    constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
+    auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
+    if (!same) return std::move(same).error();
+    if (*same != 0) return position;
+    auto first = number("SELECT coalesce(min(rowid), 0) FROM " + name, position);
+    if (!first) return std::move(first).error();
+    auto elsewhere = number("SELECT rowid FROM " + name + " WHERE 1" + is_key, position);
+    if (!elsewhere) return std::move(elsewhere).error();
+    const std::string of = "topic " + table.topic.topic + ": ";
+    if (*elsewhere != 0) {
+      remarks_.push_back(of +
+                         "the rows of the recording have other numbers than before; goes on after the event that "
+                         "was sent last");
+      position.row = *elsewhere;
+    } else if (*first <= position.row) {
+      // Neither there nor deleted by a limit: another file of that name, or an older copy of it.
+      remarks_.push_back(of + "the event that was sent last, " + position.origin + " " +
+                         std::to_string(position.sequence) +
+                         ", is not in the recording, which may be an older copy: all of it is sent");
+      position = {};
+    }
+    return position;
+  }
+  positions_->set(config_.sink, table.topic.table, position);
+  return position;
+}
+
+// ---- rows
+
+Result<SqliteFeed::Run*> SqliteFeed::run_of(std::int64_t number) {
+  Run& run = runs_[number];
+  if (config_.times == detail::FeedConfig::Times::utc && !run.utc) {
+    auto line = recording_->utc_line(number);
+    if (!line) return std::move(line).error();
+    run.utc = std::move(*line);
+  }
+  if (!run.uuid.empty()) return &run;
+  auto query = recording_->file()->prepare("SELECT uuid FROM rtdata_run WHERE run = ?");
+  if (!query) return std::move(query).error();
+  query->bind(1, number);
+  auto row = query->step();
+  if (!row) return std::move(row).error();
+  run.uuid = *row ? std::string(query->text(0)) : std::string();
+  return &run;
+}
+
+std::uint32_t SqliteFeed::slot_of(Table& table, detail::SinkQueue& queue, std::int64_t run, std::string_view origin,
+                                  const Run& of) {
+  if (run == table.run_of_slot && origin == table.origin_of_slot) return table.slot;
+  auto [found, is_new] = table.slots.try_emplace({run, std::string(origin)}, 0);
+  if (is_new) {
+    try {
+      found->second = queue.add_slot(
+          {table.topic_number, found->first.second, table.topic.topic, table.topic.description, of.uuid});
+    } catch (...) {
+      table.slots.erase(found);
+      throw;
+    }
+  }
+  table.run_of_slot = run;
+  table.origin_of_slot = origin;
+  return table.slot = found->second;
+}
+
+Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std::size_t most,
+                                     std::size_t& bytes_left) {
+  const std::size_t payload_bytes = table.topic.description->size();
+  const std::size_t record_bytes = detail::record_bytes_of(payload_bytes);
+  struct Reset {
+    ~Reset() { statement.reset(); }
+    Statement& statement;
+  } reset{table.next};
+  table.next.bind(1, table.read).bind(2, static_cast<std::int64_t>(most));
+  std::size_t taken = 0;
+  while (taken < most && (record_bytes <= bytes_left || marks_.empty())) {
+    auto more = table.next.step();
+    if (!more) return std::move(more).error();
+    if (!*more) break;
+    const std::int64_t row = table.next.integer(row_column);
+    if (row > table.read + 1) removed_sum_ += static_cast<std::uint64_t>(row - table.read - 1);
+    const std::int64_t run_number = table.next.integer(run_column);
+    auto of_run = run_of(run_number);
+    if (!of_run) return std::move(of_run).error();
+    const std::string_view origin = table.next.text(origin_column);
+    const std::uint32_t slot = slot_of(table, queue, run_number, origin, **of_run);
+    std::byte* const to = queue.room(slot, record_bytes);
+    if (to == nullptr) break;  // cannot be: the queue was empty
+    const std::int64_t sequence = table.next.integer(sequence_column);
+    const std::int64_t recorded = table.next.integer(time_column);
+    const auto& utc = (*of_run)->utc;
+    const std::int64_t time = utc ? to_nanoseconds(utc->utc(from_nanoseconds(recorded))) : recorded;
+    const detail::RecordHeader record{&queue.stored(slot), time, static_cast<std::uint64_t>(sequence)};
+    std::memcpy(to, &record, sizeof record);
+    const auto texts = run_number >= first_run_with_escapes_ ? detail::RowReader::Texts::with_escapes
+                                                             : detail::RowReader::Texts::as_they_are;
+    if (auto read = table.reader->read(table.next.raw(), fixed_columns, texts, to + sizeof record); !read) {
+      // A row that cannot be read must not hold up those after it.
+      ++removed_sum_;
+      remarks_.push_back(
+          "left out: " +
+          at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
+      table.read = row;
+      continue;
+    }
+    queue.commit(record_bytes);
+    bytes_left -= std::min(bytes_left, record_bytes);
+    table.read = row;
+    marks_.push_back({&table, row, run_number, sequence, time, &queue.slot(slot).info.origin, removed_sum_});
+    ++taken;
+  }
+  return taken;
+}
+
+Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
+  if (settled_ < marks_.size()) forget();
+  marks_.clear();
+  settled_ = 0;
+  const Positions::Reading reading(*positions_);
+  if (!recording_) {
+    if (auto opened = open(); !opened) {
+      recording_.reset();
+      return std::move(opened).error();
+    }
+  }
+  if (auto looked = look(); !looked) return std::move(looked).error();
+  std::size_t bytes_left = queue.bytes_at_once();
+  std::size_t rows_left = config_.rows;
+  for (std::size_t i = 0; i < tables_.size() && rows_left > 0; ++i) {
+    Table& table = tables_[(next_table_ + i) % tables_.size()];
+    if (table.read >= table.last_row) continue;
+    // In turn, so that a fast topic does not hold back a slow one.
+    const std::size_t share = std::max<std::size_t>(rows_left / (tables_.size() - i), 1);
+    auto taken = take(table, queue, share, bytes_left);
+    if (!taken) {
+      // What is in the queue already is sent; the error comes again.
+      if (marks_.empty()) return std::move(taken).error();
+      break;
+    }
+    rows_left -= std::min(rows_left, *taken);
+    if (bytes_left == 0) break;
+  }
+  if (!tables_.empty()) next_table_ = (next_table_ + 1) % tables_.size();
+  if (marks_.empty()) {  // all that was left are rows that have gone
+    for (Table& table : tables_) {
+      if (table.read > table.done.row) {
+        table.done.row = table.read;
+        positions_->set(config_.sink, table.topic.table, table.done);
+      }
+    }
+    removed_.store(removed_sum_, std::memory_order_relaxed);
+  }
+  update_counts();
+  return !marks_.empty();
+}
+
+void SqliteFeed::refused(std::size_t row, const Error& why) {
+  if (row >= marks_.size()) return;
+  const Mark& mark = marks_[row];
+  positions_->add(
+      {config_.sink, mark.table->topic.topic, runs_[mark.run].uuid, *mark.origin, mark.sequence, why.text()});
+}
+
+void SqliteFeed::settled(std::size_t rows) noexcept {
+  rows = std::min(rows, marks_.size());
+  if (rows <= settled_) return;
+  try {
+    for (; settled_ < rows; ++settled_) {
+      const Mark& mark = marks_[settled_];
+      Position& done = mark.table->done;
+      done.row = mark.row;
+      done.run = mark.run;
+      done.sequence = mark.sequence;
+      if (done.origin != *mark.origin) done.origin = *mark.origin;
+      removed_.store(mark.removed_before, std::memory_order_relaxed);
+    }
+    for (const Table& table : tables_) {
+      if (table.done.row > 0) positions_->set(config_.sink, table.topic.table, table.done);
+    }
+  } catch (...) {  // no memory: the position in the file stays behind, and a start sends some again
+  }
+  update_counts();
+}
+
+void SqliteFeed::forget() noexcept {
+  for (Table& table : tables_) table.read = table.done.row;
+  removed_sum_ = removed_.load(std::memory_order_relaxed);
+  settled_ = marks_.size();
+}
+
+void SqliteFeed::update_counts() noexcept {
+  std::uint64_t offered = 0, backlog = 0;
+  if (settled_ < marks_.size()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
+  for (const Table& table : tables_) {
+    offered += static_cast<std::uint64_t>(table.last_row - table.begin);
+    backlog += static_cast<std::uint64_t>(table.last_row - table.done.row);
+  }
+  offered_.store(offered, std::memory_order_relaxed);
+  backlog_.store(backlog, std::memory_order_relaxed);
+  if (backlog == 0) oldest_.store(0, std::memory_order_relaxed);
+}
+
+detail::FeedCounts SqliteFeed::counts() const noexcept {
+  return {offered_.load(std::memory_order_relaxed), removed_.load(std::memory_order_relaxed),
+          backlog_.load(std::memory_order_relaxed), from_nanoseconds(oldest_.load(std::memory_order_relaxed))};
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,101 @@
+// Feeds a sink with the rows of a recording, from its position on.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rtdata/sinks/recording.hpp"
+#include "sinks/core/row_feed.hpp"
+#include "sinks/sqlite/positions.hpp"
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata::sqlite {
+
+class SqliteFeed final : public detail::RowFeed {
+ public:
+  /// Touches no file.
+  SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::FeedConfig config);
+
+  Result<bool> fill(detail::SinkQueue& queue) override;
+  void refused(std::size_t row, const Error& why) override;
+  void settled(std::size_t rows) noexcept override;
+  void forget() noexcept override;
+  detail::FeedCounts counts() const noexcept override;
+  std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
+
+ private:
+  /// A topic's table.
+  struct Table {
+    RecordedTopic topic;
+    std::optional<detail::RowReader> reader;
+    Statement next;         // rows after one, so many at most
+    Statement last;         // the number of the last row
+    Position done;          // with all up to this one
+    std::int64_t read = 0;  // the last row that was put into the queue, or skipped
+    std::int64_t begin = 0;
+    std::int64_t last_row = 0;
+    std::uint32_t topic_number = 0;
+    std::map<std::pair<std::int64_t, std::string>, std::uint32_t> slots;  // by run and origin
+    std::int64_t run_of_slot = -1;                                        // of the last row, with the next two
+    std::string origin_of_slot;
+    std::uint32_t slot = 0;
+  };
+  /// A row in the queue.
+  struct Mark {
+    Table* table;
+    std::int64_t row;
+    std::int64_t run;
+    std::int64_t sequence;
+    std::int64_t time;
+    const std::string* origin;
+    std::uint64_t removed_before;
+  };
+  struct Run {
+    std::string uuid;
+    std::optional<UtcLine> utc;
+  };
+
+  Result<void> open();
+  /// Tables that are new, and the last row of each.
+  Result<void> look();
+  Result<void> add(RecordedTopic topic);
+  /// Where to go on in a table: as it is stored, if that still fits.
+  Result<Position> position_in(const Table& table);
+  Result<std::int64_t> number(const std::string& sql, const Position& position);
+  /// Puts rows into the queue, so many at most. The number of rows.
+  Result<std::size_t> take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left);
+  Result<Run*> run_of(std::int64_t number);
+  std::uint32_t slot_of(Table& table, detail::SinkQueue& queue, std::int64_t run, std::string_view origin,
+                        const Run& of);
+  void update_counts() noexcept;
+
+  const std::string path_;
+  const std::shared_ptr<Positions> positions_;
+  const detail::FeedConfig config_;
+  std::optional<Recording> recording_;
+  std::deque<Table> tables_;
+  std::size_t next_table_ = 0;
+  std::map<std::int64_t, Run> runs_;
+  std::map<std::string, std::uint32_t> topic_numbers_;
+  std::int64_t topics_known_ = 0;
+  std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
+  std::int64_t first_run_with_escapes_ = 0;
+  bool is_new_ = false;  // the sink comes to this recording for the first time
+  std::vector<Mark> marks_;
+  std::size_t settled_ = 0;  // of those
+  std::uint64_t removed_sum_ = 0;
+  std::vector<std::string> remarks_;
+  std::atomic<std::uint64_t> offered_{0};
+  std::atomic<std::uint64_t> removed_{0};
+  std::atomic<std::uint64_t> backlog_{0};
+  std::atomic<std::int64_t> oldest_{0};
+};
+
+}  // namespace rtdata::sqlite

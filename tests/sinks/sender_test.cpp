@@ -1,0 +1,275 @@
+// What a sink does with a Sender, from memory: parcels, the window, answers of all kinds, and its end.
+#include <doctest/doctest.h>
+
+#include <numeric>
+
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/sender.hpp"
+#include "sinks/scripted_peer.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+
+namespace {
+
+const Error away{Errc::io_failed, "cannot send", "peer", "it is away", ""};
+
+struct Bench {
+  Loop loop{Loop::Manual{}};
+  std::shared_ptr<ScriptedPeer::Script> peer = std::make_shared<ScriptedPeer::Script>();
+  std::vector<std::string> errors;
+  double published = 0;
+
+  Bench() {
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+  }
+  Sink make(SinkConfig with = {.name = "peer", .batch_rows = 30, .retry_first = 100ms, .retry_longest = 1s}) {
+    return Sink(loop, std::move(with), std::make_unique<ScriptedPeer>(peer));
+  }
+  void publish(int count) {
+    for (int i = 0; i < count; ++i) loop.topic<Number>("a").publish({++published});
+  }
+  std::vector<std::uint64_t> all() const {
+    std::vector<std::uint64_t> sequences(static_cast<std::size_t>(published));
+    std::iota(sequences.begin(), sequences.end(), 1);
+    return sequences;
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-32 events go to a peer in parcels, in order, each with its key") {
+    Bench bench;
+    Sink sink = bench.make();
+    bench.publish(95);
+    bench.loop.advance(2s);
+    CHECK(bench.peer->sequences() == bench.all());
+    CHECK(bench.peer->sent == 10);
+    CHECK(sink.counts().stored == 95);
+    CHECK(sink.counts().queued == 0);
+    CHECK(sink.counts().balances());
+    for (const auto& event : bench.peer->events) {
+      CHECK(event.run.size() == 36);
+      CHECK(event.run == bench.peer->events.front().run);
+      CHECK(event.topic == "a");
+    }
+    CHECK(bench.loop.close(1s) == 0);
+    CHECK(bench.peer->begun == 1);
+    CHECK(bench.peer->ended == 1);
+    CHECK(bench.peer->cancelled == 0);
+  }
+
+  TEST_CASE("no more parcels than the window are under way; they are answered in any order and counted in order") {
+    Bench bench;
+    bench.peer->sending.window = 3;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) { bench.peer->hold(parcel, std::move(answer)); };
+    Sink sink = bench.make({.name = "peer", .batch_rows = 60});
+    bench.publish(60);
+    bench.loop.advance(100ms);
+    REQUIRE(bench.peer->held.size() == 3);
+    bench.peer->take_held(2);
+    bench.peer->take_held(1);
+    bench.loop.advance(1ms);
+    CHECK(bench.peer->held.size() == 3);
+    CHECK(sink.counts().stored == 0);
+    CHECK(sink.counts().queued == 60);
+    bench.peer->take_held(0);
+    CHECK(sink.counts().stored == 30);
+    CHECK(sink.counts().balances());
+    while (!bench.peer->held.empty()) {
+      bench.peer->take_held(0);
+      bench.loop.advance(1ms);
+    }
+    CHECK(sink.counts().stored == 60);
+    CHECK(bench.peer->most_held == 3);
+    auto sequences = bench.peer->sequences();
+    std::sort(sequences.begin(), sequences.end());
+    CHECK(sequences == bench.all());
+  }
+
+  TEST_CASE("what the peer does not have is sent again: nothing is lost while it is away, and the delay doubles") {
+    Bench bench;
+    bool is_away = true;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    bench.publish(50);
+    bench.loop.advance(10s);
+    CHECK(sink.health() == Health::faulted);
+    CHECK(sink.status().reason.find("it is away") != std::string::npos);
+    CHECK(bench.peer->sent >= 10);
+    CHECK(bench.peer->sent <= 16);  // 100, 200, 400, 800 ms, then each second, less some jitter; one parcel each
+    CHECK(sink.counts().queued == 50);
+    CHECK(bench.errors.size() == static_cast<std::size_t>(bench.peer->sent));
+    is_away = false;
+    bench.loop.advance(2s);
+    CHECK(sink.health() == Health::ok);
+    CHECK(bench.peer->sequences() == bench.all());
+    CHECK(sink.counts().stored == 50);
+    CHECK(sink.counts().balances());
+  }
+
+  TEST_CASE("the peer's own wish is what is waited for") {
+    Bench bench;
+    std::vector<MonotonicTime> at;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      at.push_back(bench.loop.now());
+      if (at.size() == 1) return answer.again(away, 7s);
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    bench.publish(5);
+    bench.loop.advance(20s);
+    REQUIRE(at.size() == 2);
+    CHECK(at[1] - at[0] >= 7s);
+    CHECK(at[1] - at[0] < 7s + 10ms);
+  }
+
+  TEST_CASE("rows that the peer or the format refuses are dropped, counted and reported") {
+    Bench bench;
+    bench.peer->unencodable = 5;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      for (std::size_t i = 0; i < parcel.rows().size(); ++i) {
+        if (parcel.rows()[i].sequence % 7 != 0) continue;
+        answer.refuse(i, {Errc::bad_data, "refused", "peer", "a multiple of seven", ""});
+        answer.refuse(i, {Errc::bad_data, "refused", "peer", "twice", ""});
+      }
+      answer.acknowledge();
+    };
+    Sink sink = bench.make();
+    bench.publish(30);
+    bench.loop.advance(2s);
+    CHECK(sink.counts().stored == 30 - 1 - 4);
+    CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 5);
+    CHECK(sink.counts().balances());
+    CHECK(sink.health() == Health::ok);
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(bench.errors[0].find("the first of 5") != std::string::npos);
+  }
+
+  TEST_CASE("a parcel without an answer is given up and sent again, and an answer that comes too late is ignored") {
+    Bench bench;
+    Answer late;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (bench.peer->sent == 1) {
+        late = std::move(answer);
+        return;
+      }
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    bench.publish(10);
+    bench.loop.advance(1500ms);
+    CHECK(sink.health() == Health::faulted);
+    CHECK(bench.peer->cancelled == 1);
+    CHECK(!late);
+    late.acknowledge();
+    CHECK(sink.counts().stored == 0);
+    bench.loop.advance(2s);
+    CHECK(bench.peer->sequences() == bench.all());
+    CHECK(sink.counts().stored == 10);
+    late.again(away);
+    CHECK(sink.health() == Health::ok);
+  }
+
+  TEST_CASE("an answer that is forgotten, and a sender that throws, are failures like others") {
+    Bench bench;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (bench.peer->sent == 1) return;
+      if (bench.peer->sent == 2) throw std::runtime_error("out of luck");
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    bench.publish(10);
+    bench.loop.advance(5s);
+    CHECK(bench.peer->sequences() == bench.all());
+    REQUIRE(bench.errors.size() == 3);
+    CHECK(bench.errors[0].find("gave no answer") != std::string::npos);
+    CHECK(bench.errors[2].find("out of luck") != std::string::npos);
+  }
+
+  TEST_CASE("a limit on bytes is kept, on average") {
+    Bench bench;
+    bench.peer->sending.bytes_per_second = 800;  // 100 events
+    Sink sink = bench.make();
+    bench.publish(1000);
+    bench.loop.advance(5s);
+    CHECK(sink.counts().stored >= 400);
+    CHECK(sink.counts().stored <= 520);
+    bench.loop.advance(6s);
+    CHECK(bench.peer->sequences() == bench.all());
+  }
+
+  TEST_CASE("closing sends what is left; when the peer stays away the rest is lost, counted and told, in time") {
+    for (const bool is_away : {false, true}) {
+      Bench bench;
+      bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        if (is_away) return bench.peer->hold(parcel, std::move(answer));
+        bench.peer->take(parcel, std::move(answer));
+      };
+      Sink sink = bench.make();
+      bench.publish(25);
+      const MonotonicTime begin = bench.loop.now();
+      CHECK(bench.loop.close(3s) == (is_away ? 25 : 0));
+      CHECK(bench.loop.now() - begin <= 3s + 10ms);
+      CHECK(bench.peer->ended == 1);
+      CHECK(bench.peer->cancelled == (is_away ? 2 : 0));  // its time-out, and the end
+    }
+  }
+
+  TEST_CASE("of a parcel that is answered before the end, what was acknowledged is counted as stored") {
+    Bench bench;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (bench.peer->sent == 2) return bench.peer->hold(parcel, std::move(answer));
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    bench.publish(25);
+    CHECK(bench.loop.close(500ms) == 15);
+    const SinkStatus status = bench.loop.runtime().sinks().back();
+    CHECK(status.counts.stored == 10);
+    CHECK(status.counts.balances());
+  }
+
+  TEST_CASE("a sink with a sender is destroyed in each state, and in its own error handler") {
+    for (int state = 0; state < 4; ++state) {
+      Bench bench;
+      std::optional<Sink> sink;
+      bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        if (state == 1) return bench.peer->hold(parcel, std::move(answer));
+        if (state >= 2) return answer.again(away);
+        bench.peer->take(parcel, std::move(answer));
+      };
+      sink.emplace(bench.make());
+      if (state == 3) sink->on_error([&](const ErrorReport&) { sink.reset(); });
+      bench.publish(40);
+      if (state > 0) bench.loop.advance(1200ms);
+      sink.reset();
+      bench.loop.advance(5s);
+      const SinkStatus status = bench.loop.runtime().sinks().back();
+      CHECK(status.counts.offered >= 30);
+      CHECK(status.counts.balances());
+    }
+  }
+
+  TEST_CASE("a peer that does not answer costs no tick of a sensor") {
+    Bench bench;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) { bench.peer->hold(parcel, std::move(answer)); };
+    Sink sink = bench.make();
+    std::uint64_t missed = 0, ticks = 0;
+    Ticker ticker(bench.loop, {.period = 1ms}, [&](const Tick& tick) {
+      missed += tick.missed;
+      ++ticks;
+      bench.publish(1);
+    });
+    bench.loop.advance(5s);
+    CHECK(ticks >= 5000);
+    CHECK(missed == 0);
+    CHECK(sink.counts().balances());
+  }
+}
