@@ -260,6 +260,8 @@ class Registry {
       stores.path = path(config);
       stores.topics = config.sink.topics;
       stores.close_deadline = config.sink.close_deadline;
+      stores.through = config.sink.through;
+      if constexpr (requires { C::is_recording; }) stores.is_recording = C::is_recording;
       if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
         stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
           return refused_topics(config, topics);

@@ -18,10 +18,10 @@
 ///
 /// Keys of the file: $schema, name, notes, log, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
-/// description-differs, duplicate-name, duplicate-path, unknown-bus, unknown-sensor, unknown-sink, unknown-tier,
-/// unknown-topic, uses-itself, wrong-part; of warnings: late-readings, matches-nothing, no-effect, no-sensors,
-/// no-sinks, overloaded-lane, overloaded-loop, plain-secret, unknown-placeholder, unknown-unit, unlikely-unit,
-/// unused-tier.
+/// description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor, unknown-sink,
+/// unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings, matches-nothing,
+/// no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret, unknown-placeholder, unknown-unit,
+/// unlikely-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.

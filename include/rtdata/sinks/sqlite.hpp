@@ -49,6 +49,7 @@ struct SqliteConfig {
   std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
   SinkConfig sink = {};              ///< what every sink has; its name is the path unless given
 
+  static constexpr bool is_recording = true;  ///< sinks can go through it
   static constexpr std::uint64_t least_max_bytes = std::uint64_t{4} << 20;
 };
 

@@ -256,7 +256,24 @@ const PartPlan* Neighbours::namesake_of(const PartUse& use) const {
   return nullptr;
 }
 
+void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
+  const ConfigItem& at = child_or_self(part.item, "through");
+  if (part.stores->is_recording) {
+    problems.add(at.problem("wrong-part", "a recording goes through no other; leave `through` out"));
+    return;
+  }
+  const PartPlan* recording = find("sink", part.stores->through);
+  if (recording == nullptr || !recording->stores || !recording->stores->is_recording) return;
+  for (const std::string& topic : topic_names_) {
+    if (!part.stores->wants(topic) || recording->stores->wants(topic)) continue;
+    problems.add(at.problem("not-recorded", "the topic \"" + topic + "\" is not among those of the recording, at " +
+                                                place_of(recording->item) + ", so that this sink would never get it; " +
+                                                "add it to the `topics` there"));
+  }
+}
+
 void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
+  if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   for (const PartUse& use : part.uses) {
     if (use.kind == "topic") {
       if (!publishers(use.name).empty()) continue;

@@ -39,6 +39,8 @@ class Neighbours {
   void assume_stored();
   /// Reports each part that `part` uses and that does not exist or has a wrong type.
   void check_uses(const PartPlan& part, Problems& problems);
+  /// The recording that a sink goes through has all of its topics.
+  void check_through(const PartPlan& part, Problems& problems) const;
   /// The log is a file of its own. `at`: the item that names it.
   void add_log(const LogSettings& log, const ConfigItem& at, Problems& problems);
 

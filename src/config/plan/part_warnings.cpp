@@ -1,6 +1,10 @@
 #include "config/plan/part_warnings.hpp"
 
+#include <linux/magic.h>
+#include <sys/vfs.h>
+
 #include <algorithm>
+#include <filesystem>
 #include <set>
 
 #include "config/read/mistakes.hpp"
@@ -121,6 +125,22 @@ void warn_of_units(const std::vector<PartPlan>& parts, Problems& warnings) {
                                                      "; degrees are " + (is_coulomb ? "Cel" : "[degF]")));
       break;
     }
+  }
+}
+
+void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings) {
+  for (const PartPlan& part : parts) {
+    if (!part.stores || !part.stores->is_recording) continue;
+    const bool is_gone_through = std::any_of(parts.begin(), parts.end(), [&](const PartPlan& other) {
+      return other.stores && other.stores->through == part.name;
+    });
+    if (!is_gone_through) continue;
+    const std::string folder = std::filesystem::path(part.stores->path).parent_path().string();
+    struct statfs about {};
+    if (::statfs(folder.empty() ? "." : folder.c_str(), &about) != 0 || about.f_type != TMPFS_MAGIC) continue;
+    warnings.add(child_or_self(part.item, "path")
+                     .problem("in-memory", "the recording is on a file system in memory: what waits in it for a peer is "
+                                           "gone when the machine restarts"));
   }
 }
 

@@ -12,6 +12,8 @@ namespace rtdata::config_detail {
 void warn_of_patterns(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& warnings);
 /// C and F are coulomb and farad, which no temperature has.
 void warn_of_units(const std::vector<PartPlan>& parts, Problems& warnings);
+/// Recordings in memory that others go through.
+void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings);
 /// Tiers on which nothing runs.
 void warn_of_tiers(const std::vector<PartPlan>& parts, Problems& warnings);
 /// Loops and lanes that have too much to do. `main_loop`: its name.

@@ -99,6 +99,7 @@ class Planner {
     if (publishing_ != 0 && publishing_ == good_publishing_) {
       warn_of_patterns(plan_.parts, neighbours, plan_.warnings);
       warn_of_units(plan_.parts, plan_.warnings);
+      warn_of_recordings(plan_.parts, plan_.warnings);
       warn_of_tiers(plan_.parts, plan_.warnings);
     }
     put_in_making_order(plan_.parts, neighbours, plan_.problems);

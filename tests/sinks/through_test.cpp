@@ -1,0 +1,360 @@
+// Sinks that go through a recording: what is committed there is sent, in order, once it is; the position is kept in it.
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <numeric>
+
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/sender.hpp"
+#include "sinks/recordings.hpp"
+#include "sinks/scripted_peer.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+using recordings::Folder;
+using recordings::number;
+using recordings::sql;
+
+namespace {
+
+const Error away{Errc::io_failed, "cannot send", "peer", "it is away", ""};
+
+/// What the peer of all runs has.
+using Peer = std::shared_ptr<ScriptedPeer::Script>;
+
+struct Run {
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> errors, log;
+  SqliteSink recording;
+  Sink sink;
+
+  Run(const std::string& path, const Peer& peer, SinkConfig config = {.name = "peer"}, SqliteConfig file = {}) {
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    loop.runtime().on_log([this](const LogRecord& entry) { log.push_back(std::string(entry.text)); });
+    file.path = path;
+    file.sink.name = "recording";
+    if (file.sink.topics == std::vector<std::string>{"#"}) file.sink.batch_time = 1s;
+    recording = SqliteSink(loop, file);
+    config.through = "recording";
+    config.retry_first = 100ms;
+    config.retry_longest = 1s;
+    sink = Sink(loop, config, std::make_unique<ScriptedPeer>(peer));
+  }
+  void publish(int count, const std::string& topic = "a") {
+    for (int i = 0; i < count; ++i) loop.topic<Number>(topic).publish({++published});
+  }
+  double published = 0;
+};
+
+/// Each event once, in order of its origin, without a hole; how many there are.
+std::size_t count_all_once(const ScriptedPeer::Script& peer) {
+  std::map<std::string, std::uint64_t> last;
+  std::size_t holes = 0;
+  for (const auto& event : peer.events) {
+    std::uint64_t& before = last[event.run + " " + event.topic + " " + event.origin];
+    holes += event.sequence != before + 1;
+    before = event.sequence;
+  }
+  CHECK(holes == 0);
+  return peer.events.size();
+}
+
+Verdict verdict_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw().verdict(); }
+
+bool has(const std::vector<std::string>& texts, const std::string& part) {
+  return std::any_of(texts.begin(), texts.end(), [&](const std::string& text) { return text.find(part) != text.npos; });
+}
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-32 what is recorded is sent once it is committed, with the key that it has in the recording") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, peer);
+      run.publish(250);
+      run.publish(40, "b/c");
+      run.loop.advance(1s);
+      CHECK(count_all_once(*peer) == 290);
+      CHECK(run.sink.counts().stored == 290);
+      CHECK(run.sink.counts().offered == 290);
+      CHECK(run.sink.counts().queued == 0);
+      run.publish(17);
+      CHECK(run.loop.close(5s) == 0);  // rows first, then what is to be sent, then the recording
+      CHECK(run.errors.empty());
+    }
+    CHECK(count_all_once(*peer) == 307);
+    auto recorded = Recording::open(path).or_throw();
+    const auto runs = recorded.runs().or_throw();
+    REQUIRE(runs.size() == 1);
+    CHECK(runs[0].state == RunState::closed);
+    CHECK(peer->events.front().run == runs[0].uuid);
+    CHECK(verdict_of(path) == Verdict::balanced);
+    CHECK(number(path, "SELECT row FROM rtdata_position WHERE sink = 'peer' AND table_name = 'a'") == 267);
+    CHECK(number(path, "SELECT row FROM rtdata_position WHERE sink = 'peer' AND table_name = 'b/c'") == 40);
+  }
+
+  TEST_CASE("while the peer is away everything waits in the recording, over starts, and goes out in order") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    for (int start = 0; start < 3; ++start) {
+      Run run(path, peer);
+      run.publish(100);
+      run.loop.advance(3s);
+      CHECK(run.sink.health() == Health::faulted);
+      CHECK(run.sink.counts().queued == 100 * static_cast<std::uint64_t>(start + 1));
+      const MonotonicTime begin = run.loop.now();
+      CHECK(run.loop.close(10s) == 0);  // nothing is lost, and the peer is not waited for
+      CHECK(run.loop.now() - begin < 2s);
+      CHECK(run.loop.runtime().sinks().back().counts.balances());
+    }
+    CHECK(peer->events.empty());
+    is_away = false;
+    Run run(path, peer);
+    run.publish(5);
+    run.loop.advance(3s);
+    CHECK(count_all_once(*peer) == 305);
+    CHECK(run.sink.counts().stored == 305);
+    CHECK(run.sink.counts().balances());
+    CHECK(run.loop.close(1s) == 0);
+    CHECK(verdict_of(path) == Verdict::balanced);
+  }
+
+  TEST_CASE("a sink begins with what comes now, or at the beginning; another goes at its own speed") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    auto none = std::make_shared<ScriptedPeer::Script>();
+    {
+      Run run(path, none, {.name = "early"});
+      run.publish(100);
+      run.loop.close(1s);
+    }
+    auto now = std::make_shared<ScriptedPeer::Script>(), all = std::make_shared<ScriptedPeer::Script>();
+    {
+      Run run(path, now, {.name = "now"});
+      Sink other(run.loop, {.name = "all", .through = "recording", .from = From::beginning},
+                 std::make_unique<ScriptedPeer>(all));
+      run.publish(30);
+      run.loop.advance(2s);
+      CHECK(now->events.size() == 30);
+      CHECK(all->events.size() == 130);
+      CHECK(run.loop.close(1s) == 0);
+    }
+    CHECK(count_all_once(*now) == 30);
+    CHECK(count_all_once(*all) == 130);
+    {
+      // The second start goes on, whatever `from` says.
+      Run run(path, all, {.name = "all", .from = From::beginning});
+      run.loop.advance(2s);
+      run.loop.close(1s);
+    }
+    CHECK(all->events.size() == 130);
+  }
+
+  TEST_CASE("topics are chosen by pattern, and tables take turns") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->sending = {.window = 1, .parcel_rows = 5, .timeout = 1s};
+    peer->on_send = [&](const Parcel& parcel, Answer answer) { peer->hold(parcel, std::move(answer)); };
+    Run run(folder / "run.db", peer, {.name = "peer", .topics = {"room/+"}, .batch_rows = 10});
+    run.publish(2000, "room/fast");
+    run.publish(10, "room/slow");
+    run.publish(10, "hall/other");
+    run.loop.advance(1s);
+    for (int i = 0; i < 12 && !peer->held.empty(); ++i) {
+      peer->take_held(0);
+      run.loop.advance(1ms);
+    }
+    const auto slow = std::count_if(peer->events.begin(), peer->events.end(),
+                                    [](const auto& event) { return event.topic == "room/slow"; });
+    CHECK(slow == 10);
+    CHECK(run.sink.counts().offered == 2010);
+  }
+
+  TEST_CASE("a kill repeats what was acknowledged since the position was stored, and loses nothing") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db", killed = folder / "killed.db";
+    {
+      Run run(path, peer);
+      run.publish(100);
+      run.loop.advance(1s);
+      run.publish(100);
+      run.loop.advance(1s);
+      CHECK(peer->events.size() == 200);
+      // As the files are when the program is killed now.
+      for (const char* part : {"", "-wal"})
+        std::filesystem::copy_file(path + part, killed + part);
+      run.loop.close(1s);
+    }
+    Run run(killed, peer);
+    run.loop.advance(2s);
+    CHECK(run.sink.counts().balances());
+    CHECK(run.loop.close(1s) == 0);
+    CHECK(peer->events.size() >= 200);
+    CHECK(peer->events.size() <= 300);
+    std::vector<std::uint64_t> sequences = peer->sequences();
+    std::sort(sequences.begin(), sequences.end());
+    sequences.erase(std::unique(sequences.begin(), sequences.end()), sequences.end());
+    CHECK(sequences.size() == 200);
+  }
+
+  TEST_CASE("rows that a limit of the recording deletes before they are sent are counted for the sink") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    const std::string path = folder / "run.db";
+    Run run(path, peer, {.name = "peer"}, {.max_age = 5s});
+    Ticker ticker(run.loop, {.period = 10ms}, [&](const Tick&) { run.publish(1); });
+    run.loop.advance(30s);
+    is_away = false;
+    run.loop.advance(20s);
+    ticker.close();
+    CHECK(run.loop.close(5s) == 0);
+    const SinkCounts counts = run.loop.runtime().sinks().front().name == "peer"
+                                  ? run.loop.runtime().sinks().front().counts
+                                  : run.loop.runtime().sinks().back().counts;
+    CHECK(counts.offered == static_cast<std::uint64_t>(run.published));
+    CHECK(counts.all_dropped() > 1000);
+    CHECK(counts.all_dropped() < 3000);
+    CHECK(counts.stored == peer->events.size());
+    CHECK(counts.balances());
+    CHECK(counts.queued == 0);
+  }
+
+  TEST_CASE("refused rows are kept in the recording with the reason") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->unencodable = 3;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      for (std::size_t i = 0; i < parcel.rows().size(); ++i) {
+        if (parcel.rows()[i].sequence == 7) answer.refuse(i, {Errc::bad_data, "refused", "peer", "seven", ""});
+      }
+      answer.acknowledge();
+    };
+    const std::string path = folder / "run.db";
+    Run run(path, peer);
+    run.publish(20);
+    run.loop.advance(3s);
+    CHECK(run.sink.counts().stored == 18);
+    CHECK(run.sink.counts().balances());
+    run.loop.close(1s);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_refused") == 2);
+    CHECK(number(path, "SELECT sequence FROM rtdata_refused WHERE reason LIKE '%seven%'") == 7);
+    CHECK(number(path, "SELECT sequence FROM rtdata_refused WHERE reason LIKE '%the test says so%'") == 3);
+  }
+
+  TEST_CASE("rows that got other numbers are found by their key, and an older copy of a recording is told") {
+    for (const bool is_older_copy : {false, true}) {
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      const std::string path = folder / "run.db", copy = folder / "copy.db";
+      {
+        Run run(path, peer);
+        run.publish(10);
+        run.loop.close(1s);
+      }
+      if (is_older_copy) {
+        std::filesystem::copy_file(path, copy);
+      }
+      {
+        Run run(path, peer);
+        run.publish(50);
+        run.loop.close(1s);
+      }
+      CHECK(peer->events.size() == 60);
+      sql(path, is_older_copy ? "DELETE FROM a WHERE run = 2" : "UPDATE a SET rowid = rowid + 1000");
+      Run run(path, peer);
+      run.publish(3);
+      run.loop.advance(2s);
+      run.loop.close(1s);
+      CHECK(has(run.log, is_older_copy ? "may be an older copy" : "have other numbers than before"));
+      CHECK(peer->events.size() == (is_older_copy ? 60 + 10 + 3 : 60 + 3));
+    }
+  }
+
+  TEST_CASE("a recording that is deleted or closed faults the sinks that go through it") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    Run run(path, peer);
+    run.publish(10);
+    run.loop.advance(2s);
+    std::filesystem::remove(path);
+    run.publish(10);
+    run.loop.advance(2s);
+    CHECK(run.sink.health() == Health::faulted);
+    CHECK(run.sink.status().reason.find("has ended") != std::string::npos);
+    Run other(folder / "other.db", peer);
+    other.recording.close();
+    CHECK(other.sink.health() == Health::faulted);
+    CHECK(other.sink.status().reason.find("was closed") != std::string::npos);
+    other.loop.advance(2s);
+    CHECK(other.loop.close(1s) == 0);
+  }
+
+  TEST_CASE("`through` names a recording of the same loop") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    Loop loop{Loop::Manual{}};
+    const auto make = [&](const std::string& through) {
+      return Sink(loop, {.name = "peer", .through = through}, std::make_unique<ScriptedPeer>(peer));
+    };
+    CHECK_THROWS_WITH_AS(make("none"), doctest::Contains("there is no such sink"), SetupError);
+    SqliteSink recording(loop, {.path = folder / "run.db", .sink = {.name = "recording"}});
+    CHECK_THROWS_WITH_AS(make("recoding"), doctest::Contains("there are: recording"), SetupError);
+    CHECK_THROWS_WITH_AS(SqliteSink(loop, {.path = folder / "b.db", .sink = {.name = "b", .through = "recording"}}),
+                         doctest::Contains("a recording itself"), SetupError);
+    Sink plain(loop, {.name = "plain"}, std::make_unique<ScriptedPeer>(peer));
+    CHECK_THROWS_WITH_AS(make("plain"), doctest::Contains("no recording"), SetupError);
+  }
+
+  TEST_CASE("a recording commits within the shortest time of the sinks that go through it") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    Run run(folder / "run.db", peer, {.name = "peer", .batch_time = 50ms},
+            {.sink = {.topics = {"a", "b/#"}, .batch_time = 10s}});
+    run.loop.advance(1s);
+    run.publish(1);
+    run.loop.advance(101ms);
+    CHECK(peer->events.size() == 1);
+  }
+
+  TEST_CASE("a peer that hangs while a sensor is recorded costs no tick, and the ledger closes") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->on_send = [&](const Parcel& parcel, Answer answer) { peer->hold(parcel, std::move(answer)); };
+    const std::string path = folder / "run.db";
+    Run run(path, peer);
+    std::uint64_t missed = 0;
+    Ticker ticker(run.loop, {.period = 1ms}, [&](const Tick& tick) {
+      missed += tick.missed;
+      run.publish(1);
+    });
+    run.loop.advance(5s);
+    CHECK(missed == 0);
+    ticker.close();
+    const MonotonicTime begin = run.loop.now();
+    CHECK(run.loop.close(8s) == 0);
+    CHECK(run.loop.now() - begin < 8s);
+    CHECK(verdict_of(path) == Verdict::balanced);
+    const auto runs = Recording::open(path).or_throw().runs().or_throw();
+    CHECK(runs.back().state == RunState::closed);
+  }
+}
