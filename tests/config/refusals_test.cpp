@@ -53,7 +53,8 @@ const std::map<std::string, std::string> right_sensors{
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
-                                                     {"console", R"({"type": "console", "descriptor": 2})"}};
+                                                     {"console", R"({"type": "console", "descriptor": 2})"},
+                                                     {"http", R"({"type": "http", "url": "http://127.0.0.1:9/x"})"}};
 
 #ifdef RTDATA_WITH_MODBUS
 constexpr const char* modbus_bus = R"("plc": {"type": "modbus", "device": "/no/such/rs485"},)";
