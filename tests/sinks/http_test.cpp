@@ -8,6 +8,9 @@
 #include <map>
 
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/verify.hpp"
 #include "sinks/http_bench.hpp"
 
 using namespace rtdata;
@@ -271,7 +274,7 @@ TEST_CASE("US-32 a token that has expired throws nothing away, and is never show
                   "dXNlcjpzM2NyM3Q=");
     HttpBench bench({.url = server.url("/hook/of-mine?key=value"),
                      .bearer = "s3cr3t-token",
-                     .sending = {.parcel_rows = 3},
+                     .sending = {.window = 1, .parcel_rows = 3},
                      .sink = {.name = "collector", .retry_longest = 1min}});
     bench.publish(20);
     CHECK(bench.is_faulted());
@@ -431,19 +434,65 @@ TEST_CASE("a sink of HTTP that is destroyed in the middle of everything leaves n
   }
 }
 
-TEST_CASE("a sink of HTTP that has nothing to do keeps no loop") {
+TEST_CASE("a sink of HTTP that has nothing to do watches nothing, so that it keeps no loop") {
   NEEDS_PYTHON();
   HttpServer server;
-  Loop loop;
-  HttpSink sink(loop, {.url = server.url(), .sink = {.name = "http", .batch_time = 1ms}});
-  loop.topic<Number>("t").publish({1});
-  sink.flush();
-  Ticker look(loop, 1ms, [&](const Tick&) {
-    if (sink.counts().stored == 1) look.stop();
-  });
-  loop.run_for(20s);
-  CHECK(sink.counts().stored == 1);
-  CHECK(loop.close() == 0);
+  HttpBench bench({.url = server.url()});
+  const auto watches = [&] {
+    int count = 0;
+    uv_walk(
+        bench.loop.uv(),
+        [](uv_handle_t* handle, void* to) {
+          if (handle->type == UV_POLL && uv_is_active(handle) != 0) ++*static_cast<int*>(to);
+        },
+        &count);
+    return count;
+  };
+  const int before = watches();
+  for (int i = 0; i < 2; ++i) {
+    bench.publish(10);
+    CHECK(bench.is_all_sent());
+    CHECK(watches() == before);
+  }
+}
+
+TEST_CASE("US-30 US-32 through a recording: what a run could not send, the next one sends, each event once") {
+  NEEDS_PYTHON();
+  HttpServer server;
+  server.kill();
+  const rtdata::test::Folder folder;
+  const std::string path = folder.path() + "/run.db";
+  std::set<std::string> keys;
+  for (int run = 0; run < 3; ++run) {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    SqliteSink recording(loop, {.path = path, .sink = {.name = "recording"}});
+    if (run == 2) server.start();
+    HttpSink sink(
+        loop, {.url = server.url(),
+               .sink = {.name = "collector", .close_deadline = 1s, .through = "recording", .from = From::beginning}});
+    Feed<Number> feed(loop, {.name = "chamber", .topic = "test/number"});
+    for (int i = 0; i < 150; ++i) {
+      feed.publish(Number{i / 4.0});
+      loop.advance(10ms);
+    }
+    if (run == 2)
+      CHECK_MESSAGE(wait_for(loop,
+                             [&] {
+                               loop.advance(100ms);
+                               return arrivals(server).size() == 450;
+                             }),
+                    sink.status().reason);
+    (void)loop.close(2s);
+  }
+  const auto came = arrivals(server);
+  CHECK(came.size() == 450);
+  for (const auto& [key, count] : came) {
+    CHECK_MESSAGE(count == 1, key);
+    keys.insert(key.substr(0, 36));
+  }
+  CHECK(keys.size() == 3);  // runs
+  CHECK(verify(Recording::open(path).or_throw()).or_throw().exit_code() == 0);
 }
 
 TEST_SUITE_END();

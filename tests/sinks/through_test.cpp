@@ -195,8 +195,7 @@ TEST_SUITE("sinks") {
       run.loop.advance(1s);
       CHECK(peer->events.size() == 200);
       // As the files are when the program is killed now.
-      for (const char* part : {"", "-wal"})
-        std::filesystem::copy_file(path + part, killed + part);
+      for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, killed + part);
       run.loop.close(1s);
     }
     Run run(killed, peer);

@@ -307,7 +307,7 @@ class SinkQueue {
   // the lane's, and while it is idle the loop's
   std::unique_ptr<RowFeed> feed_;
   std::vector<Parcel> parcels_;
-  std::vector<Parcel> spare_parcels_;  // for their memory
+  std::vector<Parcel> spare_parcels_;           // for their memory
   std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted

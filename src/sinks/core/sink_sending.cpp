@@ -36,8 +36,8 @@ Result<void> SinkQueue::encode() {
     }
     const std::size_t before = parcel->bytes_.size();
     if (auto encoded = sender_->encode(record, parcel->bytes_)) {
-      parcel->rows_.push_back({record.info, record.slot, in_batch, record.header.sequence, record.header.time,
-                               parcel->bytes_.size()});
+      parcel->rows_.push_back(
+          {record.info, record.slot, in_batch, record.header.sequence, record.header.time, parcel->bytes_.size()});
     } else {
       parcel->bytes_.resize(before);
       batch_.refuse(record, encoded.error());

@@ -134,13 +134,13 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
     if (!has_table) return std::move(has_table).error();
     if (*has_table == 0) return position;
-    auto stored = file.prepare("SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
+    auto stored = file.prepare(
+        "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
     if (!stored) return std::move(stored).error();
     stored->bind(1, config_.sink).bind(2, table.topic.table);
     auto row = stored->step();
     if (!row) return std::move(row).error();
-    if (*row)
-      position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
+    if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
     if (position.row == 0 || position.sequence == 0) return position;
     constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
     auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
@@ -152,8 +152,9 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     if (!elsewhere) return std::move(elsewhere).error();
     const std::string of = "topic " + table.topic.topic + ": ";
     if (*elsewhere != 0) {
-      remarks_.push_back(of + "the rows of the recording have other numbers than before; goes on after the event that "
-                              "was sent last");
+      remarks_.push_back(of +
+                         "the rows of the recording have other numbers than before; goes on after the event that "
+                         "was sent last");
       position.row = *elsewhere;
     } else if (*first <= position.row) {
       // Neither there nor deleted by a limit: another file of that name, or an older copy of it.
@@ -232,17 +233,16 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     const std::int64_t recorded = table.next.integer(time_column);
     const auto& utc = (*of_run)->utc;
     const std::int64_t time = utc ? to_nanoseconds(utc->utc(from_nanoseconds(recorded))) : recorded;
-    const detail::RecordHeader record{&queue.stored(slot), time,
-                                      static_cast<std::uint64_t>(sequence)};
+    const detail::RecordHeader record{&queue.stored(slot), time, static_cast<std::uint64_t>(sequence)};
     std::memcpy(to, &record, sizeof record);
     const auto texts = run_number >= first_run_with_escapes_ ? detail::RowReader::Texts::with_escapes
                                                              : detail::RowReader::Texts::as_they_are;
     if (auto read = table.reader->read(table.next.raw(), fixed_columns, texts, to + sizeof record); !read) {
       // A row that cannot be read must not hold up those after it.
       ++removed_sum_;
-      remarks_.push_back("left out: " + at_row(*recording_->file(), table.topic, run_number, origin,
-                                               record.sequence, std::move(read).error())
-                                            .text());
+      remarks_.push_back(
+          "left out: " +
+          at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
       table.read = row;
       continue;
     }
@@ -300,7 +300,8 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
 void SqliteFeed::refused(std::size_t row, const Error& why) {
   if (row >= marks_.size()) return;
   const Mark& mark = marks_[row];
-  positions_->add({config_.sink, mark.table->topic.topic, runs_[mark.run].uuid, *mark.origin, mark.sequence, why.text()});
+  positions_->add(
+      {config_.sink, mark.table->topic.topic, runs_[mark.run].uuid, *mark.origin, mark.sequence, why.text()});
 }
 
 void SqliteFeed::settled(std::size_t rows) noexcept {
