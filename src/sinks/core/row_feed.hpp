@@ -38,10 +38,12 @@ class RowFeed {
   virtual ~RowFeed() = default;
   /// With no batch under way: puts the next rows into the queue. False: there are none.
   virtual Result<bool> fill(SinkQueue& queue) = 0;
-  /// Of the rows of the last `fill`, in order, the first `rows` need not come again. `refused`: of a row among them,
-  /// counted from 0, why it was refused; to be called before.
-  virtual void refused(std::size_t row, const Error& why) = 0;
+  /// Of the rows of the last `fill`, in order, the first `rows` need not come again.
   virtual void settled(std::size_t rows) noexcept = 0;
+  /// One of them was refused. The same may be said again.
+  virtual void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) = 0;
+  /// The recording has committed something: counts it. While the lane is idle.
+  virtual void note_committed() = 0;
   /// Of what was put into the queue nothing more is settled: it is given again.
   virtual void forget() noexcept = 0;
   virtual FeedCounts counts() const noexcept = 0;
