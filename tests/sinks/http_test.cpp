@@ -495,5 +495,35 @@ TEST_CASE("US-30 US-32 through a recording: what a run could not send, the next 
   CHECK(verify(Recording::open(path).or_throw()).or_throw().exit_code() == 0);
 }
 
+TEST_CASE("US-30 US-32 FW-1 the example's node sends to its collector what it recorded while that was away") {
+  NEEDS_PYTHON();
+  using rtdata::test::built;
+  using rtdata::test::in_source;
+  using rtdata::test::Process;
+  HttpServer server;
+  server.kill();
+  ::setenv("COLLECTOR", server.url().c_str(), 1);
+  const rtdata::test::Folder folder;
+  const std::string node = in_source("examples/http_node.json");
+  {
+    Process alone(folder, built("rtdata"), {"run", node, "--for", "500ms"});
+    CHECK_MESSAGE(alone.end() == 0, alone.err);
+    CHECK_MESSAGE(has(alone.out + alone.err, "nobody listens"), alone.err);
+  }
+  server.start();
+  Process run(folder, built("rtdata"), {"run", node, "--for", "500ms"});
+  CHECK_MESSAGE(run.end() == 0, run.err);
+  const auto came = arrivals(server);
+  CHECK(came.size() >= 12);  // of two runs, at 10 Hz and 1 Hz
+  std::set<std::string> runs;
+  for (const auto& [key, count] : came) {
+    runs.insert(key.substr(0, 36));
+    CHECK(count == 1);
+  }
+  CHECK(runs.size() == 2);
+  Process verify(folder, built("rtdata"), {"verify", "node.db"});
+  CHECK_MESSAGE(verify.end() == 0, verify.out);
+}
+
 TEST_SUITE_END();
 #endif
