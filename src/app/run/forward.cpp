@@ -132,7 +132,10 @@ class Forward {
   }
   static bool are_well(System& system, const std::vector<std::string>& senders) {
     return std::all_of(senders.begin(), senders.end(),
-                       [&](const std::string& name) { return system.sink(name).health() == Health::ok; });
+                       [&](const std::string& name) {
+                         const SinkStatus status = system.sink(name).status();
+                         return status.health == Health::ok && status.backlog;
+                       });
   }
   static std::string line(const SinkStatus& sink) {
     return sink.name + ": " + std::to_string(sink.counts.stored) + " sent, " +

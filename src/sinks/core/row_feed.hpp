@@ -29,7 +29,9 @@ struct FeedCounts {
   std::uint64_t offered = 0;  ///< committed, of its topics; those that waited when it was attached too
   std::uint64_t removed = 0;  ///< deleted by a limit of the recording before they were stored
   std::uint64_t backlog = 0;  ///< wait in the recording
+  std::uint64_t bytes = 0;    ///< of those, their payloads
   Time oldest{};              ///< of those; 0: none
+  bool is_known = false;      ///< it has looked into the recording
 };
 
 /// Thread: the sink's lane, or its loop while the lane is idle, but for `counts`.

@@ -158,8 +158,7 @@ Result<void> SinkQueue::store() {
       if (!is_open_) return result;
     }
     if (!has_batch_) {
-      result = call_writer([this] { return fill(); });
-      if (!result) return result;
+      if (auto filled = call_writer([this] { return fill(); }); !filled) return filled;
       if (!gather()) break;
     }
     has_batch_ = true;

@@ -298,6 +298,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
     removed_.store(removed_sum_, std::memory_order_relaxed);
   }
   update_counts();
+  is_known_.store(true, std::memory_order_release);
   return !marks_.empty();
 }
 
@@ -348,20 +349,27 @@ void SqliteFeed::forget() noexcept {
 }
 
 void SqliteFeed::update_counts() noexcept {
-  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_;
+  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_, bytes = 0;
   if (settled_ < marks_.size()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
   for (const Table& table : tables_) {
     offered += static_cast<std::uint64_t>(table.last_row - table.begin);
-    backlog += static_cast<std::uint64_t>(table.last_row - table.done.row);
+    const auto waits = static_cast<std::uint64_t>(table.last_row - table.done.row);
+    backlog += waits;
+    bytes += waits * table.topic.description->size();
   }
+  bytes_.store(bytes, std::memory_order_relaxed);
   offered_.store(offered, std::memory_order_relaxed);
   backlog_.store(backlog, std::memory_order_relaxed);
   if (backlog == 0) oldest_.store(0, std::memory_order_relaxed);
 }
 
 detail::FeedCounts SqliteFeed::counts() const noexcept {
-  return {offered_.load(std::memory_order_relaxed), removed_.load(std::memory_order_relaxed),
-          backlog_.load(std::memory_order_relaxed), from_nanoseconds(oldest_.load(std::memory_order_relaxed))};
+  return {offered_.load(std::memory_order_relaxed),
+          removed_.load(std::memory_order_relaxed),
+          backlog_.load(std::memory_order_relaxed),
+          bytes_.load(std::memory_order_relaxed),
+          from_nanoseconds(oldest_.load(std::memory_order_relaxed)),
+          is_known_.load(std::memory_order_acquire)};
 }
 
 }  // namespace rtdata::sqlite

@@ -99,7 +99,9 @@ class SqliteFeed final : public detail::RowFeed {
   std::atomic<std::uint64_t> offered_{0};
   std::atomic<std::uint64_t> removed_{0};
   std::atomic<std::uint64_t> backlog_{0};
+  std::atomic<std::uint64_t> bytes_{0};
   std::atomic<std::int64_t> oldest_{0};
+  std::atomic<bool> is_known_{false};
 };
 
 }  // namespace rtdata::sqlite
