@@ -13,9 +13,11 @@ add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
   $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
-  $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus>)
+  $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
+  $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
 target_include_directories(rtdata_tests PRIVATE tests src)
-target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>)
+target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
+  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})

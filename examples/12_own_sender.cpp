@@ -51,9 +51,8 @@ int main(int argc, char** argv) {
   rtdata::Sink sender(loop, {.name = "datagrams", .batch_time = 100ms, .through = "recording"},
                       std::make_unique<Datagrams>(port));
   std::int64_t count = 0;
-  rtdata::Ticker ticker(loop, {.period = 10ms}, [&](const rtdata::Tick&) {
-    loop.topic<Count>("counter").publish({++count});
-  });
+  rtdata::Ticker ticker(loop, {.period = 10ms},
+                        [&](const rtdata::Tick&) { loop.topic<Count>("counter").publish({++count}); });
   loop.run_for(1s);
   ticker.close();
   loop.close(5s);

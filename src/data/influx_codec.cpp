@@ -14,6 +14,7 @@ namespace {
 
 constexpr const char* no_line = "the text is no line of InfluxDB";
 constexpr std::string_view sequence_key = "sequence";
+constexpr std::string_view run_key = "run";
 
 Error bad(std::string where, std::string why) {
   return {Errc::bad_data, no_line, std::move(where), std::move(why), ""};
@@ -244,6 +245,7 @@ class InfluxCodec final : public Codec {
     }
     line_.append(sequence_key) += '=';
     append_natural(line_, event.sequence());
+    if (!event.run().empty()) append_text((line_ += ',').append(run_key) += '=', event.run());
     line_ += ' ';
     append_number(line_, to_nanoseconds(event.time()));
     line_ += '\n';
@@ -291,6 +293,11 @@ class InfluxCodec final : public Codec {
       }
       std::size_t at = 0;
       while (at < leaves.size() && leaves[at].path != key) ++at;
+      if (at == leaves.size() && key == run_key && line.next() == '"') {
+        if (!line.text(event.run)) return bad("field run", "a text does not end");
+        event.run = text_of(event.run);
+        continue;
+      }
       if (at == leaves.size()) return bad("field " + key.substr(0, 64), "there is no such field");
       if (is_there[at]) return bad("field " + key, "it is there twice");
       is_there[at] = true;

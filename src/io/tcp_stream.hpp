@@ -11,8 +11,8 @@
 #include <string_view>
 #include <vector>
 
+#include "io/name_lookup.hpp"
 #include "loop/core/loop_core.hpp"
-#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 
@@ -43,14 +43,6 @@ class TcpStream {
   bool send(std::string_view text) noexcept;
 
  private:
-  class Lookup;
-  struct Address {
-    sockaddr_storage socket{};
-    socklen_t size = 0;
-  };
-  /// 0, or an error of getaddrinfo. Blocks unless `flags` say that the host is a number.
-  static int look_up(const std::string& host, std::uint16_t port, int flags, std::vector<Address>& to);
-  void looked_up(Lookup& lookup, LaneJob::Outcome outcome);
   void try_next();
   /// The attempt under way may have ended, one way or the other.
   void take_attempt();
@@ -67,16 +59,14 @@ class TcpStream {
   std::string host_;
   std::uint16_t port_ = 0;
   Duration limit_{0};
-  std::vector<Address> addresses_;
+  std::vector<SocketAddress> addresses_;
   std::size_t next_ = 0;  // of these
   int fd_ = -1;
   FdWatch watch_;
   Timer timeout_;
   int last_error_ = 0;
   bool is_connecting_ = false;
-  std::unique_ptr<Lane> lane_;         // for names; made when there is one
-  std::shared_ptr<Lookup> lookup_;     // that is waited for
-  std::weak_ptr<Lookup> last_lookup_;  // also one that is not, and still runs
+  NameLookup lookup_;
 };
 
 }  // namespace rtdata::detail

@@ -203,6 +203,7 @@ int run(int count, char** arguments) {
   bench_postgresql(report);
   bench_disk(report);
   bench_export(report);
+  bench_http(report);
   bench_verify(report);
   bench_program(report);
   bench_real_time(report);

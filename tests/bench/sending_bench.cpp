@@ -57,7 +57,8 @@ constexpr std::int64_t many_rows = 1'000'000;
 /// A recording with so many rows of eight numbers.
 void record(const std::string& path, std::int64_t rows) {
   rtdata::Loop loop;
-  rtdata::SqliteSink recording(loop, {.path = path, .sink = {.name = "recording", .queue_bytes = std::size_t{1} << 30}});
+  rtdata::SqliteSink recording(loop,
+                               {.path = path, .sink = {.name = "recording", .queue_bytes = std::size_t{1} << 30}});
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
   std::int64_t left = rows;
   rtdata::Ticker ticker(loop, std::chrono::milliseconds{1}, [&](const rtdata::Tick&) {
@@ -86,8 +87,7 @@ Sent send_all(const std::string& path, std::int64_t rows, int socket, int hertz)
   rtdata::SqliteSink recording(loop, {.path = path, .sink = {.name = "recording"}});
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
   const std::int64_t begin = monotonic_ns(), cpu = process_cpu_ns();
-  rtdata::Sink sink(loop,
-                    {.name = "peer", .batch_rows = 2000, .through = "recording", .from = rtdata::From::beginning},
+  rtdata::Sink sink(loop, {.name = "peer", .batch_rows = 2000, .through = "recording", .from = rtdata::From::beginning},
                     std::make_unique<BytesSender>(socket));
   Sent sent;
   unsigned n = 0;
@@ -188,7 +188,8 @@ void bench_sending(Report& report) {
       return send_all(copy_of(made, copy), many_rows, receiver.socket(), hertz).seconds;
     };
     report.add(measure_pair(
-        {.name = "catch_up", .unit = "s", .reach = 1.25}, [&] { return seconds(1000); }, [&] { return seconds(0); }, 5));
+        {.name = "catch_up", .unit = "s", .reach = 1.25}, [&] { return seconds(1000); }, [&] { return seconds(0); },
+        5));
   }
 }
 

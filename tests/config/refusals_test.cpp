@@ -55,6 +55,7 @@ const std::map<std::string, std::string> right_sensors{
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
                                                      {"console", R"({"type": "console", "descriptor": 2})"},
+                                                     {"http", R"({"type": "http", "url": "http://127.0.0.1:9/x"})"},
                                                      {"postgresql", R"({"type": "postgresql", "host": "FOLDER"})"}};
 
 #ifdef RTDATA_WITH_MODBUS

@@ -648,6 +648,27 @@ TEST_SUITE("data") {
     }
   }
 
+  TEST_CASE("US-31 the run of an event that leaves the machine goes along in JSON, CBOR and lines of InfluxDB") {
+    const Event<Small> event{{from_nanoseconds(5), 7, "chamber"}, {}};
+    for (const char* name : {"json", "cbor", "influx"}) {
+      CAPTURE(name);
+      const auto codec = CodecRegistry::standard().make(name).or_throw();
+      std::vector<std::byte> bytes, plain;
+      const EventView plain_view("t", event);
+      const EventView view("t", event, plain_view.description(), plain_view.payload(),
+                           "8e03978e-40d5-43e8-bc93-6894a57f9324");
+      codec->encode(view, bytes).or_throw();
+      codec->encode(plain_view, plain).or_throw();
+      const auto back = codec->decode(bytes, *description_of<Small>()).or_throw();
+      CHECK(back.run == "8e03978e-40d5-43e8-bc93-6894a57f9324");
+      CHECK(back.sequence == 7);
+      CHECK(back.origin == "chamber");
+      CHECK(codec->decode(plain, *description_of<Small>()).or_throw().run.empty());
+      CHECK(bytes.size() > plain.size());
+      CHECK(codec->first_event(bytes) == bytes.size());
+    }
+  }
+
   TEST_CASE("US-31 lines of InfluxDB: what can be said comes back, what cannot is left out, a line is a line") {
     const auto codec = make_influx_codec();
     Bytes bytes;

@@ -39,6 +39,7 @@ struct DecodedEvent {
   std::string origin;
   Time time{};
   std::optional<std::uint64_t> sequence;  ///< none when the format or its settings leave it out
+  std::string run;                        ///< empty when the event was written without
   std::vector<std::byte> payload;         ///< laid out as the description says
 
   /// Valid as long as this object is unchanged; sequence 0 when there is none.
@@ -73,10 +74,11 @@ class Codec {
 ///     {"topic":"climate","time":1772366400000000000,"origin":"chamber","sequence":7,
 ///      "data":{"temperature":21.5,"position":{"x":1},"accel":[0,0,9.81],"state":"idle","battery":null}}
 ///
-/// Numbers are the shortest that read back equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char
-/// is a string of one character (bytes from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that
-/// has none), an absent optional null. Bytes of a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and
-/// come back equal. Decoding wants every key once and no other, in any order; "sequence" may be missing.
+/// What has a run (EventView::run) has `"run":"..."` after its sequence. Numbers are the shortest that read back equal,
+/// NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char is a string of one character (bytes from 0x80
+/// on as U+0080 to U+00FF), an enumeration its name (its number when that has none), an absent optional null. Bytes of
+/// a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and come back equal. Decoding wants every key
+/// once and no other, in any order; "sequence" and "run" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
 /// CBOR (RFC 8949), a map an event with the keys of JSON, one after the other without anything between (RFC 8742).
@@ -89,7 +91,8 @@ std::unique_ptr<Codec> make_cbor_codec();
 ///
 ///     climate,origin=chamber temperature=21.5,position.x=1,state="idle",sequence=7i 1772366400000000000
 ///
-/// The measurement is the topic, the origin a tag (left out when empty), the time ns, a field each leaf by its path:
+/// The measurement is the topic, the origin a tag (left out when empty), the time ns, a run the last field (a text); a
+/// field is each leaf by its path:
 /// integers with an i, those above int64 with a u, texts, chars and names of enumerations in quotes, with escapes as in
 /// CSV. The protocol has no NaN, no infinity and no null: these fields are left out, and read back as NaN or absent, so
 /// that infinities do not come back equal. Errors: does-not-fit (an origin or topic with a line break or a trailing

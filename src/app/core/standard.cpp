@@ -18,6 +18,9 @@
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sinks/http.hpp"
+#endif
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/sensors/modbus.hpp"
 #endif
@@ -67,24 +70,37 @@ static void check_config(const SqliteConfig& config, const ConfigItem& item, Pro
 namespace {
 
 /// The shipped formats, and no others.
+void check_format(const std::string& given, const ConfigItem& item, Problems& problems) {
+  std::vector<std::string> formats = CodecRegistry::standard().names();
+  formats.emplace_back("jsonl");
+  if (std::find(formats.begin(), formats.end(), given) != formats.end()) return;
+  const ConfigItem* format = item.find("format");
+  std::string message = "there is no format \"" + given + "\"";
+  std::string nearest = nearest_name(given, formats);
+  if (nearest.empty()) {
+    message += "; there are";
+    for (const std::string& known : formats) message += " " + known;
+  }
+  problems.add((format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+}
+
 struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
     check_config(static_cast<const FileConfig&>(config), item, problems);
-    std::vector<std::string> formats = CodecRegistry::standard().names();
-    formats.emplace_back("jsonl");
-    if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;
-    const ConfigItem* format = item.find("format");
-    std::string message = "there is no format \"" + config.format + "\"";
-    std::string nearest = nearest_name(config.format, formats);
-    if (nearest.empty()) {
-      message += "; there are";
-      for (const std::string& known : formats) message += " " + known;
-    }
-    problems.add(
-        (format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+    check_format(config.format, item, problems);
   }
 };
+
+#ifdef RTDATA_WITH_HTTP
+struct ShippedHttpConfig : HttpConfig {
+  friend constexpr auto parameters(type_tag<ShippedHttpConfig>) { return parameter_list(include<HttpConfig>); }
+  friend void check_config(const ShippedHttpConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const HttpConfig&>(config), item, problems);
+    check_format(config.format, item, problems);
+  }
+};
+#endif
 
 }  // namespace
 
@@ -216,6 +232,12 @@ Registry standard_registry() {
       "postgresql", "tables of a PostgreSQL server, each event exactly once",
       [](const PostgresqlConfig&) { return std::string(); },
       [](Loop& loop, const PostgresqlConfig& config) { return PostgresqlSink(loop, config); });
+#endif
+#ifdef RTDATA_WITH_HTTP
+  registry.add_sink<ShippedHttpConfig>(
+      "http", "a server, by HTTP or HTTPS: JSON, JSON lines, CBOR, lines of InfluxDB",
+      [](const ShippedHttpConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedHttpConfig& config) { return HttpSink(loop, config); });
 #endif
   registry.add_sink<ConsoleConfig>(
       "console", "lines for people, on standard output",

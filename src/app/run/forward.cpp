@@ -131,11 +131,10 @@ class Forward {
     return sum;
   }
   static bool are_well(System& system, const std::vector<std::string>& senders) {
-    return std::all_of(senders.begin(), senders.end(),
-                       [&](const std::string& name) {
-                         const SinkStatus status = system.sink(name).status();
-                         return status.health == Health::ok && status.backlog;
-                       });
+    return std::all_of(senders.begin(), senders.end(), [&](const std::string& name) {
+      const SinkStatus status = system.sink(name).status();
+      return status.health == Health::ok && status.backlog;
+    });
   }
   static std::string line(const SinkStatus& sink) {
     return sink.name + ": " + std::to_string(sink.counts.stored) + " sent, " +
@@ -144,8 +143,7 @@ class Forward {
   }
   static std::string progress(System& system, const std::vector<std::string>& senders) {
     std::string text;
-    for (const std::string& name : senders)
-      text += (text.empty() ? "" : "; ") + line(system.sink(name).status());
+    for (const std::string& name : senders) text += (text.empty() ? "" : "; ") + line(system.sink(name).status());
     return text;
   }
 

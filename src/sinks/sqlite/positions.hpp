@@ -68,13 +68,12 @@ class Positions {
   std::map<std::string, Committed> last_rows() const;
   std::int64_t run() const;
 
-  // ---- the recording's writer
-  void begin_run(std::int64_t run);
-  void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
   /// To be called when the recording is closed.
   void at_end(std::function<std::string()> call);
 
   // ---- the recording's writer
+  void begin_run(std::int64_t run);
+  void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
   /// Calls those; what they say, if anything.
   std::vector<std::string> end();
   bool is_dirty() const;

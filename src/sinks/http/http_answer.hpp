@@ -1,0 +1,51 @@
+// What the answers of servers, and the ways in which there is none, mean for what was sent.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::detail {
+
+struct HttpAnswer {
+  long status = 0;
+  std::string_view text{};  // how the body begins
+  Duration retry_after{0};  // 0: the server did not say
+  std::string redirect{};   // where to, absolute; empty: nowhere
+};
+
+enum class HttpVerdict {
+  taken,
+  refused,  // at least one of the events; which, only halves tell
+  too_large,
+  elsewhere,  // to be sent to `redirect`
+  later,
+  faulted,  // as later; it needs somebody who changes something
+};
+
+struct HttpJudgement {
+  HttpVerdict verdict = HttpVerdict::taken;
+  Error why{};  // but of taken and elsewhere
+  std::optional<Duration> after{};
+};
+
+/// `origin` is the server's.
+HttpJudgement judge(const HttpAnswer& answer, const std::string& origin);
+
+/// The first line of a body, as it can be shown: at most 200 bytes, without control characters.
+std::string first_line_of(std::string_view body);
+
+/// A transfer that has failed, of libcurl.
+struct HttpFailure {
+  int code = 0;             // CURLcode
+  long verify_result = 0;   // OpenSSL's, of the peer's certificate
+  long connect_status = 0;  // of the proxy
+  int error_number = 0;     // of the operating system
+  std::string text{};       // of libcurl
+};
+HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const std::string& proxy_origin);
+
+}  // namespace rtdata::detail

@@ -1,0 +1,641 @@
+#include "sinks/http/http_sender.hpp"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <zlib.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+#include <limits>
+
+#include "data/hidden.hpp"
+#include "loop/core/loop_core.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
+constexpr int most_redirects = 3;
+constexpr std::size_t most_text = 1024;                    // of an answer, to show
+constexpr std::size_t most_answer = std::size_t{1} << 20;  // then it is no answer
+constexpr Duration longest_compression = std::chrono::seconds{30};
+
+std::string type_of(const HttpConfig& config, const Codec& codec) {
+  const bool is_one = config.sending.parcel_rows == 1;
+  if (!config.content_type.empty()) return config.content_type;
+  if (config.format == "json") return "application/json";
+  if (config.format == "jsonl") return "application/x-ndjson";
+  if (config.format == "cbor") return is_one ? "application/cbor" : "application/cbor-seq";
+  return codec.is_text() ? "text/plain; charset=utf-8" : "application/octet-stream";
+}
+
+std::uint64_t mixed(std::uint64_t x) noexcept {
+  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9;
+  x = (x ^ (x >> 27)) * 0x94d049bb133111eb;
+  return x ^ (x >> 31);
+}
+
+std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept {
+  for (const char c : text) x = (x ^ static_cast<unsigned char>(c)) * 0x100000001b3;
+  return mixed(x ^ text.size());
+}
+
+/// As CURLOPT_RESOLVE wants it; empty when it is none of IPv4 or IPv6.
+std::string text_of(const SocketAddress& address) {
+  char text[INET6_ADDRSTRLEN] = "";
+  if (address.socket.ss_family == AF_INET) {
+    in_addr number{};
+    std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in, sin_addr),
+                sizeof number);
+    return ::inet_ntop(AF_INET, &number, text, sizeof text) != nullptr ? text : "";
+  }
+  if (address.socket.ss_family != AF_INET6) return "";
+  in6_addr number{};
+  std::memcpy(&number, reinterpret_cast<const char*>(&address.socket) + offsetof(sockaddr_in6, sin6_addr),
+              sizeof number);
+  return ::inet_ntop(AF_INET6, &number, text, sizeof text) != nullptr ? "[" + std::string(text) + "]" : "";
+}
+
+bool is_number(const std::string& host) {
+  in6_addr number{};
+  return ::inet_pton(AF_INET, host.c_str(), &number) == 1 || ::inet_pton(AF_INET6, host.c_str(), &number) == 1;
+}
+
+void append(curl_slist*& list, const std::string& text) {
+  curl_slist* const longer = ::curl_slist_append(list, text.c_str());
+  if (longer == nullptr) throw std::bad_alloc();
+  list = longer;
+}
+
+/// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
+/// them in one file take it 50 ms to read.
+const char* folder_of_authorities() {
+  const curl_version_info_data* const about = ::curl_version_info(CURLVERSION_NOW);
+  const bool is_openssl = about->ssl_version != nullptr && std::strstr(about->ssl_version, "OpenSSL") != nullptr;
+  return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
+}
+
+HttpUrl checked_url(const HttpConfig& config) {
+  need_curl();
+  for (const HttpMistake& mistake : mistakes_of(config))
+    throw SetupError({Errc::bad_argument, "cannot send by HTTP", mistake.key, mistake.message, ""});
+  return parse_http_url(config.url).or_throw();
+}
+
+std::string base64(const std::string& text) {
+  static constexpr char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string out;
+  for (std::size_t i = 0; i < text.size(); i += 3) {
+    std::uint32_t bits = 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      bits = bits << 8 | (i + k < text.size() ? static_cast<unsigned char>(text[i + k]) : 0U);
+    for (std::size_t k = 0; k < 4; ++k) out += i + k > text.size() ? '=' : digits[bits >> (18 - 6 * k) & 63];
+  }
+  return out;
+}
+
+}  // namespace
+
+HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last) {
+  HttpKey key{0x9e3779b97f4a7c15, 0xd1b54a32d192ed03};
+  const SlotInfo* info = nullptr;
+  std::uint64_t source = 0;
+  for (std::size_t i = first; i < last; ++i) {
+    const Parcel::Row& row = parcel.rows()[i];
+    if (row.info != info) {
+      info = row.info;
+      source = mixed(mixed(0xcbf29ce484222325, info->run), info->origin);
+    }
+    key[0] = mixed(key[0] + (source ^ mixed(row.sequence)));
+    key[1] = mixed(key[1] ^ (source + 0x9e3779b97f4a7c15 * row.sequence));
+  }
+  return key;
+}
+
+/// Compresses the body of one request. Used again and again.
+class HttpSender::GzipJob final : public LaneJob {
+ public:
+  GzipJob(HttpSender& sender, Request& request) : owner(&sender), request_(&request) {}
+  ~GzipJob() override {
+    if (is_ready_) ::deflateEnd(&stream_);
+  }
+  void run() noexcept override {
+    constexpr int window_of_gzip = 15 + 16, memory = 8;
+    try {
+      is_good = false;
+      if (!is_ready_ && ::deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, window_of_gzip, memory,
+                                       Z_DEFAULT_STRATEGY) != Z_OK)
+        return;
+      if (std::exchange(is_ready_, true)) ::deflateReset(&stream_);
+      if (in.size() > std::numeric_limits<uInt>::max() / 2) return;
+      out.resize(::deflateBound(&stream_, static_cast<uLong>(in.size())));
+      stream_.next_in = reinterpret_cast<Bytef*>(in.data());
+      stream_.avail_in = static_cast<uInt>(in.size());
+      stream_.next_out = reinterpret_cast<Bytef*>(out.data());
+      stream_.avail_out = static_cast<uInt>(out.size());
+      is_good = ::deflate(&stream_, Z_FINISH) == Z_STREAM_END;
+      out.resize(out.size() - stream_.avail_out);
+    } catch (...) {
+      is_good = false;
+    }
+  }
+  void done(Outcome outcome) override;
+
+  HttpSender* owner;  // null: nobody waits for it any more. The loop's thread
+  std::string in, out;
+  bool is_good = false;
+
+ private:
+  Request* const request_;
+  z_stream stream_{};
+  bool is_ready_ = false;
+};
+
+struct HttpSender::Request {
+  Request() = default;
+  Request(const Request&) = delete;
+  Request& operator=(const Request&) = delete;
+  ~Request() { ::curl_easy_cleanup(easy); }
+
+  CURL* easy = nullptr;
+  State state = State::idle;
+  const Parcel* parcel = nullptr;
+  Answer answer;
+  HttpKey key{};  // of the parcel
+  Rest rest;
+  bool has_answers = false;  // to a part of the parcel
+  MonotonicTime began{};     // of the parcel
+  MonotonicTime deadline{};  // of this request
+  int redirects = 0;
+  std::string body;                  // where it is not the parcel's bytes as they are
+  std::span<const std::byte> bytes;  // that are sent
+  std::string idempotency;
+  curl_slist first{};                  // of the headers
+  std::uint64_t addresses_number = 0;  // those that libcurl has
+  std::string addresses;
+  curl_slist resolve{};
+  bool has_own_url = false;  // after a redirection
+  std::string text;          // how the answer begins
+  std::size_t answer_size = 0;
+  std::shared_ptr<GzipJob> gzip;
+  char error[CURL_ERROR_SIZE] = "";
+};
+
+void HttpSender::GzipJob::done(Outcome outcome) {
+  if (owner == nullptr) return;
+  HttpSender& sender = *owner;
+  Request& request = *request_;
+  if (outcome == Outcome::finished && is_good) {
+    request.bytes = std::as_bytes(std::span(out));
+    return sender.start_transfer(request);
+  }
+  if (outcome != Outcome::finished) owner = nullptr;  // it may still run
+  if (outcome != Outcome::finished) request.gzip = nullptr;
+  sender.give_up(request,
+                 {HttpVerdict::later,
+                  {Errc::io_failed, "cannot compress", sender.url_.origin, "there is no memory, or no time", ""},
+                  {}});
+}
+
+HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
+    : config_(std::move(config)), codec_(std::move(codec)), url_(checked_url(config_)) {
+  if (!config_.proxy.empty()) proxy_ = parse_http_url(config_.proxy).or_throw();
+  is_array_ = config_.format == "json" && config_.sending.parcel_rows > 1;
+  secrets_ = {config_.bearer, config_.password, config_.tls.key_password, config_.proxy_password};
+  if (!config_.user.empty()) secrets_.push_back(base64(config_.user + ":" + config_.password));
+  if (!config_.proxy_user.empty()) secrets_.push_back(base64(config_.proxy_user + ":" + config_.proxy_password));
+  for (const auto& [name, text] : config_.headers)
+    if (constexpr std::size_t least = 8; text.size() >= least) secrets_.push_back(text);
+  append(headers_, "Content-Type: " + type_of(config_, *codec_));
+  append(headers_, "Expect:");  // not asked first
+  if (config_.compression == HttpCompression::gzip) append(headers_, "Content-Encoding: gzip");
+  if (!config_.bearer.empty()) append(headers_, "Authorization: Bearer " + config_.bearer);
+  for (const auto& [name, text] : config_.headers) append(headers_, name + (text.empty() ? ";" : ": " + text));
+}
+
+HttpSender::~HttpSender() {
+  end();
+  ::curl_slist_free_all(headers_);
+}
+
+SendingConfig HttpSender::sending() const {
+  constexpr Duration spare = std::chrono::seconds{5};  // each request has its own limit; this one is for none
+  SendingConfig sending = config_.sending;
+  sending.timeout += spare;
+  return sending;
+}
+
+void HttpSender::begin(Loop& loop) {
+  loop_ = &loop;
+  const std::string name = "sink " + config_.sink.name;
+  // From 7.88 on, what libcurl does with OpenSSL is written with MSG_NOSIGNAL.
+  constexpr unsigned without_signals = 0x075800;
+  const bool is_encrypted = url_.is_encrypted() || (proxy_ && proxy_->is_encrypted());
+  multi_ = std::make_unique<CurlMulti>(
+      loop,
+      CurlMulti::Config{name, config_.sending.window,
+                        is_encrypted && ::curl_version_info(CURLVERSION_NOW)->version_num < without_signals},
+      [this](CURL* easy, CURLcode result) { transferred(easy, result); });
+  deadline_ = Timer(loop, Timer::Config{name}, [this] { deadline(); });
+  if (!is_number((proxy_ ? *proxy_ : url_).host)) lookup_ = std::make_unique<NameLookup>(loop.core(), name);
+  if (config_.compression == HttpCompression::gzip)
+    gzip_lane_ = std::make_unique<Lane>(loop.core(), "compression of " + name, longest_compression);
+}
+
+Result<void> HttpSender::encode(const Record& record, std::vector<std::byte>& out) {
+  auto encoded = codec_->encode(record.keyed_view(), out);
+  // The elements of an array: a comma after each, of which the last one is left out.
+  if (encoded && is_array_ && !out.empty() && out.back() == std::byte{'\n'}) out.back() = std::byte{','};
+  return encoded;
+}
+
+HttpSender::Request& HttpSender::free_request() {
+  for (const auto& request : requests_)
+    if (request->state == State::idle) return *request;
+  auto request = std::make_unique<Request>();
+  make_easy(*request);
+  return *requests_.emplace_back(std::move(request));
+}
+
+void HttpSender::make_easy(Request& request) {
+  request.easy = ::curl_easy_init();
+  if (request.easy == nullptr) throw std::bad_alloc();
+  const auto set = [&](CURLoption option, auto value) { ::curl_easy_setopt(request.easy, option, value); };
+  multi_->prepare(request.easy);
+  set(CURLOPT_PRIVATE, &request);
+  set(CURLOPT_URL, config_.url.c_str());
+#if LIBCURL_VERSION_NUM >= 0x075500
+  set(CURLOPT_PROTOCOLS_STR, "http,https");
+#else
+  set(CURLOPT_PROTOCOLS, static_cast<long>(CURLPROTO_HTTP | CURLPROTO_HTTPS));
+#endif
+  set(CURLOPT_POST, 1L);
+  if (config_.method == HttpMethod::put) set(CURLOPT_CUSTOMREQUEST, "PUT");
+  request.first.next = headers_;
+  set(CURLOPT_HTTPHEADER, &request.first);
+  set(CURLOPT_USERAGENT, "rtdata/" RTDATA_VERSION);
+  set(CURLOPT_ERRORBUFFER, request.error);
+  set(CURLOPT_CONNECTTIMEOUT_MS, 0x7fffffffL);  // each request has a limit of ours, which is the loop's time
+  set(CURLOPT_TCP_KEEPALIVE, 1L);
+  set(CURLOPT_TCP_KEEPIDLE, 30L);
+  set(CURLOPT_TCP_KEEPINTVL, 10L);
+  set(CURLOPT_WRITEDATA, &request);
+  set(
+      CURLOPT_WRITEFUNCTION, +[](char* data, std::size_t, std::size_t size, void* to) {
+        auto& into = *static_cast<Request*>(to);
+        into.answer_size += size;
+        into.text.append(data, std::min(size, most_text - std::min(into.text.size(), most_text)));
+        return into.answer_size > most_answer ? std::size_t{0} : size;
+      });
+  const bool may_be_two = config_.http_version == HttpVersion::two ||
+                          (config_.http_version == HttpVersion::automatic && url_.is_encrypted());
+  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two           ? CURL_HTTP_VERSION_1_1
+                                              : url_.is_encrypted() ? CURL_HTTP_VERSION_2TLS
+                                                                    : CURL_HTTP_VERSION_2_PRIOR_KNOWLEDGE));
+  if (may_be_two) set(CURLOPT_PIPEWAIT, 1L);  // one connection for all
+  if (!config_.user.empty()) {
+    set(CURLOPT_HTTPAUTH, static_cast<long>(CURLAUTH_BASIC));
+    set(CURLOPT_USERNAME, config_.user.c_str());
+    set(CURLOPT_PASSWORD, config_.password.c_str());
+  }
+  set(CURLOPT_PROXY, config_.proxy.c_str());  // an empty one: none, whatever the environment says
+  if (!config_.proxy_user.empty()) {
+    set(CURLOPT_PROXYAUTH, static_cast<long>(CURLAUTH_BASIC));
+    set(CURLOPT_PROXYUSERNAME, config_.proxy_user.c_str());
+    set(CURLOPT_PROXYPASSWORD, config_.proxy_password.c_str());
+  }
+  const TlsConfig& tls = config_.tls;
+  set(CURLOPT_SSL_VERIFYPEER, tls.verify ? 1L : 0L);
+  set(CURLOPT_SSL_VERIFYHOST, tls.verify ? 2L : 0L);
+  if (!tls.ca_file.empty()) {
+    set(CURLOPT_CAINFO, tls.ca_file.c_str());
+    set(CURLOPT_CAPATH, static_cast<const char*>(nullptr));
+  } else if (const char* folder = folder_of_authorities(); folder != nullptr) {
+    set(CURLOPT_CAINFO, static_cast<const char*>(nullptr));
+    set(CURLOPT_CAPATH, folder);
+  }
+  if (!tls.certificate.empty()) {
+    set(CURLOPT_SSLCERT, tls.certificate.c_str());
+    set(CURLOPT_SSLKEY, tls.key.c_str());
+    set(CURLOPT_KEYPASSWD, tls.key_password.c_str());  // also an empty one, or OpenSSL would ask at the terminal
+  }
+}
+
+void HttpSender::send(const Parcel& parcel, Answer answer) {
+  Request& request = free_request();
+  request.parcel = &parcel;
+  request.answer = std::move(answer);
+  request.key = key_of(parcel, 0, parcel.rows().size());
+  request.began = loop_->now();
+  request.redirects = 0;
+  request.has_answers = false;
+  request.rest = {};
+  const auto known = std::find_if(rests_.begin(), rests_.end(),
+                                  [&](const auto& rest) { return rest.first == request.key; });
+  if (known != rests_.end()) {  // it goes on where it was
+    request.rest = std::move(known->second);
+    request.has_answers = true;
+    rests_.erase(known);
+  } else {
+    request.rest.ranges.push_back({0, parcel.rows().size()});
+  }
+  start(request);
+}
+
+void HttpSender::start(Request& request) {
+  if (request.rest.ranges.empty()) return complete(request);
+  const Range range = request.rest.ranges.back();
+  const std::span<const std::byte> bytes = request.parcel->bytes(range.first, range.last);
+  const HttpKey key = range.first == 0 && range.last == request.parcel->rows().size()
+                          ? request.key
+                          : key_of(*request.parcel, range.first, range.last);
+  char text[64];
+  std::snprintf(text, sizeof text, "Idempotency-Key: \"%016llx%016llx\"", static_cast<unsigned long long>(key[0]),
+                static_cast<unsigned long long>(key[1]));
+  request.idempotency = text;
+  request.first.data = request.idempotency.data();
+  request.deadline = later(loop_->now(), config_.sending.timeout);
+  const auto put_body = [&](std::string& body) {
+    body.clear();
+    body.reserve(bytes.size() + 1);
+    if (is_array_) body += '[';
+    body.append(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+    if (is_array_) body.back() = ']';
+  };
+  if (gzip_lane_ != nullptr) {
+    request.state = State::compressing;
+    if (request.gzip == nullptr) request.gzip = std::make_shared<GzipJob>(*this, request);
+    put_body(request.gzip->in);
+    watch_deadlines();
+    if (!gzip_lane_->submit(request.gzip))
+      give_up(request,
+              {HttpVerdict::later, {Errc::io_failed, "cannot compress", url_.origin, "there is no thread", ""}, {}});
+    return;
+  }
+  request.bytes = bytes;
+  if (is_array_) {
+    put_body(request.body);
+    request.bytes = std::as_bytes(std::span(request.body));
+  }
+  start_transfer(request);
+}
+
+void HttpSender::start_transfer(Request& request) {
+  if (lookup_ == nullptr) return transfer(request);
+  if (addresses_.empty()) {
+    request.state = State::waiting;
+    watch_deadlines();
+    if (!lookup_->is_running()) look_up();
+    return;
+  }
+  if (loop_->now() - looked_up_at_ > name_age && !lookup_->is_running()) {
+    looked_up_at_ = loop_->now();
+    look_up();  // what is known serves until there is news
+  }
+  transfer(request);
+}
+
+void HttpSender::look_up() {
+  const HttpUrl& peer = proxy_ ? *proxy_ : url_;
+  lookup_->start(peer.host, peer.port, [this](std::vector<SocketAddress> addresses, const std::string& why) {
+    looked_up(std::move(addresses), why);
+  });
+}
+
+void HttpSender::looked_up(std::vector<SocketAddress> addresses, const std::string& why) {
+  const HttpUrl& peer = proxy_ ? *proxy_ : url_;
+  looked_up_at_ = loop_->now();
+  std::string list;
+  for (const SocketAddress& address : addresses)
+    if (const std::string text = text_of(address); !text.empty()) list += (list.empty() ? "" : ",") + text;
+  if (!list.empty()) list.insert(0, peer.host + ":" + std::to_string(peer.port) + ":");
+  if (!list.empty() && list != addresses_) {
+    addresses_ = std::move(list);
+    ++addresses_number_;
+  }
+  const std::shared_ptr<bool> alive = is_alive_;
+  for (std::size_t i = 0; i < requests_.size(); ++i) {
+    Request& request = *requests_[i];
+    if (request.state != State::waiting) continue;
+    if (!addresses_.empty()) {
+      transfer(request);
+    } else {
+      give_up(request,
+              {HttpVerdict::later,
+               {Errc::not_found, "cannot send", peer.origin, why, "check the name; an address needs no looking up"},
+               {}});
+    }
+    if (!*alive || multi_ == nullptr) return;
+  }
+}
+
+void HttpSender::transfer(Request& request) {
+  if (request.addresses_number != addresses_number_) {
+    request.addresses_number = addresses_number_;
+    request.addresses = addresses_;
+    request.resolve.data = request.addresses.data();
+    ::curl_easy_setopt(request.easy, CURLOPT_RESOLVE, &request.resolve);
+  } else if (request.resolve.data != nullptr) {  // libcurl keeps them
+    request.resolve.data = nullptr;
+    ::curl_easy_setopt(request.easy, CURLOPT_RESOLVE, nullptr);
+  }
+  ::curl_easy_setopt(request.easy, CURLOPT_POSTFIELDS, request.bytes.data());
+  ::curl_easy_setopt(request.easy, CURLOPT_POSTFIELDSIZE_LARGE, static_cast<curl_off_t>(request.bytes.size()));
+  if (request.redirects == 0 && request.has_own_url) {
+    request.has_own_url = false;
+    ::curl_easy_setopt(request.easy, CURLOPT_URL, config_.url.c_str());
+  }
+  request.text.clear();
+  request.answer_size = 0;
+  request.error[0] = '\0';
+  request.state = State::transferring;
+  watch_deadlines();
+  if (multi_->add(request.easy)) return;
+  give_up(request,
+          {HttpVerdict::later, {Errc::io_failed, "cannot send", url_.origin, "libcurl takes no request", ""}, {}});
+}
+
+void HttpSender::transferred(CURL* easy, CURLcode result) {
+  char* owner = nullptr;
+  ::curl_easy_getinfo(easy, CURLINFO_PRIVATE, &owner);
+  Request& request = *reinterpret_cast<Request*>(owner);
+  request.state = State::waiting;  // not libcurl's any more
+  HttpAnswer answer;
+  ::curl_easy_getinfo(easy, CURLINFO_RESPONSE_CODE, &answer.status);
+  // A server that refuses a request may close the connection before it has read it.
+  if (result == CURLE_OK || answer.status >= 400) {
+    curl_off_t seconds = 0;
+    ::curl_easy_getinfo(easy, CURLINFO_RETRY_AFTER, &seconds);
+    answer.retry_after = std::chrono::seconds{std::min<curl_off_t>(seconds, 86400)};
+    char* redirect = nullptr;
+    ::curl_easy_getinfo(easy, CURLINFO_REDIRECT_URL, &redirect);
+    if (redirect != nullptr) answer.redirect = redirect;
+    answer.text = request.text;
+    HttpJudgement judgement = judge(answer, url_.origin);
+    if (judgement.verdict == HttpVerdict::elsewhere && ++request.redirects <= most_redirects) {
+      request.has_own_url = true;
+      ::curl_easy_setopt(easy, CURLOPT_URL, answer.redirect.c_str());
+      return transfer(request);
+    }
+    if (judgement.verdict == HttpVerdict::elsewhere) {
+      judgement.verdict = HttpVerdict::faulted;
+      judgement.why.advice = "the server sends the request round and round: ask who runs it";
+    }
+    request.redirects = 0;
+    return take(request, std::move(judgement));
+  }
+  HttpFailure failure{.code = result};
+  long error_number = 0;
+  ::curl_easy_getinfo(easy, CURLINFO_SSL_VERIFYRESULT, &failure.verify_result);
+  ::curl_easy_getinfo(easy, CURLINFO_HTTP_CONNECTCODE, &failure.connect_status);
+  ::curl_easy_getinfo(easy, CURLINFO_OS_ERRNO, &error_number);
+  failure.error_number = static_cast<int>(error_number);
+  failure.text = request.error;
+  if (result == CURLE_WRITE_ERROR) failure.text = "the answer is longer than 1 MiB";
+  if (result == CURLE_COULDNT_CONNECT) addresses_.clear();  // it may have moved
+  request.redirects = 0;
+  take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));
+}
+
+void HttpSender::take(Request& request, HttpJudgement judgement) {
+  const Range range = request.rest.ranges.back();
+  if (judgement.verdict == HttpVerdict::later || judgement.verdict == HttpVerdict::faulted)
+    return give_up(request, std::move(judgement));
+  request.has_answers = true;
+  request.rest.ranges.pop_back();
+  if (judgement.verdict != HttpVerdict::taken) {
+    if (range.last - range.first == 1) {
+      request.rest.refused.emplace_back(range.first, shown(std::move(judgement.why)));
+    } else {
+      const std::size_t middle = range.first + (range.last - range.first) / 2;
+      request.rest.ranges.push_back({middle, range.last});
+      request.rest.ranges.push_back({range.first, middle});
+    }
+  }
+  if (!request.rest.ranges.empty() && loop_->now() - request.began > config_.sending.timeout) {
+    return give_up(request,
+                   {HttpVerdict::later,
+                    {Errc::timed_out, "cannot send", url_.origin,
+                     "the events of a parcel did not get through one by one in " + to_string(config_.sending.timeout),
+                     "those that did are not sent again"},
+                    Duration{0}});
+  }
+  start(request);
+}
+
+void HttpSender::complete(Request& request) {
+  Answer answer = std::move(request.answer);
+  const Refusals refused = std::move(request.rest.refused);
+  request.state = State::idle;
+  request.parcel = nullptr;
+  for (const auto& [row, why] : refused) answer.refuse(row, why);
+  answer.acknowledge();
+}
+
+void HttpSender::give_up(Request& request, HttpJudgement judgement) {
+  std::optional<Duration> after = judgement.after;
+  if (judgement.verdict == HttpVerdict::faulted && !after) after = config_.sink.retry_longest;
+  Answer answer = std::move(request.answer);
+  stop(request);
+  answer.again(shown(std::move(judgement.why)), after);
+}
+
+void HttpSender::stop(Request& request) {
+  if (request.state == State::idle) return;
+  if (request.state == State::transferring) multi_->remove(request.easy);
+  if (request.state == State::compressing && request.gzip != nullptr) {
+    request.gzip->owner = nullptr;
+    request.gzip = nullptr;
+  }
+  request.state = State::idle;
+  request.parcel = nullptr;
+  if (!request.has_answers) return;
+  if (rests_.size() >= config_.sending.window) rests_.erase(rests_.begin());
+  rests_.emplace_back(request.key, std::move(request.rest));
+}
+
+void HttpSender::watch_deadlines() {
+  if (!deadline_.is_running()) deadline_.start(config_.sending.timeout);
+}
+
+void HttpSender::deadline() {
+  const MonotonicTime now = loop_->now();
+  const std::shared_ptr<bool> alive = is_alive_;
+  for (std::size_t i = 0; i < requests_.size(); ++i) {
+    Request& request = *requests_[i];
+    if (request.state == State::idle || request.deadline > now) continue;
+    if (!has_connected(request)) addresses_.clear();
+    give_up(request, {HttpVerdict::later, where_it_stands(request), {}});
+    if (!*alive || multi_ == nullptr) return;
+  }
+  MonotonicTime next = MonotonicTime::max();
+  for (const auto& request : requests_)
+    if (request->state != State::idle) next = std::min(next, request->deadline);
+  if (next != MonotonicTime::max()) deadline_.start_at(next);
+}
+
+bool HttpSender::has_connected(const Request& request) {
+  curl_off_t connected = 0;
+  return request.state == State::transferring &&
+         ::curl_easy_getinfo(request.easy, CURLINFO_CONNECT_TIME_T, &connected) == CURLE_OK && connected > 0;
+}
+
+Error HttpSender::where_it_stands(const Request& request) const {
+  Error error{Errc::timed_out, "cannot send", url_.origin, "", ""};
+  const std::string limit = " in " + to_string(config_.sending.timeout);
+  const std::string& first = (proxy_ ? *proxy_ : url_).origin;
+  curl_off_t encrypted = 0;
+  if (request.state == State::compressing) {
+    error.why = "the events were not compressed" + limit;
+    error.advice = "is this machine overloaded?";
+  } else if (request.state == State::waiting) {
+    error.where = first;
+    error.why = "the name was not looked up" + limit;
+    error.advice = "do the name servers answer? An address needs no looking up";
+  } else if (!has_connected(request)) {
+    error.where = first;
+    error.why = "there was no connection" + limit;
+    error.advice = "is the machine on, and does the network reach it? A firewall may swallow what is sent";
+  } else if (url_.is_encrypted() &&
+             (::curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK ||
+              encrypted == 0)) {
+    error.why = "the connection was not encrypted" + limit;
+    error.advice = "does the server speak TLS at this port?";
+  } else {
+    error.why = "there was no answer" + limit;
+    error.advice = "the server takes connections and does not answer: look into its log; is `timeout` long enough?";
+  }
+  return error;
+}
+
+Error HttpSender::shown(Error error) const {
+  error.why = hidden(std::move(error.why), secrets_);
+  return error;
+}
+
+void HttpSender::cancel() {
+  for (const auto& request : requests_) {
+    if (request->state == State::idle) continue;
+    const Answer ignored = std::move(request->answer);
+    stop(*request);
+  }
+}
+
+void HttpSender::end() {
+  if (loop_ == nullptr) return;
+  *is_alive_ = false;
+  for (const auto& request : requests_) {
+    request->has_answers = false;
+    stop(*request);
+  }
+  deadline_.close();
+  lookup_ = nullptr;
+  if (gzip_lane_ != nullptr) gzip_lane_->leave_behind();
+  gzip_lane_ = nullptr;
+  requests_.clear();
+  multi_ = nullptr;
+  loop_ = nullptr;
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,312 @@
+// The HTTP sink by HTTPS: certificates of every kind, and nginx with HTTP/2, limits and kept connections.
+#ifdef RTDATA_WITH_HTTP
+#include <arpa/inet.h>
+#include <doctest/doctest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+
+#include <fstream>
+
+#include "sinks/http_bench.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+using Json = HttpServer::Json;
+
+namespace {
+
+const std::string openssl = "/usr/bin/openssl";
+const std::string nginx = "/usr/sbin/nginx";
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+/// An authority, and certificates of a server on this machine: right, expired, self-signed, of another name; one of a
+/// client, with a password on its key. Made once.
+class Certificates {
+ public:
+  static const Certificates& all() {
+    static const Certificates made;
+    return made;
+  }
+  std::string operator/(const std::string& name) const { return folder_.path() + "/" + name; }
+  std::vector<std::string> of(const std::string& name) const {
+    return {*this / (name + ".pem"), *this / (name + ".key")};
+  }
+
+ private:
+  Certificates() {
+    const std::string key = " -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes ";
+    run("req -x509" + key + "-keyout ca.key -out ca.pem -days 30 -subj /CN=authority");
+    run("req -x509" + key +
+        "-keyout self.key -out self.pem -days 30 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1");
+    const auto signed_by_ca = [&](const std::string& name, const std::string& names, const std::string& days) {
+      run("req" + key + "-keyout " + name + ".key -out " + name + ".csr -subj /CN=" + name);
+      folder_.write(name + ".ext", "subjectAltName=" + names + "\n");
+      run("x509 -req -in " + name + ".csr -CA ca.pem -CAkey ca.key -CAcreateserial -days " + days + " -extfile " +
+          name + ".ext -out " + name + ".pem");
+    };
+    signed_by_ca("right", "DNS:localhost,IP:127.0.0.1", "30");
+    signed_by_ca("expired", "DNS:localhost,IP:127.0.0.1", "-1");
+    signed_by_ca("other", "DNS:other.example", "30");
+    signed_by_ca("client", "DNS:node7", "30");
+    run("ec -in client.key -aes128 -passout pass:key-s3cret -out locked.key");
+  }
+  void run(const std::string& arguments) const {
+    const std::string command = "cd " + folder_.path() + " && " + openssl + " " + arguments + " 2>>errors";
+    REQUIRE_MESSAGE(std::system(command.c_str()) == 0, folder_.read("errors"));
+  }
+  rtdata::test::Folder folder_;
+};
+
+#define NEEDS_PROGRAM(program)                     \
+  if (!is_program(program)) {                      \
+    MESSAGE("skipped: there is no " << (program)); \
+    return;                                        \
+  }
+
+/// A port of this machine that is free now.
+std::string free_port() {
+  const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  const bool is_bound = ::bind(fd, reinterpret_cast<const sockaddr*>(&address), size) == 0 &&
+                        ::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) == 0;
+  ::close(fd);
+  REQUIRE(is_bound);
+  return std::to_string(ntohs(address.sin_port));
+}
+
+/// nginx in front of another server.
+class Nginx {
+ public:
+  Nginx(const HttpServer& behind, const std::string& limit) : port(free_port()), plain_port(free_port()) {
+    const Certificates& certificates = Certificates::all();
+    folder_.write("nginx.conf",
+                  "daemon off; pid nginx.pid; error_log errors; worker_processes 1; user root;\n"
+                  "events { worker_connections 64; }\n"
+                  "http {\n"
+                  "  log_format short '$server_protocol $connection $status';\n"
+                  "  access_log access short;\n"
+                  "  client_body_temp_path body; proxy_temp_path proxy; fastcgi_temp_path fastcgi;\n"
+                  "  uwsgi_temp_path uwsgi; scgi_temp_path scgi;\n"
+                  "  server {\n"
+                  "    listen 127.0.0.1:" +
+                      port +
+                      " ssl http2;\n"
+                      "    listen 127.0.0.1:" +
+                      plain_port +
+                      ";\n"
+                      "    ssl_certificate " +
+                      certificates / "right.pem" +
+                      ";\n"
+                      "    ssl_certificate_key " +
+                      certificates / "right.key" +
+                      ";\n"
+                      "    client_max_body_size " +
+                      limit +
+                      ";\n"
+                      "    location / { proxy_pass http://127.0.0.1:" +
+                      behind.port() +
+                      "; }\n"
+                      "  }\n"
+                      "}\n");
+    start();
+  }
+  void start() {
+    process_.emplace(folder_, nginx,
+                     std::vector<std::string>{"-p", folder_.path(), "-c", folder_.path() + "/nginx.conf"});
+    const auto limit = std::chrono::steady_clock::now() + 20s;
+    while (!answers() && std::chrono::steady_clock::now() < limit) ::usleep(2000);
+    REQUIRE_MESSAGE(answers(), folder_.read("errors"));
+  }
+  void stop() {
+    process_->signal(SIGTERM);
+    process_->end();
+    process_.reset();
+  }
+  ~Nginx() {
+    if (process_) stop();
+  }
+  /// A line a request: protocol, connection, status.
+  std::vector<std::string> accesses() const {
+    std::vector<std::string> all;
+    std::istringstream lines(folder_.read("access"));
+    for (std::string line; std::getline(lines, line);) all.push_back(line);
+    return all;
+  }
+  std::string url() const { return "https://localhost:" + port + "/in"; }
+
+  const std::string port, plain_port;
+
+ private:
+  bool answers() const {
+    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(port)));
+    const bool is_there = ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0;
+    ::close(fd);
+    return is_there;
+  }
+  rtdata::test::Folder folder_;
+  std::optional<rtdata::test::Process> process_;
+};
+
+}  // namespace
+
+TEST_SUITE_BEGIN("sinks");
+
+TEST_CASE("US-32 HTTPS: the server's certificate is checked, and what is wrong with it is said") {
+  NEEDS_PROGRAM(python);
+  NEEDS_PROGRAM(openssl);
+  const Certificates& certificates = Certificates::all();
+  const struct {
+    const char* certificate;
+    bool knows_authority;
+    const char* reason;
+  } cases[] = {{"right", true, ""},
+               {"right", false, "tls.ca_file"},
+               {"self", true, "tls.ca_file"},
+               {"expired", true, "have it renewed"},
+               {"other", true, "for another name"}};
+  for (const auto& one : cases) {
+    CAPTURE(one.certificate);
+    CAPTURE(one.knows_authority);
+    HttpServer server(certificates.of(one.certificate));
+    HttpConfig config{.url = "https://127.0.0.1:" + server.port() + "/in"};
+    if (one.knows_authority) config.tls.ca_file = certificates / "ca.pem";
+    HttpBench bench(config);
+    bench.publish(10);
+    const bool is_right = std::string(one.reason).empty();
+    CHECK_MESSAGE((is_right ? bench.is_all_sent() : bench.is_faulted()), bench.said());
+    CHECK_MESSAGE(has(bench.reason(), one.reason), bench.reason());
+    CHECK(server.events().size() == (is_right ? 10 : 0));
+    if (is_right) continue;
+    config.tls = {.verify = false};
+    HttpBench trusting(config);
+    trusting.publish(3);
+    CHECK(trusting.is_all_sent());
+  }
+}
+
+TEST_CASE("US-32 HTTPS: this machine proves who it is where the server asks for it") {
+  NEEDS_PROGRAM(python);
+  NEEDS_PROGRAM(openssl);
+  const Certificates& certificates = Certificates::all();
+  std::vector<std::string> asking = certificates.of("right");
+  asking.push_back(certificates / "ca.pem");
+  HttpServer server(asking);
+  HttpConfig config{.url = "https://localhost:" + server.port() + "/in", .tls = {.ca_file = certificates / "ca.pem"}};
+  {
+    HttpBench bench(config);
+    bench.publish(1);
+    CHECK_MESSAGE(bench.is_faulted(), bench.said());
+    CHECK(server.events().empty());
+  }
+  config.tls.certificate = certificates / "client.pem";
+  for (const char* key : {"client.key", "locked.key"}) {
+    config.tls.key = certificates / key;
+    config.tls.key_password = std::string(key) == "locked.key" ? "key-s3cret" : "";
+    HttpBench bench(config);
+    bench.publish(4);
+    CHECK_MESSAGE(bench.is_all_sent(), bench.said());
+  }
+  for (const char* password : {"", "wrong-s3cret"}) {  // nobody is asked for it at the terminal
+    config.tls.key_password = password;
+    HttpBench bench(config);
+    bench.publish(1);
+    CHECK(bench.is_faulted());
+    CHECK_MESSAGE(has(bench.reason(), "tls.key_password"), bench.reason());
+    CHECK(!has(bench.said(), "s3cret"));
+  }
+}
+
+TEST_CASE("US-32 HTTPS at a port that speaks none, and HTTP at one of HTTPS") {
+  NEEDS_PROGRAM(python);
+  NEEDS_PROGRAM(openssl);
+  HttpServer plain;
+  HttpServer encrypted(Certificates::all().of("right"));
+  for (const std::string& url : {"https://127.0.0.1:" + plain.port(), "http://127.0.0.1:" + encrypted.port()}) {
+    CAPTURE(url);
+    HttpBench bench({.url = url, .sending = {.timeout = 2s}});
+    bench.publish(1);
+    (void)wait_for(bench.loop, [&, begin = std::chrono::steady_clock::now()] {
+      return bench.sink.health() == Health::faulted || std::chrono::steady_clock::now() - begin > 1s;
+    });
+    bench.loop.advance(3s);
+    CHECK(bench.is_faulted());
+    CHECK(bench.sink.counts().queued == 1);
+  }
+}
+
+TEST_CASE("US-32 nginx: HTTP/2 on one connection, its limit on a request, and a restart") {
+  NEEDS_PROGRAM(python);
+  NEEDS_PROGRAM(openssl);
+  NEEDS_PROGRAM(nginx);
+  HttpServer server;
+  Nginx front(server, "2k");
+  HttpBench bench({.url = front.url(),
+                   .tls = {.ca_file = Certificates::all() / "ca.pem"},
+                   .sending = {.window = 4, .parcel_rows = 8}});
+  bench.publish(200);
+  REQUIRE_MESSAGE(bench.is_all_sent(), bench.said());
+  std::set<std::string> connections, statuses;
+  for (const std::string& line : front.accesses()) {
+    std::istringstream words(line);
+    std::string protocol, connection, status;
+    words >> protocol >> connection >> status;
+    CHECK(protocol == "HTTP/2.0");
+    connections.insert(connection);
+    statuses.insert(status);
+  }
+  CHECK(connections.size() == 1);
+  CHECK(statuses == std::set<std::string>{"200"});
+  CHECK(server.sequences() == bench.all());
+
+  front.stop();
+  bench.publish(50);
+  CHECK(bench.is_faulted());
+  front.start();
+  bench.loop.advance(11s);
+  CHECK(bench.is_all_sent());
+  CHECK(server.sequences() == bench.all());
+  CHECK(server.events().size() == 250);
+}
+
+TEST_CASE("US-32 nginx: what is too large for it arrives in halves; a server behind it that is away is waited for") {
+  NEEDS_PROGRAM(python);
+  NEEDS_PROGRAM(openssl);
+  NEEDS_PROGRAM(nginx);
+  HttpServer server;
+  Nginx front(server, "1k");
+  for (const HttpVersion version : {HttpVersion::automatic, HttpVersion::one}) {
+    server.forget();
+    HttpBench bench({.url = front.url(),
+                     .http_version = version,
+                     .tls = {.ca_file = Certificates::all() / "ca.pem"},
+                     .sending = {.window = 2, .parcel_rows = 64}});
+    bench.publish(128);
+    CHECK_MESSAGE(bench.is_all_sent(), bench.said());
+    CHECK(server.sequences() == bench.all());
+    CHECK(server.events().size() == 128);
+  }
+  bool is_limited = false;
+  for (const std::string& line : front.accesses()) is_limited = is_limited || has(line, " 413");
+  CHECK(is_limited);
+
+  server.kill();
+  HttpBench bench({.url = "http://localhost:" + front.plain_port + "/in"});
+  bench.publish(3);
+  CHECK(bench.is_faulted());
+  CHECK_MESSAGE(has(bench.reason(), "502 Bad Gateway"), bench.reason());
+  server.start();
+  bench.loop.advance(11s);
+  CHECK(bench.is_all_sent());
+}
+
+TEST_SUITE_END();
+#endif
