@@ -203,6 +203,7 @@ int run(int count, char** arguments) {
   bench_disk(report);
   bench_export(report);
   bench_verify(report);
+  bench_retrieval(report);
   bench_program(report);
   bench_real_time(report);
   if (report.write_json()) return 0;

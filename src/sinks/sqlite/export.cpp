@@ -63,10 +63,9 @@ class UtcLines {
   Result<Time> utc(std::int64_t run, Time recorded) {
     auto found = lines_.find(run);
     if (found == lines_.end()) {
-      auto line = recording_.utc_line(run);
-      if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
-      // Rows of a run that is not listed stay.
-      found = lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;
+      auto line = detail::utc_line_of(*recording_.file(), run);
+      if (!line) return std::move(line).error();
+      found = lines_.emplace(run, *std::move(line)).first;
     }
     return found->second.utc(recorded);
   }
