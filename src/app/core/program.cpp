@@ -286,12 +286,23 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
   command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
   command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
+  command
+      .add_option("--step", options->step,
+                  "Reduced: for each step of this length how many values, the least, the largest and the mean of each "
+                  "number")
+      ->type_name("DURATION");
   command.add_flag_callback(
-      "--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
+      "--utc", [options] { options->times = Export::Times::utc; },
+      "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
   command.add_flag_callback(
       "--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
-  command.footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
+  command.footer(
+      "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
+      "  rtdata export bench.db --topic host/cpu --step 1min");
   return [options](const Registry&) {
+    // Rows on the same terminal say themselves how far it is.
+    if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))
+      options->progress = Export::Progress::shown;
     const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
     return app::export_recording(*options, std::cout, std::cerr);
   };

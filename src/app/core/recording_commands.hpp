@@ -37,10 +37,13 @@ struct ExportOptions {
   Existing existing = Existing::refuse;  // replace: --overwrite
   std::optional<std::int64_t> run = {};
   std::optional<std::string> origin = {};
-  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded; empty: from the start
+  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded or (--utc) UTC; empty: from the start
   std::string until = {};  // first time not taken
   std::uint64_t limit = 0;
   std::uint64_t every = 1;
+  std::string step = {};  // --step: reduced to steps of this length; empty: each event
+  enum class Progress { hidden, shown };
+  Progress progress = Progress::hidden;  // shown: on `err`, which is a terminal
   enum class Times { recorded, utc };
   Times times = Times::recorded;  // utc: --utc, after the clock was set right, as ISO 8601 in CSV
   enum class Header { names, names_and_units };

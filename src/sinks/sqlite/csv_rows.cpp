@@ -228,6 +228,7 @@ Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
       if (auto done = append_by_codec(out, time); !done) return std::move(done).error();
       used = out.size();
     }
+    last_time_ = time;
     ++rows;
     ++given_;
   }

@@ -254,9 +254,9 @@ Result<std::unique_ptr<RowCursor>> make_step_cursor(const Recording& recording, 
   }
   auto statement = rows_in_order(*recording.file(), topic, selection, columns);
   if (!statement) return std::move(statement).error();
-  return std::unique_ptr<RowCursor>(
-      std::make_unique<StepCursor>(recording, std::move(topic), *std::move(steps), std::move(leaves),
-                                   *std::move(statement), selection.filter.times, step));
+  return std::unique_ptr<RowCursor>(std::make_unique<StepCursor>(recording, std::move(topic), *std::move(steps),
+                                                                 std::move(leaves), *std::move(statement),
+                                                                 selection.filter.times, step));
 }
 
 }  // namespace rtdata::detail
