@@ -328,6 +328,55 @@ Action prepare_import(CLI::App& command) {
     return app::import_table(*options, std::cout, std::cerr);
   };
 }
+
+Action prepare_replay(CLI::App& command) {
+  struct Given {
+    app::ReplayOptions options;
+    std::string speed = "1";
+  };
+  const auto given = std::make_shared<Given>();
+  ReplayConfig& config = given->options.config;
+  config.topics.clear();
+  command.add_option("DB", config.file, "The recording")->required();
+  command.add_option("FILE", given->options.configuration,
+                     "A configuration: its sinks get the events, its sensors are not made; default: the terminal");
+  command.add_option("--speed", given->speed, "2: twice as fast as recorded; max: as fast as it goes, in virtual time")
+      ->capture_default_str()
+      ->type_name("FACTOR");
+  command.add_option("--run", config.run, "Only this run; default: all, one after the other")
+      ->check(at_least(1))
+      ->type_name("NUMBER");
+  command.add_option("--topic", config.topics, "Topics or patterns; default: all")->expected(1, -1);
+  command.add_option("--rename", config.rename, "OLD=NEW: the topic OLD, and those below it, become NEW")
+      ->expected(1, -1);
+  command.add_option("--prefix", config.prefix, "Put before the names of the origins");
+  command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
+      ->type_name("TIME");
+  command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
+  command.add_flag_callback(
+      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Print warnings and errors only");
+  command.footer(
+      "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
+      "  rtdata replay bench.db again.json --speed max\nexit status:\n"
+      "  0  all was replayed, and stored\n  1  it was not, or another error\n"
+      "  2  the recording is unreadable, or the configuration has mistakes");
+  return [given](const Registry& registry) {
+    app::ReplayOptions& options = given->options;
+    if (options.config.topics.empty()) options.config.topics = {"#"};
+    options.is_virtual = given->speed == "max";
+    if (!options.is_virtual) {
+      double factor = 0;
+      const char* const end = given->speed.data() + given->speed.size();
+      const auto [stopped, failed] = std::from_chars(given->speed.data(), end, factor);
+      if (failed != std::errc{} || stopped != end || !(factor > 0)) {
+        std::cerr << "rtdata: --speed " << given->speed << ": it is neither a number above 0 nor max" << std::endl;
+        return app::exit_other;
+      }
+      options.config.speed = factor;
+    }
+    return app::replay(registry, options);
+  };
+}
 #endif
 
 struct Command {
@@ -349,6 +398,7 @@ constexpr Command commands[] = {
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", prepare_verify},
     {"info", "Sum up a recording", prepare_info},
     {"export", "Write out what was recorded", prepare_export},
+    {"replay", "Give recorded events to sinks again, as they came or faster", prepare_replay},
     {"import", "Make a recording of a table in CSV", prepare_import},
 #endif
 };

@@ -7,6 +7,9 @@
 #include <optional>
 #include <string>
 
+#include "rtdata/config/registry.hpp"
+#include "rtdata/sinks/replay.hpp"
+
 namespace rtdata::app {
 
 enum class Output { text, json };
@@ -63,5 +66,14 @@ struct ImportOptions {
 };
 /// 0; 1 when nothing, or not all, was imported: the error says which row.
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
+
+struct ReplayOptions {
+  ReplayConfig config;             // run 0: all of them, one after the other
+  std::string configuration = {};  // whose sinks get the events; empty: the terminal
+  bool is_virtual = false;         // --speed max: as fast as it goes, in virtual time
+  bool is_quiet = false;
+};
+/// 0; 1 not all was replayed, or stored; 2 unreadable, or mistakes in the configuration.
+int replay(const Registry& registry, const ReplayOptions& options);
 
 }  // namespace rtdata::app
