@@ -83,7 +83,8 @@ std::string listed(const std::string& path, const std::string& query) {
 
 constexpr const char* account =
     "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
-    "repeated, filtered, lost, offered, stored, first_sequence, last_sequence, carried, unreadable, one_a_read, lateness "
+    "repeated, filtered, lost, offered, stored, first_sequence, last_sequence, carried, unreadable, one_a_read, "
+    "lateness "
     "FROM rtdata_ledger ORDER BY run, topic, origin";
 constexpr const char* schedule = "SELECT * FROM rtdata_schedule ORDER BY run, origin, first_due";
 constexpr const char* gaps = "SELECT * FROM rtdata_gap ORDER BY run, first, origin";
@@ -154,10 +155,10 @@ TEST_CASE("FW-5 a part of the time, and a run that was not closed, are replayed 
   const Folder folder;
   const std::string path = make(folder);
   const Time start = Recording::open(path).or_throw().runs().or_throw()[0].started;
-  const std::string part = copied(folder, path,
-                                  {.from = std::to_string(to_nanoseconds(start + 500ms)),
-                                   .until = std::to_string(to_nanoseconds(start + 2s))},
-                                  "part.db");
+  const std::string part = copied(
+      folder, path,
+      {.from = std::to_string(to_nanoseconds(start + 500ms)), .until = std::to_string(to_nanoseconds(start + 2s))},
+      "part.db");
   check_balanced(part);
   CHECK(number(part, "SELECT count(*) FROM \"room/climate\"") == 148);
   CHECK(number(part, "SELECT min(sequence) FROM \"room/climate\"") == 51);
@@ -166,8 +167,8 @@ TEST_CASE("FW-5 a part of the time, and a run that was not closed, are replayed 
         "0|51|198|\n");
   const std::string in_utc = copied(folder, path, {.from = to_iso8601(start + 9s)}, "utc.db");
   CHECK(number(in_utc, "SELECT count(*) FROM \"room/climate\"") ==
-        number(path, "SELECT count(*) FROM \"room/climate\" WHERE time >= " +
-                         std::to_string(to_nanoseconds(start + 9s))));
+        number(path,
+               "SELECT count(*) FROM \"room/climate\" WHERE time >= " + std::to_string(to_nanoseconds(start + 9s))));
   check_balanced(in_utc);
 
   sql(path, "UPDATE rtdata_run SET state = 'sealed', lost = 0");
@@ -209,8 +210,9 @@ TEST_CASE("FW-5 what a recording dropped is dropped again, and counted") {
   check_balanced(path);
   const std::string copy = copied(folder, path);
   check_balanced(copy);
-  CHECK(listed(copy, "SELECT stored, dropped_newest, first_sequence, last_sequence FROM rtdata_ledger"
-                     " WHERE origin = 'room'") == "993|6|1|999|\n");
+  CHECK(listed(copy,
+               "SELECT stored, dropped_newest, first_sequence, last_sequence FROM rtdata_ledger"
+               " WHERE origin = 'room'") == "993|6|1|999|\n");
   CHECK(listed(copy, gaps) == listed(path, gaps));
 }
 

@@ -68,7 +68,9 @@ struct ReplayConfig {
         parameter("speed", &ReplayConfig::speed, "2: twice as fast as it was recorded", range(1e-6, 1e6)));
   }
 };
-/// What no parameter says by itself: renamings and times that are none.
+/// Whether there is such a recording, with that run and events on those topics. Blocks while it looks.
+Result<void> check_replayable(const ReplayConfig& config);
+/// What no parameter says by itself: renamings and times that are none; the same.
 void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& problems);
 
 struct ReplayCounts {

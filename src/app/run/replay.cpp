@@ -23,7 +23,8 @@ namespace rtdata::app {
 namespace {
 
 bool is_same_file(const std::string& a, const std::string& b) {
-  struct stat of_a {}, of_b {};
+  struct stat of_a {
+  }, of_b{};
   return ::stat(a.c_str(), &of_a) == 0 && ::stat(b.c_str(), &of_b) == 0 && of_a.st_dev == of_b.st_dev &&
          of_a.st_ino == of_b.st_ino;
 }
@@ -120,7 +121,8 @@ class ReplayRun {
     Runtime runtime(std::move(runtime_config));
     runtime.on_log([&](const LogRecord& record) {
       if (record.level < (options_.is_quiet ? LogLevel::warning : LogLevel::info)) return;
-      std::cerr << "rtdata: " << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
+      std::cerr << "rtdata: "
+                << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
                 << record.object << ": " << record.text << std::endl;
       if (record.level == LogLevel::error) status_ = exit_other;
     });

@@ -56,12 +56,78 @@ Result<std::pair<std::string, std::string>> renaming_of(const std::string& text)
   return std::pair(text.substr(0, at), text.substr(at + 1));
 }
 
+Result<RunInfo> chosen_run(const Recording& recording, const ReplayConfig& config) {
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  std::string numbers;
+  RunInfo chosen;
+  for (RunInfo& run : *runs) {
+    if (run.state == RunState::recording && run.pid == ::getpid()) {
+      return refused(config.file, "this program records into it: what is replayed would be recorded again",
+                     "record into another file");
+    }
+    numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);
+    if (config.run == 0 || run.run == config.run) chosen = std::move(run);
+  }
+  if (chosen.run != 0) return chosen;
+  return Error{Errc::not_found, "cannot replay", config.file,
+               numbers.empty() ? "it has no run" : "it has no run " + std::to_string(config.run),
+               numbers.empty() ? "" : "its runs are " + numbers};
+}
+
+/// Those with rows in the run.
+Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, const ReplayConfig& config,
+                                                 std::int64_t run) {
+  for (const std::string& pattern : config.topics) {
+    if (!is_topic_pattern(pattern)) {
+      return Error{Errc::bad_name, "cannot replay", "topic " + pattern, "it is neither a topic nor a pattern",
+                   "write room/climate, room/+ or room/#"};
+    }
+  }
+  auto all = recording.topics();
+  if (!all) return std::move(all).error();
+  std::string names;
+  std::vector<RecordedTopic> chosen;
+  for (RecordedTopic& topic : *all) {
+    if (names.size() < 200) names += (names.empty() ? "" : ", ") + topic.topic;
+    const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
+                                       [&](const std::string& pattern) { return topic_matches(pattern, topic.topic); });
+    // Of one whose fields changed between runs, those of this run.
+    auto rows = recording.file()->prepare("SELECT EXISTS(SELECT 1 FROM " + sqlite::quoted(topic.table) +
+                                          " t WHERE t.run = " + std::to_string(run) + ")");
+    if (!rows) return std::move(rows).error();
+    auto row = rows->step();
+    if (!row) return std::move(row).error();
+    if (!is_wanted || !*row || rows->integer(0) == 0) continue;
+    if (topic.description->size() > max_payload_size) {
+      return Error{Errc::bad_description, "cannot replay", config.file + ", topic " + topic.topic,
+                   "its events have " + std::to_string(topic.description->size()) + " bytes", "4096 at most"};
+    }
+    chosen.push_back(std::move(topic));
+  }
+  if (!chosen.empty()) return chosen;
+  return Error{Errc::not_found, "cannot replay", config.file + ", run " + std::to_string(run),
+               "it has no events on the topics that are asked for",
+               names.empty() ? "it has no topics" : "its topics are " + names};
+}
+
 }  // namespace
+
+Result<void> check_replayable(const ReplayConfig& config) {
+  auto recording = Recording::open(config.file);
+  if (!recording) return std::move(recording).error();
+  auto run = chosen_run(*recording, config);
+  if (!run) return std::move(run).error();
+  auto topics = chosen_topics(*recording, config, run->run);
+  if (!topics) return std::move(topics).error();
+  return {};
+}
 
 void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& problems) {
   const auto add = [&](const char* key, const Error& error) {
     const ConfigItem* at = item.find(key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", error.where + ": " + error.why + "; " + error.advice));
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", error.where + ": " + error.why + "; " + error.advice));
   };
   const auto from = time_of("from", config.from), until = time_of("until", config.until);
   if (!from) add("from", from.error());
@@ -78,6 +144,11 @@ void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& 
   }
   if (!config.prefix.empty() && !detail::is_name(config.prefix + "x"))
     add("prefix", refused("prefix", detail::name_rule, "choose another one"));
+  if (const auto replayable = check_replayable(config); !replayable) {
+    const Error& error = replayable.error();
+    const bool is_of_run = error.code == Errc::not_found && config.run != 0 && error.where == config.file;
+    add(is_of_run ? "run" : "file", error);
+  }
 }
 
 namespace detail {
@@ -120,8 +191,6 @@ class ReplayNode final : public SensorEntry, public Deadline {
     std::vector<Segment> segments;      // then
   };
 
-  static Result<Recording> opened(const std::string& file);
-  void choose_run(const Recording& recording);
   void choose_topics(const Recording& recording);
   void find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known);
   std::string renamed(const std::string& topic) const;
@@ -203,7 +272,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config) : SensorEntry(loop),
     throw SetupError(refused("from " + config_.from + ", until " + config_.until,
                              "it ends before it begins, or one is UTC and the other in ns", "correct them"));
   Recording recording = Recording::open(config_.file).or_throw();
-  choose_run(recording);
+  run_ = chosen_run(recording, config_).or_throw();
   filter.run = run_.run;
   base_ = run_.started;
   if (from) {
@@ -239,26 +308,11 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config) : SensorEntry(loop),
   loop.ref();
   has_ref_ = true;
   const bool goes_on = run_.state == RunState::recording;
-  loop.runtime.log(goes_on ? LogLevel::warning : LogLevel::info, "replay " + config_.name,
-                   "run " + std::to_string(run_.run) + " of " + config_.file + ", from " + to_iso8601(base_) +
-                       (goes_on ? "; it is still being recorded, or was not sealed: what it holds now is replayed" : ""));
+  loop.runtime.log(
+      goes_on ? LogLevel::warning : LogLevel::info, "replay " + config_.name,
+      "run " + std::to_string(run_.run) + " of " + config_.file + ", from " + to_iso8601(base_) +
+          (goes_on ? "; it is still being recorded, or was not sealed: what it holds now is replayed" : ""));
   lane_->submit(jobs_[0]);
-}
-
-void ReplayNode::choose_run(const Recording& recording) {
-  std::string numbers;
-  for (RunInfo& run : recording.runs().or_throw()) {
-    if (run.state == RunState::recording && run.pid == ::getpid()) {
-      throw SetupError(refused(config_.file, "this program records into it: what is replayed would be recorded again",
-                               "record into another file"));
-    }
-    numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);
-    if (config_.run == 0 || run.run == config_.run) run_ = std::move(run);
-  }
-  if (run_.run != 0) return;
-  throw SetupError({Errc::not_found, "cannot replay", config_.file,
-                    numbers.empty() ? "it has no run" : "it has no run " + std::to_string(config_.run),
-                    numbers.empty() ? "" : "its runs are " + numbers});
 }
 
 std::string ReplayNode::renamed(const std::string& topic) const {
@@ -271,28 +325,7 @@ std::string ReplayNode::renamed(const std::string& topic) const {
 }
 
 void ReplayNode::choose_topics(const Recording& recording) {
-  for (const std::string& pattern : config_.topics) {
-    if (!is_topic_pattern(pattern)) {
-      throw SetupError({Errc::bad_name, "cannot replay", "topic " + pattern, "it is neither a topic nor a pattern",
-                        "write room/climate, room/+ or room/#"});
-    }
-  }
-  std::string names;
-  for (RecordedTopic& topic : recording.topics().or_throw()) {
-    if (names.size() < 200) names += (names.empty() ? "" : ", ") + topic.topic;
-    const bool is_wanted = std::any_of(config_.topics.begin(), config_.topics.end(), [&](const std::string& pattern) {
-      return topic_matches(pattern, topic.topic);
-    });
-    // Of one whose fields changed between runs, those of this run.
-    auto rows = recording.file()
-                    ->prepare("SELECT EXISTS(SELECT 1 FROM " + sqlite::quoted(topic.table) +
-                              " t WHERE t.run = " + std::to_string(run_.run) + ")")
-                    .or_throw();
-    if (!is_wanted || !rows.step().or_throw() || rows.integer(0) == 0) continue;
-    if (topic.description->size() > max_payload_size) {
-      throw SetupError({Errc::bad_description, "cannot replay", config_.file + ", topic " + topic.topic,
-                        "its events have " + std::to_string(topic.description->size()) + " bytes", "4096 at most"});
-    }
+  for (RecordedTopic& topic : chosen_topics(recording, config_, run_.run).or_throw()) {
     PayloadType type;
     type.size = topic.description->size();
     type.alignment = topic.description->alignment();
@@ -301,15 +334,11 @@ void ReplayNode::choose_topics(const Recording& recording) {
     TopicCore& core = loop()->runtime.topic(renamed(topic.topic), std::move(type));
     topics_.push_back({std::move(topic), &core});
   }
-  if (!topics_.empty()) return;
-  throw SetupError({Errc::not_found, "cannot replay", config_.file + ", run " + std::to_string(run_.run),
-                    "it has no events on the topics that are asked for",
-                    names.empty() ? "it has no topics" : "its topics are " + names});
 }
 
 void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known) {
   // Rows are selected by one pattern; of several, all are read and the others left out.
-  filter.topic = topics_.size() == 1 ? topics_.front().recorded.topic
+  filter.topic = topics_.size() == 1          ? topics_.front().recorded.topic
                  : config_.topics.size() == 1 ? config_.topics.front()
                                               : "#";
   const bool is_whole = is_aligned_ && run_.state == RunState::closed && !filter.from && !filter.until &&
@@ -332,7 +361,7 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
   }
   if (has_all) return;
   loop()->runtime.log(LogLevel::info, "replay " + config_.name,
-                      std::string(!is_aligned_                       ? "the loop's time is not that of the run"
+                      std::string(!is_aligned_                     ? "the loop's time is not that of the run"
                                   : run_.state == RunState::closed ? "it is not replayed as a whole"
                                                                    : "the run was not closed") +
                           ": what is recorded of it again has no schedule, its gaps are silent ones");
@@ -378,8 +407,7 @@ void ReplayNode::wait_until(MonotonicTime at) noexcept {
 void ReplayNode::portion_is_ready() {
   if (is_done_ || !is_open() || is_listed()) return;
   const MonotonicTime now = loop()->now();
-  if (!std::exchange(is_started_, true))
-    started_ = is_aligned_ ? loop()->runtime.clock_log.monotonic_of(base_) : now;
+  if (!std::exchange(is_started_, true)) started_ = is_aligned_ ? loop()->runtime.clock_log.monotonic_of(base_) : now;
   wait_until(now);
 }
 
@@ -542,7 +570,8 @@ void ReplayNode::give_health(std::int64_t up_to) {
                    : recorded.state == name_of(Health::degraded) ? Health::degraded
                                                                  : Health::faulted;
     change.reason = text<96>(std::string_view(reason, put_fitting(reason, sizeof reason, recorded.reason)));
-    for (Listener* listener : runtime.recorders) listener->on_health(recorded.time, recorded.last, change, recorded.count);
+    for (Listener* listener : runtime.recorders)
+      listener->on_health(recorded.time, recorded.last, change, recorded.count);
     TopicCore& topic = runtime.topic(health_topic, payload_type<HealthChange>());
     OriginCore& program = runtime.program_origin(topic);
     ++program.counts.received;
@@ -606,11 +635,12 @@ void ReplayNode::finish(const Result<void>& how) {
 void ReplayNode::tell_end(bool is_complete) {
   LoopCore& on = *loop();
   const ReplayEnd end{run_.run, counts_.events, counts_.gaps, counts_.dropped, counts_.refused, is_complete};
-  on.runtime.log(is_complete ? LogLevel::info : LogLevel::warning, "replay " + config_.name,
-                 std::string(is_complete ? "has ended: " : "was ended early: ") + std::to_string(counts_.events) +
-                     " events and " + std::to_string(counts_.gaps) + " gaps" +
-                     (counts_.dropped > 0 ? ", " + std::to_string(counts_.dropped) + " that the recording dropped" : "") +
-                     (counts_.refused > 0 ? ", " + std::to_string(counts_.refused) + " refused" : ""));
+  on.runtime.log(
+      is_complete ? LogLevel::info : LogLevel::warning, "replay " + config_.name,
+      std::string(is_complete ? "has ended: " : "was ended early: ") + std::to_string(counts_.events) + " events and " +
+          std::to_string(counts_.gaps) + " gaps" +
+          (counts_.dropped > 0 ? ", " + std::to_string(counts_.dropped) + " that the recording dropped" : "") +
+          (counts_.refused > 0 ? ", " + std::to_string(counts_.refused) + " refused" : ""));
   ++own_->counts.received;
   ++own_->counts.published;
   own_->topic.publish(*own_, last_given_, const_cast<ReplayEnd*>(&end));

@@ -27,8 +27,8 @@ std::string_view kept_reason(std::string_view text) {
 }
 
 std::optional<Gap::Kind> gap_kind(std::string_view name) noexcept {
-  for (const Gap::Kind kind : {Gap::Kind::missed, Gap::Kind::failed, Gap::Kind::disconnected, Gap::Kind::silent,
-                               Gap::Kind::joined}) {
+  for (const Gap::Kind kind :
+       {Gap::Kind::missed, Gap::Kind::failed, Gap::Kind::disconnected, Gap::Kind::silent, Gap::Kind::joined}) {
     if (name == name_of(kind)) return kind;
   }
   return std::nullopt;
