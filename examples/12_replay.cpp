@@ -41,8 +41,7 @@ int main(int argc, char** argv) {
   int readings = 0, high = 0;
   auto watch = loop.subscribe<Pressure>("tank", [&](const rtdata::Event<Pressure>& event) {
     ++readings;
-    if (event->pressure > 3 && ++high == 1)
-      std::printf("above 3 bar at %s\n", rtdata::to_iso8601(event.time).c_str());
+    if (event->pressure > 3 && ++high == 1) std::printf("above 3 bar at %s\n", rtdata::to_iso8601(event.time).c_str());
   });
   rtdata::Replay replay(loop, {.file = path, .topics = {"tank"}});
   while (!replay.is_done()) loop.advance(1h);

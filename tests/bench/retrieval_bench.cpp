@@ -1,4 +1,5 @@
-// query_steps: a day at 100 Hz in 1000 steps by Recording::steps, beside one SQL GROUP BY. CPU time.
+// Reading back, in CPU time. query_steps: a day at 100 Hz in 1000 steps by Recording::steps, beside one SQL GROUP BY.
+// replay_events: events of 1 kHz in virtual time to one handler, beside a loop over the rows.
 #include <unistd.h>
 
 #include <filesystem>
@@ -11,6 +12,7 @@
 #include "payloads.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/replay.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #endif
 
@@ -43,10 +45,7 @@ void record(const std::string& path, int rows) {
   loop.close();
 }
 
-}  // namespace
-
-void bench_retrieval(Report& report) {
-  if (!report.wants("query_steps")) return;
+void bench_query_steps(Report& report) {
   constexpr int rows = 8'640'000;
   const std::string path = report.options().memory + "/rtdata_bench_steps." + std::to_string(::getpid()) + ".db";
   record(path, rows);
@@ -82,6 +81,56 @@ void bench_retrieval(Report& report) {
       3));
   std::error_code ignored;
   std::filesystem::remove(path, ignored);
+}
+
+void bench_replay_events(Report& report) {
+  constexpr int rows = 1'000'000;
+  const std::string path = report.options().memory + "/rtdata_bench_replay." + std::to_string(::getpid()) + ".db";
+  record(path, rows);
+  report.add(measure_pair(
+      {.name = "replay_events", .unit = "CPU ns/event", .reach = 1.5},
+      [&] {
+        const std::int64_t begin = process_cpu_ns();
+        rtdata::Loop loop{rtdata::Loop::Manual{}};
+        double sum = 0;
+        auto heard = loop.subscribe<Motion>("imu", [&](const rtdata::Event<Motion>& event) { sum += event->x; });
+        rtdata::Replay replay(loop, {.file = path});
+        while (!replay.is_done()) loop.advance(std::chrono::hours{1});
+        keep(sum);
+        return static_cast<double>(process_cpu_ns() - begin) / rows;
+      },
+      [&] {
+        const std::int64_t begin = process_cpu_ns();
+        sqlite3* database = nullptr;
+        sqlite3_open_v2(path.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX, nullptr);
+        sqlite3_stmt* statement = nullptr;
+        sqlite3_prepare_v2(database, "SELECT time, origin, sequence, x, y, z FROM imu WHERE run = 1 ORDER BY rowid", -1,
+                           &statement, nullptr);
+        double sum = 0;
+        while (sqlite3_step(statement) == SQLITE_ROW) {
+          const Motion motion{sqlite3_column_double(statement, 3), sqlite3_column_double(statement, 4),
+                              sqlite3_column_double(statement, 5)};
+          keep(motion);
+          keep(sqlite3_column_int64(statement, 0));
+          keep(sqlite3_column_text(statement, 1));
+          keep(sqlite3_column_int64(statement, 2));
+          sum += motion.x;
+        }
+        keep(sum);
+        sqlite3_finalize(statement);
+        sqlite3_close(database);
+        return static_cast<double>(process_cpu_ns() - begin) / rows;
+      },
+      5));
+  std::error_code ignored;
+  std::filesystem::remove(path, ignored);
+}
+
+}  // namespace
+
+void bench_retrieval(Report& report) {
+  if (report.wants("query_steps")) bench_query_steps(report);
+  if (report.wants("replay_events")) bench_replay_events(report);
 }
 #else
 void bench_retrieval(Report&) {}
