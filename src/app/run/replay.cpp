@@ -53,13 +53,16 @@ SystemPlan sinks_of(const Registry& registry, const ReplayOptions& options) {
   return plan;
 }
 
-/// A run's pairs of clocks, so that what is recorded again has the same UTC.
+/// The pairs of clocks of a run's boot, so that what is recorded again has the same UTC.
 void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
   detail::RuntimeCore& runtime = loop.runtime().core();
-  for (const RecordedClock& pair : recording.clock(run.run).or_throw()) {
-    const Time at{pair.monotonic.time_since_epoch() + run.clock_offset};
-    for (detail::Recorder* recorder : runtime.recorders)
-      recorder->on_clock({runtime.clock_log.monotonic_of(at), pair.realtime, pair.source, pair.accuracy, "regular"});
+  for (const RunInfo& other : recording.runs().or_throw()) {
+    if (other.boot_id != run.boot_id) continue;
+    for (const RecordedClock& pair : recording.clock(other.run).or_throw()) {
+      const Time at{pair.monotonic.time_since_epoch() + run.clock_offset};
+      for (detail::Recorder* recorder : runtime.recorders)
+        recorder->on_clock({runtime.clock_log.monotonic_of(at), pair.realtime, pair.source, pair.accuracy, "regular"});
+    }
   }
 }
 
