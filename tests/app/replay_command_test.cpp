@@ -118,11 +118,13 @@ TEST_CASE("FW-5 US-17 a sensor of type replay: checked with the recording, and r
   const Folder folder;
   (void)recorded(folder);
   const auto configured = [&](const std::string& more) {
-    folder.write("both.json", R"({"sensors": [{"name": "old", "type": "replay", "file": "run.db", "prefix": "old ")" + more +
+    folder.write("both.json", R"({"sensors": [{"name": "old", "type": "replay", "file": "run.db", "prefix": "old ")" +
+                                  more +
                                   R"(}, {"name": "cpu", "type": "host", "quantity": "load", "rate": "10 Hz"}],
                                    "sinks": [{"type": "sqlite", "path": "both.db"}]})");
   };
-  for (const char* wrong : {R"(, "run": 7)", R"(, "topics": ["none"])", R"(, "rename": ["x"])", R"(, "from": "soon")"}) {
+  for (const char* wrong :
+       {R"(, "run": 7)", R"(, "topics": ["none"])", R"(, "rename": ["x"])", R"(, "from": "soon")"}) {
     configured(wrong);
     Process check(folder, program, {"check", "both.json"});
     CHECK(check.end() == 2);

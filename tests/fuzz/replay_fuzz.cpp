@@ -1,5 +1,5 @@
-/// A recording with any bytes changed, or cut off: opening, reading in every way and replaying it must neither crash nor
-/// lose count. What is given are changes: 4 bytes say where, 1 what; the first 2 how much is cut off.
+/// A recording with any bytes changed, or cut off: opening, reading in every way and replaying it must neither crash
+/// nor lose count. What is given are changes: 4 bytes say where, 1 what; the first 2 how much is cut off.
 ///
 ///     tests/fuzz/run.sh 60
 #include <unistd.h>

@@ -43,7 +43,7 @@
 namespace rtdata {
 
 struct ReplayConfig {
-  std::string name = "replay";              ///< in reports
+  std::string name = "replay";              ///< in reports; empty: "replay"
   std::string file = {};                    ///< the recording
   std::int64_t run = 0;                     ///< number of the run; 0: the last one
   std::vector<std::string> topics = {"#"};  ///< patterns

@@ -189,7 +189,7 @@ Registry standard_registry() {
 #ifdef RTDATA_WITH_SQLITE
   registry.add_part<ReplayConfig>("sensor", "replay", "the events of a recording, as they came or faster",
                                   [](PartPlan& plan, const ReplayConfig& config) {
-                                    plan.name = config.name;
+                                    plan.name = config.name.empty() ? ReplayConfig{}.name : config.name;
                                     plan.make = [config](Loop& loop, const Parts&) {
                                       return PartObject::made_by<Handle>([&] { return Replay(loop, config); });
                                     };

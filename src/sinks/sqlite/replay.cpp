@@ -683,13 +683,19 @@ void ReplayNode::on_close() noexcept {
 
 namespace {
 
+detail::Node* make_replay(Loop& loop, ReplayConfig config) {
+  loop.core().check_thread("cannot make replay", config.name);
+  if (config.name.empty()) config.name = ReplayConfig{}.name;
+  return new detail::ReplayNode(loop.core(), std::move(config));
+}
+
 detail::ReplayNode* replay(detail::Node* node) {
   return node != nullptr && node->is_open() ? static_cast<detail::ReplayNode*>(node) : nullptr;
 }
 
 }  // namespace
 
-Replay::Replay(Loop& loop, ReplayConfig config) : Handle(new detail::ReplayNode(loop.core(), std::move(config))) {}
+Replay::Replay(Loop& loop, ReplayConfig config) : Handle(make_replay(loop, std::move(config))) {}
 
 bool Replay::is_done() const noexcept {
   const auto* of = replay(node());
