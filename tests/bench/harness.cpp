@@ -205,6 +205,7 @@ int run(int count, char** arguments) {
   bench_export(report);
   bench_http(report);
   bench_verify(report);
+  bench_retrieval(report);
   bench_program(report);
   bench_real_time(report);
   bench_sending(report);

@@ -95,6 +95,7 @@ void bench_disk(Report& report);
 void bench_export(Report& report);
 void bench_http(Report& report);
 void bench_verify(Report& report);
+void bench_retrieval(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
 void bench_real_time(Report& report);

@@ -11,6 +11,9 @@
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "rtdata/sinks/sqlite.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;
@@ -50,6 +53,7 @@ const std::map<std::string, std::string> right_sensors{
      R"({"name": "s", "type": "query", "rate": "1 Hz", "bus": "tty", "request": "?", "fields": [{"name": "x"}]})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
     {"pps", R"({"name": "s", "type": "pps"})"},
+    {"replay", R"({"name": "s", "type": "replay", "file": "FOLDER/old.db"})"},
     {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
@@ -101,6 +105,20 @@ std::vector<ConfigItem> odd_values() {
       .get<std::vector<ConfigItem>>();
 }
 
+/// One that can be replayed.
+std::string old_recording() {
+  static const Folder folder;
+  static const std::string path = [] {
+    const std::string file = folder.path() + "/old.db";
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = file});
+    loop.topic<HealthChange>("old").publish({});
+    loop.close();
+    return file;
+  }();
+  return path;
+}
+
 /// A system of this one item in each of its odd kinds: what is not refused can be made.
 void try_all(const TypeRegistryBase& types, const char* list, const std::map<std::string, std::string>& right) {
   const std::vector<ConfigItem> values = odd_values();
@@ -111,6 +129,7 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
       for (const ConfigItem& value : values) {
         const Folder folder;
         folder.write("adc", "7\n");
+        std::filesystem::copy_file(old_recording(), folder.path() + "/old.db");
         ConfigItem item = parse_config(in_folder(right.at(type.name), folder), "item.json").or_throw();
         item.set(parameter.key, value);
         const std::string text = R"({"buses": {"i2c1": {"type": "i2c", "device": "/no/such/adapter"},

@@ -292,4 +292,76 @@ TEST_CASE("export of what there is not says what there is, and makes nothing") {
   CHECK(lines_of(out.str()).size() == 2);
 }
 
+TEST_CASE("FW-5 in steps: every format, one text or a file a topic") {
+  const Folder folder;
+  const std::string path = make(folder);
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .step = "1s"}, out, err) == 0);
+  auto lines = lines_of(out.str());
+  REQUIRE(lines.size() >= 11);
+  CHECK(lines[0] ==
+        "time,origin,sequence,events,temperature.count,temperature.min,temperature.max,temperature.mean,humidity.count,"
+        "humidity.min,humidity.max,humidity.mean");
+  CHECK(lines[1].find("000000000,room,1,") != std::string::npos);
+  CHECK(lines[1].ends_with(",40,40,40"));
+  std::uint64_t events = 0;
+  for (std::size_t i = 1; i < lines.size(); ++i) {
+    std::istringstream cells(lines[i]);
+    std::string cell;
+    for (int column = 0; column < 4; ++column) std::getline(cells, cell, ',');
+    events += std::stoull(cell);
+  }
+  CHECK(events == 999);
+
+  out.str("");
+  CHECK(app::export_recording({.database = path,
+                               .topic = "room/climate",
+                               .step = "1h",
+                               .times = app::ExportOptions::Times::utc,
+                               .header = app::ExportOptions::Header::names_and_units},
+                              out, err) == 0);
+  lines = lines_of(out.str());
+  REQUIRE(lines.size() == 2);
+  CHECK(lines[0].starts_with("utc,origin,sequence,events,temperature.count,temperature.min [Cel],"));
+  CHECK(lines[1].find(":00:00.000000000Z,room,1,999,999,1,1001,") != std::string::npos);
+
+  out.str("");
+  CHECK(app::export_recording({.database = path, .format = "jsonl", .step = "1h"}, out, err) == 0);
+  CHECK(lines_of(out.str()).size() == 2);
+  CHECK(out.str().find("\"temperature\":{\"count\":999,\"min\":1,\"max\":1001,\"mean\":") != std::string::npos);
+  CHECK(app::export_recording({.database = path, .folder = folder / "out", .step = "1s"}, out, err) == 0);
+  CHECK(lines_of(content_of(folder / "out/room/climate.csv"))[0].starts_with("time,origin,sequence,events,"));
+  CHECK(err.str().empty());
+  out.str("");
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .until = "1", .step = "1s"}, out, err) == 0);
+  CHECK(out.str().starts_with("time,origin,sequence"));
+  for (const char* wrong : {"0s", "-1s", "1", "often"})
+    CHECK(app::export_recording({.database = path, .topic = "room/climate", .step = wrong}, out, err) == 1);
+}
+
+TEST_CASE("FW-5 an export tells how far it is") {
+  const Folder folder;
+  const auto recording = Recording::open(make(folder, [](Feed<Everything>& feed) {
+                           for (int i = 0; i < 3000; ++i) feed.publish(full());
+                         })).or_throw();
+  for (const char* format : {"csv", "jsonl"}) {
+    std::vector<std::uint64_t> rows;
+    Time last{};
+    const auto counts = export_files(recording,
+                                     {.format = format,
+                                      .on_progress =
+                                          [&](const ExportProgress& progress) {
+                                            CHECK(progress.at > last - 10s);
+                                            last = progress.at;
+                                            rows.push_back(progress.rows);
+                                          }},
+                                     folder / format)
+                            .or_throw();
+    REQUIRE(rows.size() > 1);
+    CHECK(std::is_sorted(rows.begin(), rows.end()));
+    CHECK(rows.front() > 0);
+    CHECK(rows.back() <= counts[0].rows + counts[1].rows);
+  }
+}
+
 TEST_SUITE_END();

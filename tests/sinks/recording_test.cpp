@@ -162,7 +162,10 @@ TEST_CASE("FW-5 rows come in order of time across topics, and can be chosen") {
 TEST_CASE("FW-5 rows that were written out of order come in order") {
   const Folder folder;
   const std::string path = make(folder);
-  sql(path, "UPDATE \"room/climate\" SET origin = 'slow', time = time - 35000000 WHERE sequence % 3 = 0");
+  sql(path,
+      "UPDATE \"room/climate\" SET origin = 'slow', time = time - 35000000 WHERE sequence % 3 = 0;"
+      "CREATE TEMP TABLE slow AS SELECT * FROM rtdata_ledger WHERE origin = 'room'; UPDATE slow SET origin = 'slow';"
+      "INSERT INTO rtdata_ledger SELECT * FROM slow");
   const auto recording = Recording::open(path).or_throw();
   auto rows = recording.rows({}).or_throw();
   Time last{};

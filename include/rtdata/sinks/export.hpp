@@ -6,6 +6,8 @@
 /// Thread: that of the recording. Errors: not-found (format), bad-argument, those of `Rows`, those of files.
 #pragma once
 
+#include <cstdint>
+#include <functional>
 #include <iosfwd>
 #include <string>
 #include <vector>
@@ -14,6 +16,12 @@
 #include "rtdata/sinks/recording.hpp"
 
 namespace rtdata {
+
+/// How far an export has got.
+struct ExportProgress {
+  std::uint64_t rows = 0;  ///< written so far, of all files
+  Time at{};               ///< the time of the last one, as it is written
+};
 
 enum class ExportTime {
   recorded,  ///< as stored: never jumps within a run
@@ -30,6 +38,10 @@ struct ExportConfig {
   Header header = Header::names;  ///< of CSV
   enum class Existing { refuse, replace };
   Existing existing = Existing::refuse;  ///< files that are in the folder already
+  /// Not 0: reduced to steps of this length, see `Recording::steps`. In UTC the steps are those of UTC.
+  Duration step{0};
+  /// Called after each 256 KiB or so that were written; empty: not called.
+  std::function<void(const ExportProgress&)> on_progress = {};
 };
 
 struct ExportCount {

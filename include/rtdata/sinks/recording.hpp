@@ -1,9 +1,20 @@
 /// Recording: reads back what a SqliteSink recorded, also while it records.
 ///
 ///     auto recording = rtdata::Recording::open("run.db").or_throw();
-///     auto rows = recording.rows({.topic = "room/#"}).or_throw();
-///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) print(row->event().time(),
-///     row->event().topic());
+///     auto events = recording.events<Climate>("room/climate").or_throw();
+///     while (const auto* event = events.next().or_throw()) print(event->time, event->data.temperature);
+///
+/// Of any type, over several topics in order of time, with the gaps where they are:
+///
+///     auto rows = recording.rows({.topic = "room/#", .gaps = rtdata::RowFilter::Gaps::in_place}).or_throw();
+///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) {
+///       if (const rtdata::RecordedGap* gap = row->gap()) print(gap->origin, gap->reason, gap->last - gap->first);
+///       else print(row->event().time(), row->event().topic());
+///     }
+///
+/// For a picture, in steps: `recording.steps({.topic = "room/climate"}, 10min)` gives one row for each origin and step
+/// in which it has events, whose fields are "events" and of each number in the topic "temperature.count",
+/// "temperature.min", "temperature.max" and "temperature.mean".
 ///
 /// Every payload comes back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0
 /// comes back as 0.0, which is equal: SQLite keeps no sign of zero.) A field that a later run added reads as absent,
@@ -19,8 +30,11 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
+#include <utility>
 #include <vector>
 
+#include "rtdata/data/describe.hpp"
 #include "rtdata/data/event.hpp"
 #include "rtdata/loop/ledger.hpp"
 
@@ -119,6 +133,8 @@ class UtcLine {
   explicit UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset = Duration{0});
   /// The UTC of a time as recorded in that run. One from before the boot (a source with times of its own) stays.
   Time utc(Time recorded) const noexcept;
+  /// The opposite: the first time in that run whose UTC is not before this one.
+  Time recorded(Time utc) const noexcept;
   /// In order; the first begins at 0. None when there are no pairs.
   const std::vector<Stretch>& stretches() const noexcept { return stretches_; }
 
@@ -160,37 +176,56 @@ struct RowFilter {
   std::string topic = "#";               ///< a pattern; topics of "$rtdata/" only when it begins with "$"
   std::optional<std::int64_t> run = {};  ///< number of the run; all of them unless given
   std::optional<std::string> origin = {};
-  std::optional<Time> from = {};   ///< first time taken, as recorded
+  std::optional<Time> from = {};   ///< first time taken; of gaps, those that have not ended by then
   std::optional<Time> until = {};  ///< first time not taken any more
-  std::uint64_t limit = 0;         ///< at most so many rows; 0: no limit
+  std::uint64_t limit = 0;         ///< at most so many rows, gaps not counted; 0: no limit
   /// Thins out: only the events 1, 1 + every, 1 + 2 * every and so on of each origin.
   std::uint64_t every = 1;
-};
-
-/// One row: an event and the run it belongs to. Valid until the next call of `next`.
-class RecordedRow {
- public:
-  std::int64_t run() const noexcept { return run_; }
-  const RecordedTopic& topic() const noexcept { return *topic_; }
-  const EventHeader& header() const noexcept { return header_; }
-  EventView event() const noexcept { return EventView(topic_->topic, header_, *topic_->description, payload_); }
-
- private:
-  friend class Rows;
-  std::int64_t run_ = 0;
-  EventHeader header_;
-  std::string origin_;
-  const RecordedTopic* topic_ = nullptr;
-  std::vector<std::byte> payload_;
+  enum class Gaps {
+    left_out,
+    in_place,  ///< each where it begins, before events of that time
+  };
+  Gaps gaps = Gaps::left_out;
+  enum class Times {
+    recorded,  ///< the run's line, which never jumps
+    utc,       ///< see UtcLine
+  };
+  Times times = Times::recorded;  ///< what `from` and `until` are; of `steps`, also what the steps are
 };
 
 namespace detail {
 struct RecordingFile;
 struct RowsMerge;
+struct RowCursor;
 }  // namespace detail
 
+/// One row: an event, or a gap, and the run it belongs to. Valid until the next call of `next`.
+class RecordedRow {
+ public:
+  std::int64_t run() const noexcept { return run_; }
+  /// Not null: there is no event, but a gap of that origin. Only with `RowFilter::Gaps::in_place`.
+  const RecordedGap* gap() const noexcept { return gap_; }
+  /// Of a gap: only the name is set.
+  const RecordedTopic& topic() const noexcept { return *topic_; }
+  /// Of a gap: when it begins, and sequence 0.
+  const EventHeader& header() const noexcept { return header_; }
+  /// Not of a gap.
+  EventView event() const noexcept { return EventView(topic_->topic, header_, *topic_->description, payload_); }
+
+ private:
+  friend class Rows;
+  friend struct detail::RowCursor;
+  std::int64_t run_ = 0;
+  EventHeader header_;
+  std::string origin_;
+  const RecordedTopic* topic_ = nullptr;
+  const RecordedGap* gap_ = nullptr;
+  std::vector<std::byte> payload_;
+};
+
 /// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory: a
-/// row a topic. While it lives it sees the recording as it was when it was made.
+/// row a topic, of `steps` one a topic and origin. While it lives it sees the recording as it was when it was made,
+/// also while another process writes it; as long as that takes, the log of a recording that is being written grows.
 class Rows {
  public:
   Rows(Rows&&) noexcept;
@@ -203,6 +238,54 @@ class Rows {
   friend class Recording;
   explicit Rows(std::unique_ptr<detail::RowsMerge> merge);
   std::unique_ptr<detail::RowsMerge> merge_;
+};
+
+/// A recorded event as a T. Valid until the next call of `next`.
+template <Described T>
+struct RecordedEvent : Event<T> {
+  std::int64_t run = 0;
+  const RecordedGap* gap = nullptr;  ///< not null: no event, but a gap: `data` means nothing
+};
+
+namespace detail {
+/// How payloads of a recorded topic become a T. Errors: description-differs, which names the fields.
+Result<std::shared_ptr<const void>> make_recorded_map(const RecordedTopic& topic, const Description& wanted);
+void apply_recorded_map(const void* map, const std::byte* from, std::byte* to) noexcept;
+}  // namespace detail
+
+/// `Rows` of one type. The fields of T are found by name in each topic and each of its descriptions; it may leave some
+/// out.
+template <Described T>
+class RecordedEvents {
+ public:
+  /// Null after the last. Errors: those of `Rows::next`; description-differs.
+  Result<const RecordedEvent<T>*> next() {
+    auto row = rows_.next();
+    if (!row) return std::move(row).error();
+    if (*row == nullptr) return nullptr;
+    static_cast<EventHeader&>(event_) = (*row)->header();
+    event_.run = (*row)->run();
+    event_.gap = (*row)->gap();
+    if (event_.gap != nullptr) return &event_;
+    const RecordedTopic& topic = (*row)->topic();
+    if (&topic != topic_) {  // another table than that of the last row
+      auto map = detail::make_recorded_map(topic, *description_of<T>());
+      if (!map) return std::move(map).error();
+      map_ = *std::move(map);
+      topic_ = &topic;
+    }
+    detail::apply_recorded_map(map_.get(), (*row)->event().payload().data(),
+                               reinterpret_cast<std::byte*>(&event_.data));
+    return &event_;
+  }
+
+ private:
+  friend class Recording;
+  explicit RecordedEvents(Rows rows) : rows_(std::move(rows)) {}
+  Rows rows_;
+  const RecordedTopic* topic_ = nullptr;
+  std::shared_ptr<const void> map_;
+  RecordedEvent<T> event_;
 };
 
 class Recording {
@@ -231,12 +314,34 @@ class Recording {
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;
   /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
   Result<Rows> rows(const RowFilter& filter) const;
+  /// The same as payloads of a type. Errors: also not-found (no such topic in the recording), description-differs (a
+  /// field that is missing or of another kind or unit, named, in a topic that has rows).
+  template <Described T>
+  Result<RecordedEvents<T>> events(const RowFilter& filter) const {
+    if (auto fits = check_type(filter, *description_of<T>()); !fits) return std::move(fits).error();
+    auto found = rows(filter);
+    if (!found) return std::move(found).error();
+    return RecordedEvents<T>(*std::move(found));
+  }
+  template <Described T>
+  Result<RecordedEvents<T>> events(std::string_view topic) const {
+    RowFilter filter;
+    filter.topic = topic;
+    return events<T>(filter);
+  }
+  /// Reduced: for each origin and each step in which it has events a row, whose time is the beginning of the step, a
+  /// multiple of its length since the epoch; its sequence counts the steps of the origin. Its description has the field
+  /// "events", and for each number and bool of the topic a record of `count`, `min`, `max` and `mean`, of the values
+  /// that are there and not NaN (the last three absent when there are none). Steps without events have no row: with
+  /// `Gaps::in_place` the gaps tell why. Reads each event once. Errors: bad-name, bad-argument (a step below 1 ns).
+  Result<Rows> steps(const RowFilter& filter, Duration step) const;
 
   /// For the other parts of this library.
   const std::shared_ptr<detail::RecordingFile>& file() const noexcept { return file_; }
 
  private:
   explicit Recording(std::shared_ptr<detail::RecordingFile> file);
+  Result<void> check_type(const RowFilter& filter, const Description& wanted) const;
   std::shared_ptr<detail::RecordingFile> file_;
 };
 

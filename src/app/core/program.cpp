@@ -290,12 +290,23 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
   command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
   command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
+  command
+      .add_option("--step", options->step,
+                  "Reduced: for each step of this length how many values, the least, the largest and the mean of each "
+                  "number")
+      ->type_name("DURATION");
   command.add_flag_callback(
-      "--utc", [options] { options->times = Export::Times::utc; }, "Times as UTC, by the clock when it was right");
+      "--utc", [options] { options->times = Export::Times::utc; },
+      "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
   command.add_flag_callback(
       "--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
-  command.footer("example:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv");
+  command.footer(
+      "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
+      "  rtdata export bench.db --topic host/cpu --step 1min");
   return [options](const Registry&) {
+    // Rows on the same terminal say themselves how far it is.
+    if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))
+      options->progress = Export::Progress::shown;
     const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
     return app::export_recording(*options, std::cout, std::cerr);
   };
@@ -328,6 +339,55 @@ Action prepare_import(CLI::App& command) {
     std::optional<ForPeople> wrapped;
     wrapped.emplace();
     return app::import_table(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_replay(CLI::App& command) {
+  struct Given {
+    app::ReplayOptions options;
+    std::string speed = "1";
+  };
+  const auto given = std::make_shared<Given>();
+  ReplayConfig& config = given->options.config;
+  config.topics.clear();
+  command.add_option("DB", config.file, "The recording")->required();
+  command.add_option("FILE", given->options.configuration,
+                     "A configuration: its sinks get the events, its sensors are not made; default: the terminal");
+  command.add_option("--speed", given->speed, "2: twice as fast as recorded; max: as fast as it goes, in virtual time")
+      ->capture_default_str()
+      ->type_name("FACTOR");
+  command.add_option("--run", config.run, "Only this run; default: all, one after the other")
+      ->check(at_least(1))
+      ->type_name("NUMBER");
+  command.add_option("--topic", config.topics, "Topics or patterns; default: all")->expected(1, -1);
+  command.add_option("--rename", config.rename, "OLD=NEW: the topic OLD, and those below it, become NEW")
+      ->expected(1, -1);
+  command.add_option("--prefix", config.prefix, "Put before the names of the origins");
+  command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
+      ->type_name("TIME");
+  command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
+  command.add_flag_callback(
+      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Print warnings and errors only");
+  command.footer(
+      "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
+      "  rtdata replay bench.db again.json --speed max\nexit status:\n"
+      "  0  all was replayed, and stored\n  1  it was not, or another error\n"
+      "  2  the recording is unreadable, or the configuration has mistakes");
+  return [given](const Registry& registry) {
+    app::ReplayOptions& options = given->options;
+    if (options.config.topics.empty()) options.config.topics = {"#"};
+    options.is_virtual = given->speed == "max";
+    if (!options.is_virtual) {
+      double factor = 0;
+      const char* const end = given->speed.data() + given->speed.size();
+      const auto [stopped, failed] = std::from_chars(given->speed.data(), end, factor);
+      if (failed != std::errc{} || stopped != end || !(factor > 0)) {
+        std::cerr << "rtdata: --speed " << given->speed << ": it is neither a number above 0 nor max" << std::endl;
+        return app::exit_other;
+      }
+      options.config.speed = factor;
+    }
+    return app::replay(registry, options);
   };
 }
 #endif
@@ -368,6 +428,7 @@ constexpr Command commands[] = {
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", prepare_verify},
     {"info", "Sum up a recording", prepare_info},
     {"export", "Write out what was recorded", prepare_export},
+    {"replay", "Give recorded events to sinks again, as they came or faster", prepare_replay},
     {"import", "Make a recording of a table in CSV", prepare_import},
     {"forward", "Send what waits in a recording that was moved elsewhere", prepare_forward},
 #endif

@@ -7,6 +7,9 @@
 #include <optional>
 #include <string>
 
+#include "rtdata/config/registry.hpp"
+#include "rtdata/sinks/replay.hpp"
+
 namespace rtdata::app {
 
 enum class Output { text, json };
@@ -37,10 +40,13 @@ struct ExportOptions {
   Existing existing = Existing::refuse;  // replace: --overwrite
   std::optional<std::int64_t> run = {};
   std::optional<std::string> origin = {};
-  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded; empty: from the start
+  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded or (--utc) UTC; empty: from the start
   std::string until = {};  // first time not taken
   std::uint64_t limit = 0;
   std::uint64_t every = 1;
+  std::string step = {};  // --step: reduced to steps of this length; empty: each event
+  enum class Progress { hidden, shown };
+  Progress progress = Progress::hidden;  // shown: on `err`, which is a terminal
   enum class Times { recorded, utc };
   Times times = Times::recorded;  // utc: --utc, after the clock was set right, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
@@ -63,5 +69,14 @@ struct ImportOptions {
 };
 /// 0; 1 when nothing, or not all, was imported: the error says which row.
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
+
+struct ReplayOptions {
+  ReplayConfig config;             // run 0: all of them, one after the other
+  std::string configuration = {};  // whose sinks get the events; empty: the terminal
+  bool is_virtual = false;         // --speed max: as fast as it goes, in virtual time
+  bool is_quiet = false;
+};
+/// 0; 1 not all was replayed, or stored; 2 unreadable, or mistakes in the configuration.
+int replay(const Registry& registry, const ReplayOptions& options);
 
 }  // namespace rtdata::app

@@ -28,6 +28,7 @@
 #include "rtdata/sinks/postgresql.hpp"
 #endif
 #ifdef RTDATA_WITH_SQLITE
+#include "rtdata/sinks/replay.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #endif
 
@@ -218,6 +219,13 @@ Registry standard_registry() {
         plan.place = {"", config.device, ""};
       });
 #ifdef RTDATA_WITH_SQLITE
+  registry.add_part<ReplayConfig>("sensor", "replay", "the events of a recording, as they came or faster",
+                                  [](PartPlan& plan, const ReplayConfig& config) {
+                                    plan.name = config.name.empty() ? ReplayConfig{}.name : config.name;
+                                    plan.make = [config](Loop& loop, const Parts&) {
+                                      return PartObject::made_by<Handle>([&] { return Replay(loop, config); });
+                                    };
+                                  });
   registry.add_sink<SqliteConfig>(
       "sqlite", "a SQLite file that describes itself and can be verified",
       [](const SqliteConfig& config) { return config.path; },

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <chrono>
 #include <ctime>
 #include <ostream>
 #include <set>
+#include <utility>
 
 #include "app/core/recording_commands.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -96,6 +98,29 @@ int tell_refused(std::ostream& err, const ExportCount& count) {
   return 1;
 }
 
+/// A line on a terminal that says how far it is, once it has taken a second.
+class Progress {
+ public:
+  Progress(std::ostream& err, bool is_shown)
+      : err_(err), is_shown_(is_shown), next_(Clock::now() + std::chrono::seconds{1}) {}
+  void show(const ExportProgress& at) {
+    if (!is_shown_ || Clock::now() < next_) return;
+    next_ = Clock::now() + std::chrono::milliseconds{200};
+    err_ << "\r" << at.rows << " rows, up to " << to_iso8601(at.at) << "\x1b[K" << std::flush;
+    has_line_ = true;
+  }
+  void clear() {
+    if (std::exchange(has_line_, false)) err_ << "\r\x1b[K" << std::flush;
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  std::ostream& err_;
+  const bool is_shown_;
+  Clock::time_point next_;
+  bool has_line_ = false;
+};
+
 int fail(std::ostream& err, const Error& error, int code) {
   err << "rtdata: " << error.text() << "\n";
   return code;
@@ -120,6 +145,17 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   ExportConfig config;
   config.format = options.format;
   config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
+  if (is_utc) config.filter.times = RowFilter::Times::utc;
+  if (!options.step.empty()) {
+    const auto step = parse_duration(options.step);
+    if (!step) return fail(err, step.error(), 1);
+    config.step = *step;
+    if (config.step <= Duration{0})
+      return fail(
+          err, {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "such as 1s"}, 1);
+  }
+  Progress progress(err, options.progress == ExportOptions::Progress::shown);
+  config.on_progress = [&](const ExportProgress& at) { progress.show(at); };
   config.existing = options.existing == ExportOptions::Existing::replace ? ExportConfig::Existing::replace
                                                                          : ExportConfig::Existing::refuse;
   config.time = is_utc ? ExportTime::utc : ExportTime::recorded;
@@ -130,6 +166,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   if (auto found = find(*recording, config.filter); !found) return fail(err, found.error(), code_of(found.error()));
   if (options.folder.empty()) {
     auto count = export_rows(*recording, config, out);
+    progress.clear();
     if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
     if (count->rows + count->refused == 0)
@@ -137,6 +174,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     return tell_refused(err, *count);
   }
   auto counts = export_files(*recording, config, options.folder);
+  progress.clear();
   if (!counts) return fail(err, counts.error(), code_of(counts.error()));
   int status = 0;
   for (const ExportCount& count : *counts) {

@@ -77,6 +77,10 @@ void warn_of_loop(const std::string& tier, const std::string& name, const std::v
 }  // namespace
 
 void warn_of_patterns(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& warnings) {
+  // A sensor whose topics are known only once it is made may publish on any.
+  if (std::any_of(parts.begin(), parts.end(),
+                  [](const PartPlan& part) { return part.kind == "sensor" && part.make && !part.publishes; }))
+    return;
   const auto& topics = neighbours.topics();
   const auto matches = [&](const std::string& pattern) {
     if (pattern.starts_with("$") || topics.contains(pattern)) return true;

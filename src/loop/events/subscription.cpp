@@ -1,6 +1,7 @@
 #include <algorithm>
-#include <cstring>
+#include <utility>
 
+#include "data/field_map.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -28,19 +29,6 @@ class ViewSubscription final : public SubscriptionNode {
   void drop_callbacks() noexcept override { handler_.reset(); }
   Callback<void(const EventView&)> handler_;
 };
-
-/// Where each leaf of the handler's payload comes from.
-struct FieldMap {
-  struct Copy {
-    std::size_t from;
-    std::size_t to;
-    std::size_t size;
-  };
-  std::vector<Copy> copies;
-};
-
-/// Bytes that a leaf takes in memory: of an optional, its flag too.
-std::size_t extent(const Leaf& leaf) { return leaf.optional == nullptr ? leaf.size : leaf.field->stride; }
 
 }  // namespace
 
@@ -88,14 +76,7 @@ EventView view_of(const TopicCore& topic, const std::byte* slot) {
 }
 
 void apply_field_map(const void* map, const std::byte* from, std::byte* to) {
-  for (const FieldMap::Copy& copy : static_cast<const FieldMap*>(map)->copies)
-    std::memcpy(to + copy.to, from + copy.from, copy.size);
-}
-
-/// "double", "text of 16", "optional int32".
-static std::string type_text(const Leaf& leaf) {
-  return (leaf.optional != nullptr ? "optional " : "") + std::string(name_of(leaf.kind)) +
-         (leaf.kind == Kind::text ? " of " + std::to_string(leaf.size - text_length_bytes) : "");
+  static_cast<const FieldMap*>(map)->apply(from, to);
 }
 
 Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const PayloadType& wanted) {
@@ -107,37 +88,14 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
                  "use the type it was made with"};
   }
   if (have.description == wanted.description) return std::shared_ptr<const void>{};
-  auto map = std::make_shared<FieldMap>();
-  std::string why;
-  bool is_identity = have.size == wanted.size &&
-                     have.description->leaves().size() == wanted.description->leaves().size();
-  for (const Leaf& to : wanted.description->leaves()) {
-    const auto& leaves = have.description->leaves();
-    const auto from = std::find_if(leaves.begin(), leaves.end(),
-                                   [&](const Leaf& leaf) { return leaf.path == to.path; });
-    const auto complain = [&](const std::string& text) {
-      why += (why.empty() ? "" : "; ") + ("field " + to.path + ": " + text);
-    };
-    if (from == leaves.end()) {
-      complain("not in it");
-    } else if (from->kind != to.kind || from->size != to.size ||
-               (from->optional == nullptr) != (to.optional == nullptr)) {
-      complain(type_text(*from) + " in it, " + type_text(to) + " wanted");
-    } else if (from->unit != to.unit) {
-      complain("unit \"" + from->unit + "\" in it, \"" + to.unit + "\" wanted");
-    } else if (from->field->values != to.field->values) {
-      complain("other named values");
-    } else {
-      map->copies.push_back({from->offset, to.offset, extent(to)});
-      is_identity = is_identity && from->offset == to.offset;
-    }
+  auto map = map_fields(*have.description, *wanted.description);
+  if (!map) {
+    return Error{
+        Errc::description_differs, "cannot subscribe", topic.name,
+        "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted) + ": " + map.error().why,
+        "subscribe with the fields that the topic has"};
   }
-  if (!why.empty()) {
-    return Error{Errc::description_differs, "cannot subscribe", topic.name,
-                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted) + ": " + why,
-                 "subscribe with the fields that the topic has"};
-  }
-  return is_identity ? std::shared_ptr<const void>{} : std::shared_ptr<const void>{std::move(map)};
+  return map->is_identity ? std::shared_ptr<const void>{} : std::make_shared<const FieldMap>(*std::move(map));
 }
 
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {

@@ -38,11 +38,9 @@ TopicCore::~TopicCore() {
   ::operator delete (slots_, std::align_val_t{64});
 }
 
-void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
-  if (time <= origin.last_time || time > latest_time) [[unlikely]]
-    time = std::max(std::min(time, latest_time), origin.last_time + Duration{1});
+inline void TopicCore::go_on(OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {
   origin.last_time = time;
-  const std::uint64_t sequence = ++origin.sequence;
+  origin.sequence = sequence;
   if (followers_ == Followers::none) return;
   if (followers_ == Followers::one_channel) {
     if (origin.only_way != nullptr) origin.only_way->channel->send(*origin.only_way, time, sequence, payload);
@@ -54,6 +52,16 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   std::byte* to = slot(head_++);
   ::new (to) EventHeader{time, sequence, origin.name};
   copy_few(to + payload_offset, payload, type.size);
+}
+
+void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
+  if (time <= origin.last_time || time > latest_time) [[unlikely]]
+    time = std::max(std::min(time, latest_time), origin.last_time + Duration{1});
+  go_on(origin, time, origin.sequence + 1, payload);
+}
+
+void TopicCore::give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
+  go_on(origin, time, sequence, const_cast<void*>(payload));
 }
 
 void TopicCore::hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {

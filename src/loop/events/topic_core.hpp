@@ -47,6 +47,10 @@ class TopicCore final : public DeliveryQueue {
   /// `payload` is moved from when its type is not trivially copyable.
   void publish(OriginCore& origin, Time time, void* payload);
 
+  /// The same with the time and sequence that it was recorded with: both above those of the origin's last event. Of
+  /// payloads with a description.
+  void give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
+
   /// One published on another loop, as its bridge brings it.
   struct Arrival {
     Time time;
@@ -118,6 +122,7 @@ class TopicCore final : public DeliveryQueue {
     std::uint64_t delivered = 0;
     std::uint64_t cancelled = 0;
   };
+  void go_on(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   /// False: dropped, since one is being moved.

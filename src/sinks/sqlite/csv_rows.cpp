@@ -79,7 +79,9 @@ CsvRows::CsvRows(const Recording& recording, RecordedTopic topic, const ExportCo
 
 Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, const ExportConfig& config) {
   CsvRows rows(recording, std::move(topic), config);
-  auto statement = rows_in_order(*recording.file(), rows.topic_, rows.filter_);
+  auto selection = Selection::make(recording, rows.filter_);
+  if (!selection) return std::move(selection).error();
+  auto statement = rows_in_order(*recording.file(), rows.topic_, *selection, RowReader(rows.topic_).columns());
   if (!statement) return std::move(statement).error();
   rows.statement_ = std::move(*statement);
   auto first = recording.file()->first_run_with_escapes();
@@ -91,9 +93,9 @@ Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, c
 Result<void> CsvRows::begin_run(std::int64_t run) {
   run_ = run;
   if (!is_utc_) return {};
-  auto line = recording_->utc_line(run);
-  if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
-  line_ = line ? std::move(*line) : UtcLine({});  // rows of a run that is not listed stay
+  auto line = utc_line_of(*recording_->file(), run);
+  if (!line) return std::move(line).error();
+  line_ = *std::move(line);
   return {};
 }
 
@@ -226,6 +228,7 @@ Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
       if (auto done = append_by_codec(out, time); !done) return std::move(done).error();
       used = out.size();
     }
+    last_time_ = time;
     ++rows;
     ++given_;
   }

@@ -20,6 +20,8 @@ class CsvRows {
 
   /// Appends rows to `out` until it has `enough` bytes or no row is left. Returns the number of rows; 0 at the end.
   Result<std::uint64_t> append(std::string& out, std::size_t enough);
+  /// Of the row that was appended last.
+  Time last_time() const noexcept { return last_time_; }
 
  private:
   struct Column {
@@ -46,6 +48,7 @@ class CsvRows {
   std::int64_t run_ = INT64_MIN;
   UtcLine line_{{}};
   std::uint64_t given_ = 0;  // rows appended so far
+  Time last_time_{};
   bool has_ended_ = false;
   std::size_t longest_ = 0;  // bytes of the longest row, without its texts
   std::vector<std::byte> payload_, bytes_;

@@ -63,10 +63,9 @@ class UtcLines {
   Result<Time> utc(std::int64_t run, Time recorded) {
     auto found = lines_.find(run);
     if (found == lines_.end()) {
-      auto line = recording_.utc_line(run);
-      if (!line && line.error().code != make_error_code(Errc::not_found)) return std::move(line).error();
-      // Rows of a run that is not listed stay.
-      found = lines_.emplace(run, line ? std::move(*line) : UtcLine({})).first;
+      auto line = detail::utc_line_of(*recording_.file(), run);
+      if (!line) return std::move(line).error();
+      found = lines_.emplace(run, *std::move(line)).first;
     }
     return found->second.utc(recorded);
   }
@@ -87,9 +86,14 @@ Result<void> put(std::ostream& out, std::string_view text, const std::string& pa
   return {};
 }
 
+/// `before`: rows of the files before this one.
+void tell(const ExportConfig& config, std::uint64_t before, std::uint64_t rows, Time at) {
+  if (config.on_progress) config.on_progress({before + rows, at});
+}
+
 /// One description's rows, under a header.
 Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& config, const RecordedTopic& topic,
-                              std::ostream& out, const std::string& path) {
+                              std::ostream& out, const std::string& path, std::uint64_t before = 0) {
   auto rows = detail::CsvRows::make(recording, topic, config);
   if (!rows) return std::move(rows).error();
   ExportCount count;
@@ -101,17 +105,23 @@ Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& co
     count.rows += added;
     if (auto done = put(out, text, path); !done) return std::move(done).error();
     text.clear();
+    if (added > 0) tell(config, before, count.rows, rows->last_time());
   }
   if (!out.flush()) return cannot_write(path);
   return count;
 }
 
-/// Writes the rows in a format other than CSV. One that does not fit it is left out.
+/// Writes the rows through a codec: those of formats other than CSV, and steps. One that does not fit is left out.
+/// `version`: of the topic's descriptions; 0: all.
 Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter,
-                               std::int64_t version, Codec& codec, std::ostream& out, const std::string& path) {
+                               std::int64_t version, Codec& codec, std::ostream& out, const std::string& path,
+                               std::uint64_t before = 0) {
   RowFilter unlimited = filter;  // rows of another description do not count
   unlimited.limit = 0;
-  auto rows = recording.rows(unlimited);
+  const bool is_in_steps = config.step > Duration{0};
+  const bool is_utc = config.time == ExportTime::utc;
+  if (is_in_steps && is_utc) unlimited.times = RowFilter::Times::utc;
+  auto rows = is_in_steps ? recording.steps(unlimited, config.step) : recording.rows(unlimited);
   if (!rows) return std::move(rows).error();
   UtcLines lines(recording);
   std::vector<std::byte> bytes;
@@ -129,13 +139,13 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
     const RecordedRow& given = **row;
     if (version != 0 && given.topic().version != version) continue;
     EventHeader header = given.header();
-    if (config.time == ExportTime::utc) {
+    if (is_utc && !is_in_steps) {
       auto utc = lines.utc(given.run(), header.time);
       if (!utc) return std::move(utc).error();
       header.time = *utc;
     }
     if (std::exchange(headed, given.topic().description.get()) == nullptr) {
-      const std::string text = codec.header(*headed);
+      const std::string text = is_csv(config) ? csv_head(config, headed) : codec.header(*headed);
       const auto* begin = reinterpret_cast<const std::byte*>(text.data());
       bytes.insert(bytes.end(), begin, begin + text.size());
     }
@@ -152,6 +162,11 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
     ++count.rows;
     if (bytes.size() < flush_bytes) continue;
     if (auto done = flush(); !done) return std::move(done).error();
+    tell(config, before, count.rows, header.time);
+  }
+  if (headed == nullptr && is_csv(config)) {
+    const std::string text = csv_head(config, nullptr);
+    if (auto done = put(out, text, path); !done) return std::move(done).error();
   }
   if (auto done = flush(); !done) return std::move(done).error();
   if (!out.flush()) return cannot_write(path);
@@ -235,7 +250,8 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
                  is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"};
   }
   const std::string path = "standard output";
-  if (!is_csv(config)) return write_rows(recording, config, config.filter, 0, **codec, out, path);
+  if (!is_csv(config) || config.step > Duration{0})
+    return write_rows(recording, config, config.filter, 0, **codec, out, path);
   if (!topics->empty()) return write_csv(recording, config, topics->front(), out, path);
   if (auto done = put(out, csv_head(config, nullptr), path); !done) return std::move(done).error();
   return ExportCount{};
@@ -259,6 +275,7 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     if (auto free = look_for_files(paths); !free) return std::move(free).error();
   }
   std::vector<ExportCount> counts;
+  std::uint64_t before = 0;
   for (std::size_t i = 0; i < topics->size(); ++i) {
     const RecordedTopic& topic = (*topics)[i];
     const std::filesystem::path& path = paths[i];
@@ -272,10 +289,12 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     if (!file) return cannot_write(path.string());
     RowFilter filter = config.filter;
     filter.topic = topic.topic;
-    auto written = is_csv(config) ? write_csv(recording, config, topic, file, path.string())
-                                  : write_rows(recording, config, filter, topic.version, **codec, file, path.string());
+    auto written = is_csv(config) && config.step <= Duration{0}
+                       ? write_csv(recording, config, topic, file, path.string(), before)
+                       : write_rows(recording, config, filter, topic.version, **codec, file, path.string(), before);
     if (!written) return std::move(written).error();
     written->path = path.string();
+    before += written->rows;
     counts.push_back(std::move(*written));
   }
   return counts;

@@ -275,15 +275,33 @@ Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const {
   return sqlite::clock_pairs(file_->database, "r.run = " + std::to_string(run));
 }
 
+namespace {
+
+/// None: there is no such run.
+Result<std::optional<UtcLine>> find_utc_line(const RecordingFile& file, std::int64_t run) {
+  auto info = file.prepare("SELECT boot_id, clock_offset FROM rtdata_run WHERE run = ?");
+  if (!info) return std::move(info).error();
+  info->bind(1, run);
+  auto row = info->step();
+  if (!row) return std::move(row).error();
+  if (!*row) return std::optional<UtcLine>{};
+  auto pairs = sqlite::clock_pairs_of_boot(file.database, info->text(0));
+  if (!pairs) return std::move(pairs).error();
+  return std::optional<UtcLine>(UtcLine(*pairs, Duration{info->integer(1)}));
+}
+
+}  // namespace
+
+Result<UtcLine> detail::utc_line_of(const RecordingFile& file, std::int64_t run) {
+  auto line = find_utc_line(file, run);
+  if (!line) return std::move(line).error();
+  return line->value_or(UtcLine({}));
+}
+
 Result<UtcLine> Recording::utc_line(std::int64_t run) const {
-  auto infos = runs();
-  if (!infos) return std::move(infos).error();
-  for (const RunInfo& info : *infos) {
-    if (info.run != run) continue;
-    auto pairs = sqlite::clock_pairs_of_boot(file_->database, info.boot_id);
-    if (!pairs) return std::move(pairs).error();
-    return UtcLine(*pairs, info.clock_offset);
-  }
+  auto line = find_utc_line(*file_, run);
+  if (!line) return std::move(line).error();
+  if (*line) return **std::move(line);
   return Error{Errc::not_found, doing, path(), "it has no run " + std::to_string(run), "see `rtdata info`"};
 }
 

@@ -1,7 +1,9 @@
 // What Recording, Rows, verify and summary share: the open file and snapshots of it.
 #pragma once
 
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "rtdata/sinks/recording.hpp"
 #include "sinks/sqlite/database.hpp"
@@ -36,8 +38,27 @@ class Snapshot {
 
 /// Columns of `rows_in_order`, before those of the fields.
 enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
-/// A statement that gives the rows of a topic's table, run by run, each in order of time.
-Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter);
+/// A filter, and what its times are on the line of each run.
+struct Selection {
+  /// Errors: bad-name, bad-argument, those of reading.
+  static Result<Selection> make(const Recording& recording, const RowFilter& filter);
+  RowFilter filter;
+  struct Bounds {
+    std::int64_t run;
+    std::optional<Time> from, until;
+  };
+  std::vector<Bounds> bounds;  // of each run when the filter's are in UTC
+};
+/// What rows of a table called t, or gaps, have to fulfil: " WHERE ...". Times are those of these columns.
+std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
+/// Binds what stands in them.
+void bind_conditions(sqlite::Statement& statement, const Selection& selection);
+/// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
+/// the fixed ones, as `RowReader::columns` has it.
+Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
+                                        const Selection& selection, const std::string& columns);
+/// The line of the boot of a run that was recorded. A run that is not listed has none: its times stay.
+Result<UtcLine> utc_line_of(const RecordingFile& file, std::int64_t run);
 /// An error with the row that it is of.
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error);

@@ -1,41 +1,62 @@
 #include <algorithm>
 
+#include "data/field_map.hpp"
+#include "data/nearest.hpp"
 #include "rtdata/loop/topic.hpp"
-#include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/rows_merge.hpp"
 
 namespace rtdata {
 namespace detail {
-namespace {
 
-/// The rows of one table in order of run and time, the next one at hand.
-struct TableCursor {
-  RecordedTopic topic;
-  sqlite::Statement statement;
-  std::size_t place = 0;  // among the cursors
-  std::int64_t run = 0;
-  std::int64_t time = 0;
+// ---- selecting
 
-  /// False at the end.
-  Result<bool> advance() {
-    auto more = statement.step();
-    if (!more || !*more) return more;
-    run = statement.integer(run_column);
-    time = statement.integer(time_column);
-    return true;
+Result<Selection> Selection::make(const Recording& recording, const RowFilter& filter) {
+  if (!is_topic_pattern(filter.topic)) {
+    return Error{Errc::bad_name, "cannot select rows", "topic " + filter.topic, "it is neither a topic nor a pattern",
+                 "write room/climate, room/+ or room/#"};
   }
-};
+  if (filter.every == 0)
+    return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
+  Selection selection{filter, {}};
+  if (filter.times == RowFilter::Times::recorded || (!filter.from && !filter.until)) return selection;
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  for (const RunInfo& run : *runs) {
+    if (filter.run && run.run != *filter.run) continue;
+    auto line = recording.utc_line(run.run);
+    if (!line) return std::move(line).error();
+    Bounds& bounds = selection.bounds.emplace_back(Bounds{run.run, {}, {}});
+    if (filter.from) bounds.from = line->recorded(*filter.from);
+    if (filter.until) bounds.until = line->recorded(*filter.until);
+  }
+  return selection;
+}
 
-std::string conditions(const RowFilter& filter) {
+std::string conditions(const Selection& selection, const char* from_column, const char* until_column) {
+  const RowFilter& filter = selection.filter;
   std::string sql = " WHERE 1";
   if (filter.run) sql += " AND t.run = :run";
   if (filter.origin) sql += " AND t.origin = :origin";
-  if (filter.from) sql += " AND t.time >= :from";
-  if (filter.until) sql += " AND t.time < :until";
-  if (filter.every > 1) sql += " AND (t.sequence - 1) % :every = 0";
+  const auto bound = [&](const char* name, auto of) {  // ":from", or that of each run
+    if (selection.bounds.empty()) return std::string(name);
+    std::string text = "CASE t.run";
+    for (const Selection::Bounds& run : selection.bounds)
+      text += " WHEN " + std::to_string(run.run) + " THEN " + std::to_string(to_nanoseconds(*of(run)));
+    return text + " ELSE " + name + " END";
+  };
+  if (filter.from) {
+    sql += std::string(" AND ") + from_column +
+           " >= " + bound(":from", [](const Selection::Bounds& run) { return run.from; });
+  }
+  if (filter.until) {
+    sql += std::string(" AND ") + until_column + " < " +
+           bound(":until", [](const Selection::Bounds& run) { return run.until; });
+  }
   return sql;
 }
 
-void bind(sqlite::Statement& statement, const RowFilter& filter) {
+void bind_conditions(sqlite::Statement& statement, const Selection& selection) {
+  const RowFilter& filter = selection.filter;
   const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
   if (filter.run) statement.bind(index(":run"), *filter.run);
   if (filter.origin) {  // a copy of it: the filter may go or move
@@ -44,18 +65,41 @@ void bind(sqlite::Statement& statement, const RowFilter& filter) {
   }
   if (filter.from) statement.bind(index(":from"), to_nanoseconds(*filter.from));
   if (filter.until) statement.bind(index(":until"), to_nanoseconds(*filter.until));
-  if (filter.every > 1)
-    statement.bind(index(":every"), static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
+  if (const int every = index(":every"); every != 0)
+    statement.bind(every, static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
+}
+
+namespace {
+
+std::string row_conditions(const Selection& selection) {
+  return conditions(selection, "t.time", "t.time") +
+         (selection.filter.every > 1 ? " AND (t.sequence - 1) % :every = 0" : "");
+}
+
+/// Whether the rows of each run are of one origin, which publishes in order of time.
+Result<bool> has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
+  if (filter.origin) return true;
+  // A run that goes on, or was killed, may have origins that no account has yet.
+  auto statement = file.prepare(
+      "SELECT EXISTS(SELECT 1 FROM rtdata_run r WHERE r.state = 'recording' AND ifnull(r.run = :run, 1))"
+      " OR EXISTS(SELECT 1 FROM rtdata_ledger t WHERE t.topic = :topic AND ifnull(t.run = :run, 1)"
+      " GROUP BY t.run HAVING count(*) > 1)");
+  if (!statement) return std::move(statement).error();
+  statement->bind(sqlite3_bind_parameter_index(statement->raw(), ":topic"), std::string_view(topic.topic));
+  if (filter.run) statement->bind(sqlite3_bind_parameter_index(statement->raw(), ":run"), *filter.run);
+  auto row = statement->step();
+  if (!row) return std::move(row).error();
+  return statement->integer(0) == 0;
 }
 
 /// Whether the rows lie in the order of time. They are written in the order in which they were published. That is the
 /// order of time unless several origins share the table and one of them measures long: then SQLite sorts, which takes
 /// longer.
-Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
-  auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" + conditions(filter) +
-                                " ORDER BY t.rowid");
+Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
+  auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" +
+                                row_conditions(selection) + " ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
-  bind(*statement, filter);
+  bind_conditions(*statement, selection);
   std::int64_t run = INT64_MIN, time = INT64_MIN;
   for (;;) {
     auto more = statement->step();
@@ -71,13 +115,14 @@ Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, 
 }  // namespace
 
 Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
-                                        const RowFilter& filter) {
-  auto in_order = is_in_order(file, topic, filter);
+                                        const Selection& selection, const std::string& columns) {
+  auto in_order = has_one_origin(file, topic, selection.filter);
+  if (in_order && !*in_order) in_order = is_in_order(file, topic, selection);
   if (!in_order) return std::move(in_order).error();
-  auto statement = file.prepare("SELECT t.run, t.time, t.origin, t.sequence" + RowReader(topic).columns() + " FROM " +
-                                sqlite::quoted(topic.table) + " t" + conditions(filter) +
+  auto statement = file.prepare("SELECT t.run, t.time, t.origin, t.sequence" + columns + " FROM " +
+                                sqlite::quoted(topic.table) + " t" + row_conditions(selection) +
                                 (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
-  if (statement) bind(*statement, filter);
+  if (statement) bind_conditions(*statement, selection);
   return statement;
 }
 
@@ -88,43 +133,151 @@ Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t
   return error;
 }
 
-struct RowsMerge {
-  RowsMerge(std::shared_ptr<RecordingFile> file_, Snapshot snapshot_, RowFilter filter_)
-      : file(std::move(file_)), snapshot(std::move(snapshot_)), filter(std::move(filter_)) {}
+// ---- cursors
 
-  std::shared_ptr<RecordingFile> file;
-  Snapshot snapshot;
-  RowFilter filter;
-  std::vector<std::unique_ptr<TableCursor>> cursors;
-  std::vector<TableCursor*> heap;
-  TableCursor* last = nullptr;  // gave the row that is out; goes on at the next call
-  std::uint64_t given = 0;
-  std::int64_t first_run_with_escapes = 0;
-  RecordedRow row;
+namespace {
 
-  static bool is_later(const TableCursor* a, const TableCursor* b) noexcept {
-    if (a->run != b->run) return a->run > b->run;
-    if (a->time != b->time) return a->time > b->time;
-    return a->place > b->place;
+class TableCursor final : public RowCursor {
+ public:
+  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::int64_t first_escaped)
+      : file_(file),
+        topic_(std::move(topic)),
+        reader_(topic_),
+        statement_(std::move(statement)),
+        first_run_with_escapes_(first_escaped) {}
+
+  Result<bool> advance() override {
+    auto more = statement_.step();
+    if (!more || !*more) return more;
+    const std::int64_t last_run = std::exchange(run, statement_.integer(run_column));
+    const std::int64_t last_time = std::exchange(time, statement_.integer(time_column));
+    if (!is_first_ && run == last_run && time < last_time) [[unlikely]] {
+      return at_row(file_, topic_, run, statement_.text(origin_column),
+                    static_cast<std::uint64_t>(statement_.integer(sequence_column)),
+                    {Errc::damaged, "cannot read the rows in order", "time",
+                     "it is before that of the row before it, of the same origin", "see `rtdata verify`"});
+    }
+    is_first_ = false;
+    return true;
   }
 
-  Result<void> add(RecordedTopic topic) {
-    auto statement = rows_in_order(*file, topic, filter);
-    if (!statement) return std::move(statement).error();
-    cursors.push_back(
-        std::make_unique<TableCursor>(TableCursor{std::move(topic), std::move(*statement), cursors.size()}));
-    return push(*cursors.back());
-  }
-
-  Result<void> push(TableCursor& cursor) {
-    auto more = cursor.advance();
-    if (!more) return std::move(more).error();
-    if (!*more) return {};
-    heap.push_back(&cursor);
-    std::push_heap(heap.begin(), heap.end(), is_later);
+  Result<void> give(RecordedRow& row) override {
+    std::byte* const payload = set_event(row, statement_.text(origin_column),
+                                         static_cast<std::uint64_t>(statement_.integer(sequence_column)), topic_);
+    auto read = reader_.read(
+        statement_.raw(), fixed_columns,
+        run >= first_run_with_escapes_ ? RowReader::Texts::with_escapes : RowReader::Texts::as_they_are, payload);
+    if (!read) return at_row(file_, topic_, run, row.header().origin, row.header().sequence, std::move(read).error());
     return {};
   }
+
+ private:
+  const RecordingFile& file_;
+  const RecordedTopic topic_;
+  const RowReader reader_;
+  sqlite::Statement statement_;
+  const std::int64_t first_run_with_escapes_;
+  bool is_first_ = true;
 };
+
+class GapCursor final : public RowCursor {
+ public:
+  GapCursor(std::string pattern, sqlite::Statement statement)
+      : pattern_(std::move(pattern)), statement_(std::move(statement)) {}
+
+  Result<bool> advance() override {
+    for (;;) {
+      auto more = statement_.step();
+      if (!more || !*more) return more;
+      if (topic_matches(pattern_, statement_.text(1))) break;
+    }
+    run = statement_.integer(0);
+    time = statement_.integer(5);
+    return true;
+  }
+  Result<void> give(RecordedRow& row) override {
+    const auto text = [&](int column) { return std::string(statement_.text(column)); };
+    gap_ = {text(1),
+            text(2),
+            text(3),
+            text(4),
+            from_nanoseconds(time),
+            from_nanoseconds(statement_.integer(6)),
+            static_cast<std::uint64_t>(statement_.integer(7))};
+    topic_.topic = gap_.topic;
+    set_gap(row, gap_, topic_);
+    return {};
+  }
+  bool is_gap() const noexcept override { return true; }
+
+ private:
+  const std::string pattern_;
+  sqlite::Statement statement_;
+  RecordedGap gap_;
+  RecordedTopic topic_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
+                                                     const Selection& selection) {
+  auto statement = rows_in_order(file, topic, selection, RowReader(topic).columns());
+  if (!statement) return std::move(statement).error();
+  auto first = file.first_run_with_escapes();
+  if (!first) return std::move(first).error();
+  return std::unique_ptr<RowCursor>(
+      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement), *first));
+}
+
+Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
+  auto statement = file.prepare(
+      "SELECT t.run, t.topic, t.origin, t.kind, t.reason, t.first, t.last, t.count"
+      " FROM rtdata_gap t" +
+      conditions(selection, "t.last", "t.first") + " ORDER BY t.run, t.first, t.rowid");
+  if (!statement) return std::move(statement).error();
+  bind_conditions(*statement, selection);
+  return std::unique_ptr<RowCursor>(std::make_unique<GapCursor>(selection.filter.topic, *std::move(statement)));
+}
+
+// ---- merging
+
+namespace {
+
+bool is_later(const RowCursor* a, const RowCursor* b) noexcept {
+  if (a->run != b->run) return a->run > b->run;
+  if (a->time != b->time) return a->time > b->time;
+  return a->place > b->place;
+}
+
+}  // namespace
+
+Result<void> RowsMerge::add(std::unique_ptr<RowCursor> cursor) {
+  cursor->place = cursors.size();
+  cursors.push_back(std::move(cursor));
+  auto more = cursors.back()->advance();
+  if (!more) return std::move(more).error();
+  if (!*more) return {};
+  heap.push_back(cursors.back().get());
+  std::push_heap(heap.begin(), heap.end(), is_later);
+  return {};
+}
+
+Result<RowCursor*> RowsMerge::next() {
+  if (RowCursor* const gone_on = std::exchange(last, nullptr)) {
+    auto more = gone_on->advance();
+    if (!more) return std::move(more).error();
+    if (*more) {
+      if (heap.empty() || !is_later(gone_on, heap.front())) return last = gone_on;
+      heap.push_back(gone_on);
+      std::push_heap(heap.begin(), heap.end(), is_later);
+    }
+  }
+  if (heap.empty()) return nullptr;
+  std::pop_heap(heap.begin(), heap.end(), is_later);
+  last = heap.back();
+  heap.pop_back();
+  return last;
+}
 
 }  // namespace detail
 
@@ -135,54 +288,105 @@ Rows::~Rows() = default;
 
 Result<const RecordedRow*> Rows::next() {
   detail::RowsMerge& merge = *merge_;
-  if (merge.filter.limit != 0 && merge.given >= merge.filter.limit) return nullptr;
-  if (detail::TableCursor* last = std::exchange(merge.last, nullptr)) {
-    if (auto pushed = merge.push(*last); !pushed) return std::move(pushed).error();
-  }
-  if (merge.heap.empty()) return nullptr;
-  std::pop_heap(merge.heap.begin(), merge.heap.end(), detail::RowsMerge::is_later);
-  detail::TableCursor& cursor = *merge.heap.back();
-  merge.heap.pop_back();
-  merge.last = &cursor;
-  ++merge.given;
+  if (merge.limit != 0 && merge.given >= merge.limit) return nullptr;
+  auto found = merge.next();
+  if (!found) return std::move(found).error();
+  detail::RowCursor* const cursor = *found;
+  if (cursor == nullptr) return nullptr;
+  if (!cursor->is_gap()) ++merge.given;
   RecordedRow& row = merge.row;
-  row.run_ = cursor.run;
-  row.topic_ = &cursor.topic;
-  row.origin_.assign(cursor.statement.text(detail::origin_column));
-  row.header_ = {from_nanoseconds(cursor.time),
-                 static_cast<std::uint64_t>(cursor.statement.integer(detail::sequence_column)), row.origin_};
-  row.payload_.resize(cursor.topic.description->size());
-  if (auto read = detail::RowReader(cursor.topic)
-                      .read(cursor.statement.raw(), detail::fixed_columns,
-                            cursor.run >= merge.first_run_with_escapes ? detail::RowReader::Texts::with_escapes
-                                                                       : detail::RowReader::Texts::as_they_are,
-                            row.payload_.data());
-      !read) {
-    return at_row(*merge.file, cursor.topic, row.run_, row.origin_, row.header_.sequence, std::move(read).error());
-  }
+  row.run_ = cursor->run;
+  row.header_.time = from_nanoseconds(cursor->time);
+  if (auto given = cursor->give(row); !given) return std::move(given).error();
   return &row;
 }
 
-Result<Rows> Recording::rows(const RowFilter& filter) const {
-  if (!is_topic_pattern(filter.topic)) {
-    return Error{Errc::bad_name, "cannot select rows", "topic " + filter.topic, "it is neither a topic nor a pattern",
-                 "write room/climate, room/+ or room/#"};
-  }
-  if (filter.every == 0)
-    return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
-  auto snapshot = detail::Snapshot::take(file_);
+namespace {
+
+/// A merge of the gaps, if they are asked for, and of what `make` gives for each table.
+template <class Make>
+Result<std::unique_ptr<detail::RowsMerge>> merged(const Recording& recording, const RowFilter& filter, Make make) {
+  auto snapshot = detail::Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
-  auto merge = std::make_unique<detail::RowsMerge>(file_, std::move(*snapshot), filter);
-  auto first_run = file_->first_run_with_escapes();
-  if (!first_run) return std::move(first_run).error();
-  merge->first_run_with_escapes = *first_run;
-  auto all = topics();
+  auto selection = detail::Selection::make(recording, filter);
+  if (!selection) return std::move(selection).error();
+  auto merge = std::make_unique<detail::RowsMerge>(recording.file(), *std::move(snapshot), filter.limit);
+  const auto add = [&](Result<std::unique_ptr<detail::RowCursor>> cursor) -> Result<void> {
+    if (!cursor) return std::move(cursor).error();
+    return merge->add(*std::move(cursor));
+  };
+  if (filter.gaps == RowFilter::Gaps::in_place) {
+    if (auto added = add(detail::make_gap_cursor(*merge->file, *selection)); !added) return std::move(added).error();
+  }
+  auto all = recording.topics();
   if (!all) return std::move(all).error();
   for (RecordedTopic& topic : *all) {
     if (!topic_matches(filter.topic, topic.topic)) continue;
-    if (auto added = merge->add(std::move(topic)); !added) return std::move(added).error();
+    if (auto added = add(make(*merge->file, std::move(topic), *selection)); !added) return std::move(added).error();
   }
-  return Rows(std::move(merge));
+  return merge;
+}
+
+}  // namespace
+
+Result<Rows> Recording::rows(const RowFilter& filter) const {
+  auto merge = merged(*this, filter, detail::make_table_cursor);
+  if (!merge) return std::move(merge).error();
+  return Rows(*std::move(merge));
+}
+
+Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const {
+  if (step < Duration{1}) {
+    return Error{Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
+                 "give the length of a step, such as 1 s"};
+  }
+  auto merge = merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection) {
+    return detail::make_step_cursor(*this, std::move(topic), selection, step);
+  });
+  if (!merge) return std::move(merge).error();
+  return Rows(*std::move(merge));
+}
+
+// ---- of a type
+
+namespace detail {
+
+Result<std::shared_ptr<const void>> make_recorded_map(const RecordedTopic& topic, const Description& wanted) {
+  auto map = map_fields(*topic.description, wanted);
+  if (map) return std::shared_ptr<const void>(std::make_shared<const FieldMap>(*std::move(map)));
+  return Error{Errc::description_differs, "cannot read topic " + topic.topic + " as " + wanted.name(),
+               "table " + topic.table, map.error().why,
+               "read it as a type with the fields that it has; `rtdata info` lists them"};
+}
+
+void apply_recorded_map(const void* map, const std::byte* from, std::byte* to) noexcept {
+  static_cast<const FieldMap*>(map)->apply(from, to);
+}
+
+}  // namespace detail
+
+Result<void> Recording::check_type(const RowFilter& filter, const Description& wanted) const {
+  auto all = topics();
+  if (!all) return std::move(all).error();
+  bool is_any = false;
+  for (const RecordedTopic& topic : *all) {
+    if (!is_topic_pattern(filter.topic)) break;  // which `rows` refuses
+    if (!topic_matches(filter.topic, topic.topic)) continue;
+    is_any = true;
+    auto map = detail::make_recorded_map(topic, wanted);
+    if (map) continue;
+    auto statement = file_->prepare("SELECT 1 FROM " + sqlite::quoted(topic.table) + " t" +
+                                    (filter.run ? " WHERE t.run = " + std::to_string(*filter.run) : "") + " LIMIT 1");
+    if (!statement) return std::move(statement).error();
+    auto row = statement->step();
+    if (!row) return std::move(row).error();
+    if (*row) return std::move(map).error();
+  }
+  if (is_any || !is_topic_name(filter.topic)) return {};
+  std::vector<std::string_view> names;
+  for (const RecordedTopic& topic : *all) names.push_back(topic.topic);
+  return Error{Errc::not_found, "cannot read events", path(), "it has no topic " + filter.topic,
+               detail::suggestion(filter.topic, names)};
 }
 
 }  // namespace rtdata

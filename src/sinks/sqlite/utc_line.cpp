@@ -102,6 +102,22 @@ Time UtcLine::utc(Time recorded) const noexcept {
   return Time{at.time_since_epoch() + stretch.offset + more};
 }
 
+Time UtcLine::recorded(Time utc_time) const noexcept {
+  if (stretches_.empty()) return utc_time;
+  // UTC never goes back on the line: halve the span in which its time must lie.
+  std::int64_t low = clock_offset_.count(), high = low + (std::int64_t{1} << 62);
+  if (utc_time < utc(from_nanoseconds(low))) return std::min(utc_time, from_nanoseconds(low));
+  while (low < high) {
+    const std::int64_t middle = low + (high - low) / 2;
+    if (utc(from_nanoseconds(middle)) < utc_time) {
+      low = middle + 1;
+    } else {
+      high = middle;
+    }
+  }
+  return from_nanoseconds(low);
+}
+
 namespace sqlite {
 
 Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database, std::string_view boot_id) {

@@ -1,0 +1,201 @@
+// rtdata replay: gives a recording's events to the sinks of a configuration, or to the terminal, run by run.
+#include "rtdata/sinks/replay.hpp"
+
+#include <sys/stat.h>
+
+#include <atomic>
+#include <iostream>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "app/core/configuration_commands.hpp"
+#include "app/core/recording_commands.hpp"
+#include "app/run/stop_signals.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "rtdata/config/secret.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/console.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata::app {
+namespace {
+
+bool is_same_file(const std::string& a, const std::string& b) {
+  struct stat of_a {
+  }, of_b{};
+  return ::stat(a.c_str(), &of_a) == 0 && ::stat(b.c_str(), &of_b) == 0 && of_a.st_dev == of_b.st_dev &&
+         of_a.st_ino == of_b.st_ino;
+}
+
+/// The parts of a configuration that take events; those that make them, and what they need, are left out.
+SystemPlan sinks_of(const Registry& registry, const ReplayOptions& options) {
+  SystemPlan plan = plan_system(registry, load_config(options.configuration));
+  if (!plan.good()) return plan;
+  std::size_t sensors = 0;
+  std::erase_if(plan.parts, [&](const PartPlan& part) {
+    if (part.kind == "sensor") ++sensors;
+    return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier";
+  });
+  plan.settings.tiers.clear();
+  if (sensors > 0) {
+    std::cerr << "rtdata: " << sensors << (sensors == 1 ? " sensor" : " sensors") << " of " << options.configuration
+              << (sensors == 1 ? " is" : " are") << " not made: events come from " << options.config.file << "\n";
+  }
+  for (const PartPlan& part : plan.parts) {
+    if (part.stores && is_same_file(part.stores->path, options.config.file)) {
+      throw SetupError({Errc::bad_argument, "cannot replay", options.config.file,
+                        "sink " + part.name + " records into it: what is replayed would be recorded again",
+                        "record into another file"});
+    }
+  }
+  return plan;
+}
+
+/// The pairs of clocks of a run's boot, so that what is recorded again has the same UTC.
+void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
+  detail::RuntimeCore& runtime = loop.runtime().core();
+  for (const RunInfo& other : recording.runs().or_throw()) {
+    if (other.boot_id != run.boot_id) continue;
+    for (const RecordedClock& pair : recording.clock(other.run).or_throw()) {
+      const Time at{pair.monotonic.time_since_epoch() + run.clock_offset};
+      for (detail::Recorder* recorder : runtime.recorders)
+        recorder->on_clock({runtime.clock_log.monotonic_of(at), pair.realtime, pair.source, pair.accuracy, "regular"});
+    }
+  }
+}
+
+/// The machine's, for a run in real time whose time of day is that of another.
+class RunClock final : public SystemClock {
+ public:
+  explicit RunClock(Time realtime) : offset_(realtime.time_since_epoch() - monotonic().time_since_epoch()) {}
+  Time realtime() noexcept override { return Time{monotonic().time_since_epoch() + offset_}; }
+  std::optional<Duration> accuracy() noexcept override { return std::nullopt; }
+
+ private:
+  const Duration offset_;
+};
+
+class ReplayRun {
+ public:
+  ReplayRun(const Registry& registry, const ReplayOptions& options) : registry_(registry), options_(options) {}
+
+  int execute() {
+    const Recording recording = Recording::open(options_.config.file).or_throw();
+    std::vector<RunInfo> runs = recording.runs().or_throw();
+    if (options_.config.run != 0) {
+      std::erase_if(runs, [&](const RunInfo& run) { return run.run != options_.config.run; });
+      if (runs.empty()) {
+        throw SetupError({Errc::not_found, "cannot replay", options_.config.file,
+                          "it has no run " + std::to_string(options_.config.run), "see `rtdata info`"});
+      }
+    }
+    std::optional<SystemPlan> plan;
+    if (!options_.configuration.empty()) {
+      plan = sinks_of(registry_, options_);
+      if (!plan->good()) {
+        std::cerr << plan->report() << std::flush;
+        return exit_configuration;
+      }
+    }
+    for (const RunInfo& run : runs) {
+      if (is_stopped_) break;
+      try {
+        give(recording, run, plan ? &*plan : nullptr);
+      } catch (const SetupError& error) {
+        // One of several may have nothing of what is asked for.
+        if (runs.size() == 1 || error.error().code != make_error_code(Errc::not_found)) throw;
+        last_missing_ = error.error();
+      }
+    }
+    if (replayed_ == 0 && last_missing_) throw SetupError(*last_missing_);
+    return status_;
+  }
+
+ private:
+  void give(const Recording& recording, const RunInfo& run, const SystemPlan* plan) {
+    // Its line is that of the run, so that whoever asks for the time gets that at which it was recorded.
+    ManualClock clock(run.started);
+    RunClock real_clock(run.started - std::chrono::seconds{1});  // while sinks are opened time passes
+    Runtime::Config runtime_config = plan != nullptr ? plan->runtime_config() : Runtime::Config{};
+    runtime_config.clock = options_.is_virtual ? static_cast<Clock*>(&clock) : &real_clock;
+    if (runtime_config.name.empty() || plan == nullptr) runtime_config.name = run.name;
+    Runtime runtime(std::move(runtime_config));
+    runtime.on_log([&](const LogRecord& record) {
+      if (record.level < (options_.is_quiet ? LogLevel::warning : LogLevel::info)) return;
+      std::cerr << "rtdata: "
+                << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
+                << record.object << ": " << record.text << std::endl;
+      if (record.level == LogLevel::error) status_ = exit_other;
+    });
+    Loop loop(runtime, {.name = "replay"});
+    std::optional<System> system;
+    std::optional<ConsoleSink> console;
+    if (plan != nullptr) {
+      system.emplace(loop, registry_, *plan);
+    } else {
+      console.emplace(loop, ConsoleConfig{});
+    }
+    give_clock(recording, run, loop);
+    const Time utc = recording.utc_line(run.run).or_throw().utc(run.started);
+    if (options_.is_virtual && std::chrono::abs(utc - run.started) > std::chrono::milliseconds{1})
+      clock.set_realtime(utc);
+    ReplayConfig config = options_.config;
+    config.run = run.run;
+    std::optional<Error> failed;
+    Replay replay(loop, config);
+    bool is_done = false;
+    replay.on_done([&](const Result<void>& how) {
+      is_done = true;
+      if (!how) failed = how.error();
+      loop.stop();
+    });
+    signals_.attach(loop, {[&](const char*) {
+                             is_stopped_ = true;
+                             loop.stop();
+                           },
+                           [] { return std::uint64_t{0}; },
+                           [](const char*, std::optional<std::uint64_t>) { ::_exit(exit_other); }, [] {}});
+    while (!is_done && !is_stopped_) {
+      if (options_.is_virtual) {
+        loop.advance(std::chrono::hours{1});
+      } else {
+        loop.run();
+      }
+    }
+    signals_.detach();
+    const ReplayCounts counts = replay.counts();
+    const std::uint64_t lost = loop.close();
+    replayed_ += counts.events;
+    if (failed || counts.refused > 0 || is_stopped_ || lost > 0) status_ = exit_other;
+    if (lost > 0) std::cerr << "rtdata: error: " << lost << " events could not be stored" << std::endl;
+  }
+
+  static std::string_view name_of_level(LogLevel level) { return level == LogLevel::error ? "error" : "warning"; }
+
+  const Registry& registry_;
+  const ReplayOptions& options_;
+  StopSignals signals_;
+  std::atomic<bool> is_stopped_{false};
+  std::optional<Error> last_missing_;
+  std::uint64_t replayed_ = 0;
+  int status_ = exit_good;
+};
+
+}  // namespace
+
+int replay(const Registry& registry, const ReplayOptions& options) {
+  try {
+    return ReplayRun(registry, options).execute();
+  } catch (const SetupError& error) {
+    std::cerr << "rtdata: " << error.what() << std::endl;
+    const std::error_code code = error.error().code;
+    const bool is_unreadable = code == make_error_code(Errc::damaged) ||
+                               code == make_error_code(Errc::not_a_recording) ||
+                               code == make_error_code(Errc::newer_version);
+    return is_unreadable ? exit_configuration : exit_other;
+  }
+}
+
+}  // namespace rtdata::app
