@@ -215,13 +215,14 @@ class CborCodec final : public Codec {
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     const Plan& plan = plans_.of(event.description());
-    const std::size_t longest = 128 + event.topic().size() + event.origin().size() + plan.longest;
+    const std::size_t longest = 128 + event.topic().size() + event.origin().size() + event.run().size() + plan.longest;
     if (item_.size() < longest) item_.resize(longest);
-    char* to = put_head(item_.data(), map, 5);
+    char* to = put_head(item_.data(), map, event.run().empty() ? 5 : 6);
     to = put_text(put_text(to, "topic"), event.topic());
     to = put_integer(put_text(to, "time"), to_nanoseconds(event.time()));
     to = put_text(put_text(to, "origin"), event.origin());
     to = put_head(put_text(to, "sequence"), natural, event.sequence());
+    if (!event.run().empty()) to = put_text(put_text(to, "run"), event.run());
     to = put_text(to, "data");
     const char* fixed = plan.fixed.data();
     const std::vector<Leaf>& leaves = event.description().leaves();

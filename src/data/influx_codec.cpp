@@ -221,7 +221,7 @@ class InfluxCodec final : public Codec {
   bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    for (const std::string_view text : {event.topic(), event.origin()}) {
+    for (const std::string_view text : {event.topic(), event.origin(), event.run()}) {
       if (fits_name(text) && (text.empty() || text.back() != '\\')) continue;
       return Error{Errc::does_not_fit, "cannot write the event as a line of InfluxDB", detail::readable(text),
                    "it has no way to write this name", "line breaks and some backslashes cannot be in it"};
@@ -229,6 +229,7 @@ class InfluxCodec final : public Codec {
     line_.clear();
     append_name(line_, event.topic());
     if (!event.origin().empty()) append_name(line_ += ",origin=", event.origin());
+    if (!event.run().empty()) append_name(line_ += ",run=", event.run());
     line_ += ' ';
     for (const Leaf& leaf : event.description().leaves()) {
       const std::byte* from = find_value(leaf, event.payload().data());
@@ -271,11 +272,15 @@ class InfluxCodec final : public Codec {
       const std::string key = line.name("=, ");
       if (!line.take('=')) return bad("tag " + key.substr(0, 64), "it has no value");
       std::string value = line.name(", ");
-      if (key == "origin") event.origin = std::move(value);  // others are the receiver's own
+      if (key == "origin")
+        event.origin = std::move(value);
+      else if (key == "run")
+        event.run = std::move(value);  // others are the receiver's own
     }
     if (!line.take(' ')) return bad("", "it has no fields");
     if (text.find('\n') != std::string_view::npos) return bad("", "something follows the end of the line");
-    if (!fits_name(event.topic) || !fits_name(event.origin)) return bad("", "a name has a line break");
+    if (!fits_name(event.topic) || !fits_name(event.origin) || !fits_name(event.run))
+      return bad("", "a name has a line break");
     std::vector<bool> is_there(leaves.size(), false);
     do {
       const std::string key = line.name("=, ");

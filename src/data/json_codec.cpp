@@ -192,7 +192,8 @@ class JsonCodec final : public Codec {
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     const Plan& plan = plans_.of(event.description());
-    const std::size_t longest = 128 + 6 * (event.topic().size() + event.origin().size()) + plan.longest;
+    const std::size_t longest = 128 + 6 * (event.topic().size() + event.origin().size() + event.run().size()) +
+                                plan.longest;
     if (line_.size() < longest) line_.resize(longest);
     char* to = put(line_.data(), "{\"topic\":");
     to = put_string(to, event.topic());
@@ -202,6 +203,7 @@ class JsonCodec final : public Codec {
     to = put_string(to, event.origin());
     to = put(to, ",\"sequence\":");
     to = put_number(to, event.sequence());
+    if (!event.run().empty()) to = put_string(put(to, ",\"run\":"), event.run());
     to = put(to, ",\"data\":");
     const char* fixed = plan.fixed.data();
     const std::byte* payload = event.payload().data();

@@ -147,10 +147,10 @@ class Reader {
 };
 
 Result<DecodedEvent> Reader::event(const Node& root, const Description& description) {
-  auto found = find(root, {"topic", "time", "origin", "data", "sequence"}, 4, "");
+  auto found = find(root, {"topic", "time", "origin", "data", "sequence", "run"}, 4, "");
   if (!found) return std::move(found).error();
-  const auto& [topic, time, origin, data, sequence] = std::array{(*found)[0], (*found)[1], (*found)[2], (*found)[3],
-                                                                 (*found)[4]};
+  const auto& [topic, time, origin, data, sequence, run] = std::array{(*found)[0], (*found)[1], (*found)[2],
+                                                                      (*found)[3], (*found)[4], (*found)[5]};
   DecodedEvent event;
   if (topic->type != Node::Type::string) return bad("topic", "it is no string");
   if (origin->type != Node::Type::string) return bad("origin", "it is no string");
@@ -167,6 +167,10 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
   if (sequence != nullptr) {
     if (sequence->type != Node::Type::natural) return bad("sequence", "it is no number from 0 on");
     event.sequence = sequence->natural;
+  }
+  if (run != nullptr) {
+    if (run->type != Node::Type::string) return bad("run", "it is no string");
+    event.run = text_of(*run);
   }
   event.payload.resize(description.size());
   leaves_ = &description.leaves();

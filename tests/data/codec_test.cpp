@@ -697,4 +697,33 @@ TEST_SUITE("data") {
     CHECK(decode<Climate>(*codec, as_bytes("t,host=a,origin=b temperature=1i,humidity=2 5")).or_throw().data ==
           Climate{1, 2});
   }
+
+  TEST_CASE("US-31 the run of an event is written where one is told, and comes back") {
+    const Event<Climate> event{{from_nanoseconds(5), 7, "chamber"}, {21.5, 40}};
+    const EventView plain("room", event);
+    const EventView keyed("room", event, *description_of<Climate>(), plain.payload(), "9f1c-2");
+    for (const auto& [format, written] :
+         {std::pair{"json", "\"sequence\":7,\"run\":\"9f1c-2\",\"data\":"}, std::pair{"cbor", "crunf9f1c-2"},
+          std::pair{"influx", "room,origin=chamber,run=9f1c-2 temperature="}}) {
+      CAPTURE(format);
+      const auto codec = CodecRegistry::standard().make(format).or_throw();
+      Bytes with, without;
+      codec->encode(keyed, with).or_throw();
+      codec->encode(plain, without).or_throw();
+      CHECK(as_text(with).find(written) != std::string::npos);
+      CHECK(codec->first_event(with) == with.size());
+      const auto back = decode<Climate>(*codec, with).or_throw();
+      CHECK(back.run == "9f1c-2");
+      CHECK(back.data == event.data);
+      CHECK(back.sequence == 7);
+      CHECK(codec->decode(without, *description_of<Climate>()).or_throw().run.empty());
+    }
+    const auto codec = make_json_codec();
+    CHECK_FALSE(codec->decode(as_bytes(R"({"topic":"t","time":1,"origin":"o","run":5,"data":{}})"),
+                              *description_of<Climate>()));
+    const auto lines = make_influx_codec();
+    Bytes none;
+    const EventView wrong("room", event, *description_of<Climate>(), plain.payload(), "a\nb");
+    CHECK(lines->encode(wrong, none).error().code == Errc::does_not_fit);
+  }
 }

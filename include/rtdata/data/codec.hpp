@@ -40,6 +40,7 @@ struct DecodedEvent {
   Time time{};
   std::optional<std::uint64_t> sequence;  ///< none when the format or its settings leave it out
   std::vector<std::byte> payload;         ///< laid out as the description says
+  std::string run = {};                   ///< uuid of the run; empty when it was not told
 
   /// Valid as long as this object is unchanged; sequence 0 when there is none.
   EventHeader header() const noexcept { return {time, sequence.value_or(0), origin}; }
@@ -76,7 +77,8 @@ class Codec {
 /// Numbers are the shortest that read back equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char
 /// is a string of one character (bytes from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that
 /// has none), an absent optional null. Bytes of a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and
-/// come back equal. Decoding wants every key once and no other, in any order; "sequence" may be missing.
+/// come back equal. What leaves its run (a sender's events) has the uuid of it: "run", after the sequence. Decoding
+/// wants every key once and no other, in any order; "sequence" and "run" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
 /// CBOR (RFC 8949), a map an event with the keys of JSON, one after the other without anything between (RFC 8742).
@@ -89,11 +91,11 @@ std::unique_ptr<Codec> make_cbor_codec();
 ///
 ///     climate,origin=chamber temperature=21.5,position.x=1,state="idle",sequence=7i 1772366400000000000
 ///
-/// The measurement is the topic, the origin a tag (left out when empty), the time ns, a field each leaf by its path:
-/// integers with an i, those above int64 with a u, texts, chars and names of enumerations in quotes, with escapes as in
-/// CSV. The protocol has no NaN, no infinity and no null: these fields are left out, and read back as NaN or absent, so
-/// that infinities do not come back equal. Errors: does-not-fit (an origin or topic with a line break or a trailing
-/// backslash, which it has no way to write).
+/// The measurement is the topic, the origin a tag (left out when empty), so is the run where one is told (`,run=UUID`),
+/// the time ns, a field each leaf by its path: integers with an i, those above int64 with a u, texts, chars and names
+/// of enumerations in quotes, with escapes as in CSV. The protocol has no NaN, no infinity and no null: these fields
+/// are left out, and read back as NaN or absent, so that infinities do not come back equal. Errors: does-not-fit (an
+/// origin or topic with a line break or a trailing backslash, which it has no way to write).
 std::unique_ptr<Codec> make_influx_codec();
 
 struct RawConfig {
@@ -157,6 +159,7 @@ struct Decoded {
   Time time{};
   std::optional<std::uint64_t> sequence;
   T data;
+  std::string run = {};
 
   /// Valid as long as this object is unchanged.
   Event<T> event() const { return {{time, sequence.value_or(0), origin}, data}; }
@@ -176,8 +179,12 @@ Result<Decoded<T>> decode(Codec& codec, std::span<const std::byte> bytes) {
   }
   alignas(T) std::byte memory[sizeof(T)];
   std::memcpy(memory, event->payload.data(), sizeof(T));
-  return Decoded<T>{std::move(event->topic), std::move(event->origin), event->time, event->sequence,
-                    *std::launder(reinterpret_cast<const T*>(memory))};
+  return Decoded<T>{std::move(event->topic),
+                    std::move(event->origin),
+                    event->time,
+                    event->sequence,
+                    *std::launder(reinterpret_cast<const T*>(memory)),
+                    std::move(event->run)};
 }
 
 }  // namespace rtdata
