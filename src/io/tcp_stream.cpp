@@ -1,9 +1,10 @@
 #include "io/tcp_stream.hpp"
 
-#include <netdb.h>
+#include <linux/sockios.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -13,35 +14,7 @@
 
 namespace rtdata::detail {
 
-/// getaddrinfo has no time limit of its own.
-class TcpStream::Lookup final : public LaneJob {
- public:
-  Lookup(TcpStream& stream, std::string host, std::uint16_t port)
-      : owner(&stream), host_(std::move(host)), port_(port) {}
-  void run() noexcept override {
-    try {
-      status = look_up(host_, port_, AI_ADDRCONFIG, addresses);
-    } catch (...) {
-      status = EAI_MEMORY;
-    }
-  }
-  void done(Outcome outcome) override {
-    if (owner != nullptr) owner->looked_up(*this, outcome);
-  }
-
-  TcpStream* owner;  // null: nobody waits for it any more. The loop's thread
-  int status = 0;
-  std::vector<Address> addresses;
-
- private:
-  const std::string host_;
-  const std::uint16_t port_;
-};
-
 namespace {
-
-constexpr Duration lookup_limit = std::chrono::seconds{10};
-constexpr std::size_t most_addresses = 16;
 
 void set_option(int fd, int level, int name, int value) noexcept {
   [[maybe_unused]] const int done = ::setsockopt(fd, level, name, &value, sizeof value);
@@ -55,31 +28,14 @@ TcpStream::TcpStream(LoopCore& loop, std::string owner, std::function<void(const
       owner_(std::move(owner)),
       opened_(std::move(opened)),
       ready_(std::move(ready)),
-      timeout_(loop.face, [this] { attempt_failed(ETIMEDOUT); }) {}
+      timeout_(loop.face, [this] { attempt_failed(ETIMEDOUT); }),
+      lookup_(loop, owner_, [this](Result<std::vector<HostLookup::Address>> found) {
+        if (!found) return done(std::move(found).error());
+        addresses_ = std::move(*found);
+        try_next();
+      }) {}
 
-TcpStream::~TcpStream() {
-  close();
-  if (lane_ != nullptr && !last_lookup_.expired()) lane_->leave_behind();  // a silent name server holds nobody
-}
-
-int TcpStream::look_up(const std::string& host, std::uint16_t port, int flags, std::vector<Address>& to) {
-  addrinfo hints{};
-  hints.ai_family = AF_UNSPEC;
-  hints.ai_socktype = SOCK_STREAM;
-  hints.ai_flags = flags | AI_NUMERICSERV;
-  addrinfo* found = nullptr;
-  const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found);
-  if (status != 0) return status;
-  const std::unique_ptr<addrinfo, void (*)(addrinfo*)> owned(found, ::freeaddrinfo);
-  for (const addrinfo* one = found; one != nullptr && to.size() < most_addresses; one = one->ai_next) {
-    Address address;
-    if (one->ai_addrlen > sizeof address.socket) continue;
-    std::memcpy(&address.socket, one->ai_addr, one->ai_addrlen);
-    address.size = one->ai_addrlen;
-    to.push_back(address);
-  }
-  return to.empty() ? EAI_NONAME : 0;
-}
+TcpStream::~TcpStream() { close(); }
 
 void TcpStream::connect(const std::string& host, std::uint16_t port, Duration limit) {
   close();
@@ -90,36 +46,12 @@ void TcpStream::connect(const std::string& host, std::uint16_t port, Duration li
   next_ = 0;
   last_error_ = 0;
   is_connecting_ = true;
-  if (host == "localhost") {
-    look_up("::1", port, AI_NUMERICHOST, addresses_);
-    look_up("127.0.0.1", port, AI_NUMERICHOST, addresses_);
-    return try_next();
-  }
-  if (look_up(host, port, AI_NUMERICHOST, addresses_) == 0) return try_next();
-  if (lane_ == nullptr) lane_ = std::make_unique<Lane>(loop_, "name of " + owner_, lookup_limit);
-  lookup_ = std::make_shared<Lookup>(*this, host, port);
-  last_lookup_ = lookup_;
-  const std::shared_ptr<Lookup> lookup = lookup_;
-  if (!lane_->submit(lookup) && lookup_ == lookup) {
-    lookup_ = nullptr;
-    done(unknown_host("no thread can look it up: earlier attempts still hang"));
-  }
-}
-
-void TcpStream::looked_up(Lookup& lookup, LaneJob::Outcome outcome) {
-  const std::shared_ptr<Lookup> ended = std::exchange(lookup_, nullptr);
-  if (outcome == LaneJob::Outcome::cancelled) return;
-  if (outcome == LaneJob::Outcome::given_up) {
-    return done(unknown_host("the name servers did not answer in " + to_string(lookup_limit)));
-  }
-  if (lookup.status != 0) return done(unknown_host(::gai_strerror(lookup.status)));
-  addresses_ = std::move(lookup.addresses);
-  try_next();
+  lookup_.start(host, port);
 }
 
 void TcpStream::try_next() {
   while (next_ < addresses_.size()) {
-    const Address& address = addresses_[next_++];
+    const HostLookup::Address& address = addresses_[next_++];
     fd_ = ::socket(address.socket.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     int status = fd_ < 0 ? errno : 0;
     if (status == 0) {
@@ -128,7 +60,8 @@ void TcpStream::try_next() {
       set_option(fd_, IPPROTO_TCP, TCP_KEEPIDLE, 30);
       set_option(fd_, IPPROTO_TCP, TCP_KEEPINTVL, 10);
       set_option(fd_, IPPROTO_TCP, TCP_KEEPCNT, 3);
-      if (::connect(fd_, reinterpret_cast<const sockaddr*>(&address.socket), address.size) != 0) status = errno;
+      set_option(fd_, IPPROTO_TCP, TCP_USER_TIMEOUT, 60'000);  // nor confirms what was sent
+      if (::connect(fd_, address.get(), address.size) != 0) status = errno;
     }
     if (status == 0 || status == EINPROGRESS) {
       timeout_.start(limit_);
@@ -184,8 +117,8 @@ void TcpStream::wait(Duration at_most) {
   while (is_connecting_) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
     if (left.count() <= 0) return;
-    if (lookup_ != nullptr) {
-      lane_->wait(left);
+    if (lookup_.is_under_way()) {
+      lookup_.wait(left);
       continue;
     }
     pollfd one{fd_, POLLOUT, 0};
@@ -202,8 +135,7 @@ void TcpStream::drop_socket() noexcept {
 
 void TcpStream::close() noexcept {
   is_connecting_ = false;
-  if (lookup_ != nullptr) lookup_->owner = nullptr;
-  lookup_ = nullptr;
+  lookup_.cancel();
   drop_socket();
 }
 
@@ -213,13 +145,26 @@ bool TcpStream::send(std::string_view text) noexcept {
   return ::send(fd_, text.data(), text.size(), MSG_DONTWAIT | MSG_NOSIGNAL) == static_cast<ssize_t>(text.size());
 }
 
+ssize_t TcpStream::write(const std::byte* from, std::size_t size) noexcept {
+  return ::send(fd_, from, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
+void TcpStream::want_to_write(bool wanted) {
+  watch_.set_events(wanted ? FdWatch::readable_and_writable : FdWatch::readable);
+}
+
+std::size_t TcpStream::unconfirmed() const noexcept {
+  int bytes = 0;
+  return fd_ >= 0 && ::ioctl(fd_, SIOCOUTQ, &bytes) == 0 && bytes > 0 ? static_cast<std::size_t>(bytes) : 0;
+}
+
+void TcpStream::end_writing() noexcept {
+  if (fd_ >= 0 && !is_connecting_) ::shutdown(fd_, SHUT_WR);
+}
+
 Error TcpStream::failure(int error_number) const {
   return system_error(error_number, "cannot connect", host_ + " port " + std::to_string(port_),
                       "is the server running there? `ss -ltn` on its machine lists the ports that are served");
-}
-
-Error TcpStream::unknown_host(std::string why) const {
-  return {Errc::not_found, "cannot connect", host_, std::move(why), "check the name; an address needs no looking up"};
 }
 
 }  // namespace rtdata::detail

@@ -53,7 +53,9 @@ const std::map<std::string, std::string> right_sensors{
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
-                                                     {"console", R"({"type": "console", "descriptor": 2})"}};
+                                                     {"console", R"({"type": "console", "descriptor": 2})"},
+                                                     {"tcp", R"({"type": "tcp", "host": "127.0.0.1", "port": 1})"},
+                                                     {"udp", R"({"type": "udp", "host": "127.0.0.1", "port": 1})"}};
 
 #ifdef RTDATA_WITH_MODBUS
 constexpr const char* modbus_bus = R"("plc": {"type": "modbus", "device": "/no/such/rs485"},)";
@@ -198,6 +200,12 @@ TEST_SUITE("config") {
          "\"a b\" is no topic name"},
         {sinks(R"({"type": "file", "path": "x", "format": "jsnol"})"),
          "there is no format \"jsnol\" (did you mean \"jsonl\"?)"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "jsnol"})"), "did you mean \"jsonl\"?"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not say which topic they are of"},
+        {sinks(R"({"type": "tcp", "host": "http://a", "port": 1})"), "it is a URL"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 0})"), "port"},
+        {sinks(R"({"type": "udp", "host": "a b"})"), "it is no name of a host"},
+        {sinks(R"({"type": "udp", "host": ""})"), "there is no host"},
         {sinks(R"({"type": "file", "path": ""})"), "the path is empty; name a file"},
         {sinks(R"({"type": "file", "path": "folder"})"), "\"folder\" is a folder"},
         {sinks(R"({"type": "file", "path": "folder/"})"), "is a folder"},

@@ -18,6 +18,8 @@
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
+#include "rtdata/sinks/tcp.hpp"
+#include "rtdata/sinks/udp.hpp"
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/sensors/modbus.hpp"
 #endif
@@ -63,23 +65,41 @@ static void check_config(const SqliteConfig& config, const ConfigItem& item, Pro
 
 namespace {
 
-/// The shipped formats, and no others.
+/// The shipped formats, and those of this sink alone, and no others.
+void check_format(const std::string& name, std::initializer_list<const char*> own, const ConfigItem& item,
+                  Problems& problems) {
+  std::vector<std::string> formats = CodecRegistry::standard().names();
+  formats.insert(formats.end(), own.begin(), own.end());
+  if (std::find(formats.begin(), formats.end(), name) != formats.end()) return;
+  const ConfigItem* format = item.find("format");
+  std::string message = "there is no format \"" + name + "\"";
+  std::string nearest = nearest_name(name, formats);
+  if (nearest.empty()) {
+    message += "; there are";
+    for (const std::string& known : formats) message += " " + known;
+  }
+  problems.add((format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+}
+
 struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
     check_config(static_cast<const FileConfig&>(config), item, problems);
-    std::vector<std::string> formats = CodecRegistry::standard().names();
-    formats.emplace_back("jsonl");
-    if (std::find(formats.begin(), formats.end(), config.format) != formats.end()) return;
-    const ConfigItem* format = item.find("format");
-    std::string message = "there is no format \"" + config.format + "\"";
-    std::string nearest = nearest_name(config.format, formats);
-    if (nearest.empty()) {
-      message += "; there are";
-      for (const std::string& known : formats) message += " " + known;
-    }
-    problems.add(
-        (format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+struct ShippedTcpConfig : TcpConfig {
+  friend constexpr auto parameters(type_tag<ShippedTcpConfig>) { return parameter_list(include<TcpConfig>); }
+  friend void check_config(const ShippedTcpConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const TcpConfig&>(config), item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+struct ShippedUdpConfig : UdpConfig {
+  friend constexpr auto parameters(type_tag<ShippedUdpConfig>) { return parameter_list(include<UdpConfig>); }
+  friend void check_config(const ShippedUdpConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const UdpConfig&>(config), item, problems);
+    check_format(config.format, {"fields", "jsonl"}, item, problems);
   }
 };
 
@@ -199,6 +219,13 @@ Registry standard_registry() {
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },
       [](Loop& loop, const ConsoleConfig& config) { return ConsoleSink(loop, config); });
+  registry.add_sink<ShippedTcpConfig>(
+      "tcp", "a server that listens on a TCP port", [](const ShippedTcpConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedTcpConfig& config) { return TcpSink(loop, config); });
+  registry.add_sink<ShippedUdpConfig>(
+      "udp", "a datagram an event, for programs that draw what comes, such as PlotJuggler",
+      [](const ShippedUdpConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedUdpConfig& config) { return UdpSink(loop, config); });
   return registry;
 }
 
