@@ -13,9 +13,11 @@ add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
   $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
-  $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus>)
+  $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::mqtt>
+  $<$<BOOL:${libmosquitto_FOUND}>:PkgConfig::libmosquitto>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>)
+set_property(SOURCE tests/sinks/mqtt_test.cpp APPEND PROPERTY COMPILE_DEFINITIONS $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
 if(RTDATA_PCH)
   target_precompile_headers(rtdata_tests PRIVATE <pch/tests_pch.hpp>)  # in <>: no path of this clone gets into the file
   set_source_files_properties(tests/main.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON)  # configures doctest before including it

@@ -54,6 +54,7 @@ const std::map<std::string, std::string> right_sensors{
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
                                                      {"console", R"({"type": "console", "descriptor": 2})"},
+                                                     {"mqtt", R"({"type": "mqtt", "host": "127.0.0.1", "port": 1})"},
                                                      {"tcp", R"({"type": "tcp", "host": "127.0.0.1", "port": 1})"},
                                                      {"udp", R"({"type": "udp", "host": "127.0.0.1", "port": 1})"}};
 

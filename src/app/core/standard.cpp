@@ -23,6 +23,9 @@
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/sensors/modbus.hpp"
 #endif
+#ifdef RTDATA_WITH_MQTT
+#include "rtdata/sinks/mqtt.hpp"
+#endif
 #ifdef RTDATA_WITH_SQLITE
 #include "rtdata/sinks/sqlite.hpp"
 #endif
@@ -95,6 +98,15 @@ struct ShippedTcpConfig : TcpConfig {
     check_format(config.format, {"jsonl"}, item, problems);
   }
 };
+#ifdef RTDATA_WITH_MQTT
+struct ShippedMqttConfig : MqttConfig {
+  friend constexpr auto parameters(type_tag<ShippedMqttConfig>) { return parameter_list(include<MqttConfig>); }
+  friend void check_config(const ShippedMqttConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const MqttConfig&>(config), item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+#endif
 struct ShippedUdpConfig : UdpConfig {
   friend constexpr auto parameters(type_tag<ShippedUdpConfig>) { return parameter_list(include<UdpConfig>); }
   friend void check_config(const ShippedUdpConfig& config, const ConfigItem& item, Problems& problems) {
@@ -219,6 +231,11 @@ Registry standard_registry() {
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },
       [](Loop& loop, const ConsoleConfig& config) { return ConsoleSink(loop, config); });
+#ifdef RTDATA_WITH_MQTT
+  registry.add_sink<ShippedMqttConfig>(
+      "mqtt", "a message an event, to a broker of MQTT", [](const ShippedMqttConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedMqttConfig& config) { return MqttSink(loop, config); });
+#endif
   registry.add_sink<ShippedTcpConfig>(
       "tcp", "a server that listens on a TCP port", [](const ShippedTcpConfig&) { return std::string(); },
       [](Loop& loop, const ShippedTcpConfig& config) { return TcpSink(loop, config); });

@@ -3,8 +3,6 @@
 #include <fcntl.h>
 #include <limits.h>
 #include <poll.h>
-#include <pthread.h>
-#include <signal.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -13,37 +11,10 @@
 #include <ctime>
 
 #include "data/utf8.hpp"
+#include "sinks/core/no_sigpipe.hpp"
 
 namespace rtdata {
 namespace {
-
-/// While it lives, a SIGPIPE that this thread causes is taken back.
-class NoSigpipe {
- public:
-  NoSigpipe() {
-    ::sigemptyset(&pipe_);
-    ::sigaddset(&pipe_, SIGPIPE);
-    sigset_t pending;
-    ::sigpending(&pending);
-    was_pending_ = ::sigismember(&pending, SIGPIPE) == 1;
-    ::pthread_sigmask(SIG_BLOCK, &pipe_, &before_);
-  }
-  NoSigpipe(const NoSigpipe&) = delete;
-  NoSigpipe& operator=(const NoSigpipe&) = delete;
-  ~NoSigpipe() {
-    if (!was_pending_) {
-      constexpr timespec at_once{0, 0};
-      while (::sigtimedwait(&pipe_, nullptr, &at_once) < 0 && errno == EINTR) {
-      }
-    }
-    ::pthread_sigmask(SIG_SETMASK, &before_, nullptr);
-  }
-
- private:
-  sigset_t pipe_;
-  sigset_t before_;
-  bool was_pending_;
-};
 
 /// Why nothing can be written to it; empty: it can.
 const char* obstacle(int descriptor) {
@@ -70,7 +41,7 @@ class ConsoleWriter final : public Writer {
     if (text_.empty()) {  // else the same batch is given again
       for (const Record& record : batch) append(record);
     }
-    const NoSigpipe guard;
+    const detail::NoSigpipe guard;
     while (done_ < text_.size()) {
       if (auto written = write_some(); !written) return written;
     }
