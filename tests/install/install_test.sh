@@ -118,6 +118,10 @@ for own in 10_own_driver 11_own_bus; do
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" "./$own"
     echo "$own: good"
 done
+cp "$source/examples/12_own_sender.cpp" .
+PKG_CONFIG_PATH="$pkgconfig" sh build.sh 12_own_sender rtdata-sqlite
+LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./12_own_sender
+echo "12_own_sender: good"
 if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh lines rtdata-gpio
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" ./lines

@@ -119,6 +119,6 @@ TEST_SUITE("sinks") {
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(ConsoleSink(loop, {.descriptor = pipe.ends[0]}), SetupError);
     CHECK_THROWS_AS(ConsoleSink(loop, {.descriptor = 9999}), SetupError);
-    CHECK(parameters_of<ConsoleConfig>().size() == 11);
+    CHECK(parameters_of<ConsoleConfig>().size() == 13);
   }
 }

@@ -439,7 +439,7 @@ TEST_SUITE("sinks") {
     CHECK(config.sink.batch_rows == 7);
     CHECK(config.sink.batch_time == 250ms);
     CHECK(config.sink.when_full == WhenFull::drop_oldest);
-    CHECK(parameters_of<FileConfig>().size() == 15);
+    CHECK(parameters_of<FileConfig>().size() == 17);
   }
 
   TEST_CASE("a file sink leaves a database alone, which it would cut off as half an event") {

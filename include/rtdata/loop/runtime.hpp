@@ -82,12 +82,20 @@ struct TopicDrops {
   std::uint64_t count = 0;
 };
 
+/// What waits in the recording that a sink goes through: `SinkCounts::queued` events.
+struct Backlog {
+  std::uint64_t bytes = 0;  ///< of their payloads
+  Time oldest{};            ///< the time of the oldest of them; 0: nothing waits
+};
+
 struct SinkStatus {
   std::string name;
   Health health = Health::ok;
   std::string reason;
   SinkCounts counts;
   std::vector<TopicDrops> dropped;  ///< of all reasons, for each topic that lost some
+  /// Of a sink that goes through a recording, once it has looked into that; none: its events wait in memory.
+  std::optional<Backlog> backlog = {};
 };
 
 struct TopicStatus {

@@ -35,8 +35,8 @@ namespace rtdata {
 
 /// How much is under way. Each sender has its own defaults.
 struct SendingConfig {
-  std::size_t window = 8;           ///< parcels under way at a time
-  std::size_t parcel_rows = 100;    ///< events of a parcel, at most
+  std::size_t window = 8;                           ///< parcels under way at a time
+  std::size_t parcel_rows = 100;                    ///< events of a parcel, at most
   std::size_t parcel_bytes = std::size_t{1} << 20;  ///< a parcel has no more events once it has so many bytes
   Duration timeout = std::chrono::seconds{30};      ///< a parcel without an answer is given up and sent again
   std::uint64_t bytes_per_second = 0;               ///< sent, on average; 0: no limit
@@ -126,8 +126,8 @@ class Sender : public Writer {
   virtual SendingConfig sending() const { return {}; }
   /// Once, before the first parcel. Handles of this loop may be made; nothing that can block.
   virtual void begin(Loop& loop) = 0;
-  /// Sends it, without blocking. The parcel lives until its answer is given, or `cancel` has returned. The answer may be
-  /// given at once.
+  /// Sends it, without blocking. The parcel lives until its answer is given, or `cancel` has returned. The answer may
+  /// be given at once.
   virtual void send(const Parcel& parcel, Answer answer) = 0;
   /// Gives up everything that is under way: a parcel was not answered for `timeout`, or the sink ends. Parcels may be
   /// sent again afterwards.

@@ -46,7 +46,7 @@ RunAccount account_of(const Runtime& runtime) {
         if (topic.topic == dropped.topic) topic.dropped += dropped.count;
       }
     }
-    account.queued += sink.counts.queued;
+    (sink.backlog ? account.waiting : account.queued) += sink.counts.queued;
   }
   return account;
 }
@@ -57,7 +57,7 @@ std::string progress(const RunAccount& account) {
          part(account.failed, "failed") + (account.unreadable > 0 ? part(account.unreadable, "unreadable") : "") +
          (account.lost > 0 ? part(account.lost, "lost") : "") +
          (account.outages.number > 0 ? ", " + to_string(account.outages) : "") + part(account.dropped, "dropped") +
-         part(account.queued, "queued");
+         part(account.queued, "queued") + (account.waiting > 0 ? part(account.waiting, "to be sent") : "");
 }
 
 std::string verdict(const RunAccount& account, const Ending& ending) {
@@ -114,6 +114,7 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
                          : "LOST: " + losses + "; taken: ";
   text += std::to_string(account.events) + (account.events == 1 ? " event" : " events");
   if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
+  if (account.waiting > 0) text += "; " + std::to_string(account.waiting) + " wait in a recording to be sent";
   if (!ending.unknown.empty()) return text;
   return text + (ending.balances ? "; ledger balances" : "; the ledger does NOT balance");
 }

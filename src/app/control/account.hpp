@@ -28,6 +28,7 @@ struct RunAccount {
   std::vector<TopicAccount> topics;
   std::vector<SinkStatus> sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
+  std::uint64_t waiting = 0;  ///< in recordings, to be sent
   Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
 };

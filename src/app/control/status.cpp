@@ -293,6 +293,11 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
                      {"dropped", sink.counts.all_dropped()},
                      {"dropped_by_reason", dropped},
                      {"health", health_json(sink.health, sink.reason)}});
+    Json& backlog = sinks.back()["backlog"];  // null: its events wait in memory
+    if (sink.backlog) {
+      backlog = {{"events", sink.counts.queued}, {"bytes", sink.backlog->bytes}};
+      backlog["oldest"] = sink.backlog->oldest == Time{} ? Json() : Json(to_nanoseconds(sink.backlog->oldest));
+    }
   }
 
   Json& parts = json["parts"] = Json::array();

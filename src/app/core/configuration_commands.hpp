@@ -35,6 +35,12 @@ struct CheckOptions {
 };
 int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
+struct ForwardOptions {
+  std::string database;
+  std::string file;  ///< the configuration whose sinks send
+};
+/// Sends what waits in the recording, until nothing is left. exit_good: all is sent; exit_other: it was ended before.
+int forward(const Registry& registry, const ForwardOptions& options);
 enum class TypesAs { text, schema, markdown };
 /// `name`: only this type; empty: all.
 int types(const Registry& registry, const std::string& name, TypesAs format);

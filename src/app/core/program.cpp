@@ -319,6 +319,23 @@ Action prepare_import(CLI::App& command) {
 }
 #endif
 
+#ifdef RTDATA_WITH_SQLITE
+Action prepare_forward(CLI::App& command) {
+  const auto options = std::make_shared<app::ForwardOptions>();
+  command.add_option("DB", options->database, "The recording, wherever it was moved to")->required();
+  command.add_option("FILE", options->file, "The configuration whose sinks send")->required();
+  command.footer(
+      "example:\n  rtdata forward /media/card/run.db node.json\n"
+      "Each sink of FILE with `through` goes on where it has got to in the recording.\nexit status:\n"
+      "  0  all is sent\n  1  ended before\n  2  mistakes, or no recording");
+  return [options](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    wrapped.emplace();
+    return app::forward(registry, *options);
+  };
+}
+#endif
+
 struct Command {
   std::string_view name;
   const char* doc;
@@ -339,6 +356,7 @@ constexpr Command commands[] = {
     {"info", "Sum up a recording", prepare_info},
     {"export", "Write out what was recorded", prepare_export},
     {"import", "Make a recording of a table in CSV", prepare_import},
+    {"forward", "Send what waits in a recording that was moved elsewhere", prepare_forward},
 #endif
 };
 

@@ -139,8 +139,9 @@ void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings) 
     struct statfs about {};
     if (::statfs(folder.empty() ? "." : folder.c_str(), &about) != 0 || about.f_type != TMPFS_MAGIC) continue;
     warnings.add(child_or_self(part.item, "path")
-                     .problem("in-memory", "the recording is on a file system in memory: what waits in it for a peer is "
-                                           "gone when the machine restarts"));
+                     .problem("in-memory",
+                              "the recording is on a file system in memory: what waits in it for a peer is "
+                              "gone when the machine restarts"));
   }
 }
 

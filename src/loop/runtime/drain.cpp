@@ -216,7 +216,10 @@ std::uint64_t Loop::close(Duration deadline) {
   }
   if (state->is_done) return state->lost;
   std::uint64_t queued = 0;
-  for (const detail::Recorder* recorder : core_->runtime.recorders) queued += recorder->status().counts.queued;
+  for (const detail::Recorder* recorder : core_->runtime.recorders) {
+    const SinkStatus status = recorder->status();
+    if (!status.backlog) queued += status.counts.queued;  // else it waits where it is safe
+  }
   return queued;
 }
 

@@ -36,9 +36,11 @@ std::uint64_t Batch::refused_after(std::uint32_t slot) const noexcept {
   const detail::SlotStored& s = queue_->stored(slot);
   return s.refused.load(std::memory_order_relaxed) + s.refused_in_batch;
 }
-void Batch::refuse(const Record& record, const Error& why) { queue_->note_refusal(record.slot, why); }
+void Batch::refuse(const Record& record, const Error& why) {
+  queue_->note_refusal(record.slot, record.header.sequence, why);
+}
 void Batch::refuse_topic(const Record& record, const Error& why) {
-  queue_->note_refusal(record.slot, why);
+  queue_->note_refusal(record.slot, record.header.sequence, why);
   queue_->note_topic_fault(why);
 }
 

@@ -18,10 +18,10 @@ struct FeedConfig {
   std::string sink;                 ///< its name: that of its position
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;
-  Time attached{};                  ///< when it was attached: what is older is not now
+  Time attached{};  ///< when it was attached: what is older is not now
   /// The times that it gets: as they are recorded, or UTC as far as it is known when they are read.
   enum class Times { recorded, utc } times = Times::recorded;
-  std::size_t rows = 0;             ///< put into the queue at a time, about
+  std::size_t rows = 0;  ///< put into the queue at a time, about
 };
 
 /// Rows, since the sink was attached.
@@ -29,7 +29,9 @@ struct FeedCounts {
   std::uint64_t offered = 0;  ///< committed, of its topics; those that waited when it was attached too
   std::uint64_t removed = 0;  ///< deleted by a limit of the recording before they were stored
   std::uint64_t backlog = 0;  ///< wait in the recording
+  std::uint64_t bytes = 0;    ///< of those, their payloads
   Time oldest{};              ///< of those; 0: none
+  bool is_known = false;      ///< it has looked into the recording
 };
 
 /// Thread: the sink's lane, or its loop while the lane is idle, but for `counts`.
@@ -38,10 +40,12 @@ class RowFeed {
   virtual ~RowFeed() = default;
   /// With no batch under way: puts the next rows into the queue. False: there are none.
   virtual Result<bool> fill(SinkQueue& queue) = 0;
-  /// Of the rows of the last `fill`, in order, the first `rows` need not come again. `refused`: of a row among them,
-  /// counted from 0, why it was refused; to be called before.
-  virtual void refused(std::size_t row, const Error& why) = 0;
+  /// Of the rows of the last `fill`, in order, the first `rows` need not come again.
   virtual void settled(std::size_t rows) noexcept = 0;
+  /// One of them was refused. The same may be said again.
+  virtual void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) = 0;
+  /// The recording has committed something: counts it. While the lane is idle.
+  virtual void note_committed() = 0;
   /// Of what was put into the queue nothing more is settled: it is given again.
   virtual void forget() noexcept = 0;
   virtual FeedCounts counts() const noexcept = 0;

@@ -108,7 +108,7 @@ std::uint64_t SinkNode::leave() noexcept {
 
 void SinkNode::on_close() noexcept {
   std::uint64_t lost = 0;
-  if (!followers_.empty()) leave_recording();  // they are not waited for
+  leave_recording();  // nobody waits for another here
   if (is_attached()) {
     const MonotonicTime end = later(loop()->now(), config_.close_deadline);
     begin_closing(end);

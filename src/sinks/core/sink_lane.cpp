@@ -158,8 +158,7 @@ Result<void> SinkQueue::store() {
       if (!is_open_) return result;
     }
     if (!has_batch_) {
-      result = call_writer([this] { return fill(); });
-      if (!result) return result;
+      if (auto filled = call_writer([this] { return fill(); }); !filled) return filled;
       if (!gather()) break;
     }
     has_batch_ = true;
@@ -218,7 +217,8 @@ void SinkQueue::note_topic_fault(const Error& why) {
   if (topic_fault_in_batch_.empty()) topic_fault_in_batch_ = why.text();
 }
 
-void SinkQueue::note_refusal(std::uint32_t index, const Error& why) {
+void SinkQueue::note_refusal(std::uint32_t index, std::uint64_t sequence, const Error& why) {
+  if (feed_ != nullptr) feed_->refused(slot(index).info, sequence, why);
   ++stored(index).refused_in_batch;
   if (refusals_in_batch_++ == 0) first_refusal_in_batch_ = why;
 }

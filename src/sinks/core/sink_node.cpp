@@ -133,7 +133,12 @@ void SinkNode::on_health(Time first, Time last, const HealthChange& change, std:
 
 SinkStatus SinkNode::status() const {
   if (last_) return *last_;
-  return {config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
+  SinkStatus now{config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
+  if (is_fed()) {
+    const FeedCounts fed = queue_->feed()->counts();
+    if (fed.is_known) now.backlog = {fed.bytes, fed.oldest};
+  }
+  return now;
 }
 
 // ---- batches by time

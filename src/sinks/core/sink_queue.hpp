@@ -186,6 +186,7 @@ class SinkQueue {
   /// From here on the rows come from a recording, on the lane.
   void feed_from(std::unique_ptr<RowFeed> feed) { feed_ = std::move(feed); }
   const RowFeed* feed() const noexcept { return feed_.get(); }
+  void note_committed() { feed_->note_committed(); }
   bool is_recording() const noexcept { return recording_ != nullptr; }
   /// For a sink that goes through this recording; null: this is none.
   std::unique_ptr<RowFeed> make_feed(const FeedConfig& config) {
@@ -210,7 +211,7 @@ class SinkQueue {
   // ---- lane (sink_lane.cpp)
   /// An error leaves what is queued there, unless it is `closed`: then all that comes is refused.
   SinkTurnResult work(const SinkTurn& turn) noexcept;
-  void note_refusal(std::uint32_t slot, const Error& why);
+  void note_refusal(std::uint32_t slot, std::uint64_t sequence, const Error& why);
   /// A topic of the batch can never be stored.
   void note_topic_fault(const Error& why);
 
@@ -307,7 +308,7 @@ class SinkQueue {
   // the lane's, and while it is idle the loop's
   std::unique_ptr<RowFeed> feed_;
   std::vector<Parcel> parcels_;
-  std::vector<Parcel> spare_parcels_;  // for their memory
+  std::vector<Parcel> spare_parcels_;           // for their memory
   std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted
   // both
   std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted

@@ -36,12 +36,11 @@ Result<void> SinkQueue::encode() {
     }
     const std::size_t before = parcel->bytes_.size();
     if (auto encoded = sender_->encode(record, parcel->bytes_)) {
-      parcel->rows_.push_back({record.info, record.slot, in_batch, record.header.sequence, record.header.time,
-                               parcel->bytes_.size()});
+      parcel->rows_.push_back(
+          {record.info, record.slot, in_batch, record.header.sequence, record.header.time, parcel->bytes_.size()});
     } else {
       parcel->bytes_.resize(before);
       batch_.refuse(record, encoded.error());
-      if (feed_ != nullptr) feed_->refused(in_batch, encoded.error());
     }
     ++in_batch;
   }
@@ -66,7 +65,7 @@ void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) 
     slot.refused.fetch_add(1, std::memory_order_relaxed);
     try {
       if (refusals_ == 0) first_refusal_ = row.why;
-      if (feed_ != nullptr) feed_->refused(of.in_batch, row.why);
+      if (feed_ != nullptr) feed_->refused(*of.info, of.sequence, row.why);
     } catch (...) {  // no memory: counted without its reason
     }
     ++refusals_;

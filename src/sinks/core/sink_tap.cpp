@@ -99,9 +99,8 @@ void SinkTap::expect(OriginCore& origin) {
   }
   const std::uint32_t slot = [&] {
     const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
-    return queue_->add_slot(
-        {number_, origin.name, topic_.name, topic_.type.description,
-         queue_->is_recording() ? std::string() : topic_.runtime().main().run_uuid()});
+    return queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description,
+                             queue_->is_recording() ? std::string() : topic_.runtime().main().run_uuid()});
   }();
   places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, 0, slot};
   sink_.account_is_due();

@@ -70,9 +70,10 @@ void SinkNode::rows_came() {
   if (!is_attached() || recording_ == nullptr) return;
   if (work_ == Work::idle) {
     start_work();
-  } else {
-    is_due_ = true;
+    return;
   }
+  is_due_ = true;
+  if (!is_at_work()) note([&] { queue_->note_committed(); });
 }
 
 void SinkNode::tell_followers() {

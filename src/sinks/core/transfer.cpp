@@ -9,7 +9,9 @@
 namespace rtdata {
 
 Answer::Answer(Answer&& other) noexcept
-    : transfer_(std::move(other.transfer_)), parcel_(other.parcel_), transmission_(std::exchange(other.transmission_, 0)) {}
+    : transfer_(std::move(other.transfer_)),
+      parcel_(other.parcel_),
+      transmission_(std::exchange(other.transmission_, 0)) {}
 
 Answer& Answer::operator=(Answer&& other) noexcept {
   if (this != &other) {
@@ -192,8 +194,8 @@ void Transfer::send(std::size_t parcel) {
   if (sending_.bytes_per_second != 0) {
     const double seconds = static_cast<double>(parcels_[parcel].bytes().size()) /
                            static_cast<double>(sending_.bytes_per_second);
-    paced_until_ = later(std::max(paced_until_, now),
-                         std::chrono::duration_cast<Duration>(std::chrono::duration<double>(std::min(seconds, 3600.0))));
+    paced_until_ = later(std::max(paced_until_, now), std::chrono::duration_cast<Duration>(
+                                                          std::chrono::duration<double>(std::min(seconds, 3600.0))));
   }
   Entry& entry = entries_[parcel];
   entry.state = Entry::State::sent;

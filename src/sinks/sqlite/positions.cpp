@@ -20,6 +20,28 @@ void Positions::add(Refusal refusal) {
   if (refusals_.size() < most_refusals) refusals_.push_back(std::move(refusal));
 }
 
+std::map<std::string, Positions::Committed> Positions::last_rows() const {
+  const std::lock_guard lock(mutex_);
+  return last_rows_;
+}
+
+std::int64_t Positions::run() const {
+  const std::lock_guard lock(mutex_);
+  return run_;
+}
+
+void Positions::begin_run(std::int64_t run) {
+  const std::lock_guard lock(mutex_);
+  run_ = run;
+}
+
+void Positions::set_last_row(const std::string& table, const std::string& topic, std::int64_t row) {
+  const std::lock_guard lock(mutex_);
+  Committed& committed = last_rows_[table];
+  if (committed.topic.empty()) committed.topic = topic;
+  committed.last_row = row;
+}
+
 bool Positions::is_dirty() const {
   const std::lock_guard lock(mutex_);
   return !dirty_.empty() || !refusals_.empty();
@@ -42,7 +64,7 @@ Result<void> Positions::write(Database& database, const std::string& host) {
     position->bind(6, at.sequence).bind(7, host);
     if (auto done = position->run(); !done) return done;
   }
-  auto refused = database.prepare("INSERT INTO rtdata_refused VALUES(?,?,?,?,?,?)");
+  auto refused = database.prepare("INSERT OR REPLACE INTO rtdata_refused VALUES(?,?,?,?,?,?)");
   if (!refused) return std::move(refused).error();
   for (const Refusal& one : refusals) {
     refused->bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);

@@ -48,7 +48,8 @@ CREATE TABLE IF NOT EXISTS rtdata_position(
   PRIMARY KEY(sink, table_name)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_refused(
   sink TEXT NOT NULL, topic TEXT NOT NULL, run TEXT NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL,
-  reason TEXT NOT NULL);
+  reason TEXT NOT NULL,
+  PRIMARY KEY(sink, topic, run, origin, sequence)) WITHOUT ROWID;
 )sql";
 
 /// Thread: any, but for the calls of the recording's writer.
@@ -57,7 +58,18 @@ class Positions {
   void set(const std::string& sink, const std::string& table, Position position);
   void add(Refusal refusal);
 
+  /// What the recording's writer has committed.
+  struct Committed {
+    std::string topic;
+    std::int64_t last_row = 0;
+  };
+  /// By table; those that were written to since it was opened.
+  std::map<std::string, Committed> last_rows() const;
+  std::int64_t run() const;
+
   // ---- the recording's writer
+  void begin_run(std::int64_t run);
+  void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
   bool is_dirty() const;
   /// In a transaction: stores what has changed.
   Result<void> write(Database& database, const std::string& host);
@@ -95,6 +107,8 @@ class Positions {
   std::map<Key, Position> dirty_;
   std::map<Key, Position> in_transaction_;
   std::vector<Refusal> refusals_;
+  std::map<std::string, Committed> last_rows_;
+  std::int64_t run_ = 0;
   std::size_t refusals_in_transaction_ = 0;
   int readers_ = 0;
   bool is_held_off_ = false;

@@ -53,15 +53,13 @@ Result<void> SqliteFeed::look() {
     auto topics = recording_->topics();
     if (!topics) return std::move(topics).error();
     for (RecordedTopic& topic : *topics) {
-      const bool is_wanted = std::any_of(config_.topics.begin(), config_.topics.end(), [&](const std::string& pattern) {
-        return topic_matches(pattern, topic.topic);
-      });
       const bool is_known = std::any_of(tables_.begin(), tables_.end(),
                                         [&](const Table& table) { return table.topic.table == topic.table; });
-      if (!is_wanted || is_known) continue;
+      if (is_known || !is_wanted(topic.topic)) continue;
       if (auto added = add(std::move(topic)); !added) return added;
     }
     topics_known_ = *count;
+    rows_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
   if (config_.times == detail::FeedConfig::Times::utc) {
@@ -78,6 +76,11 @@ Result<void> SqliteFeed::look() {
     table.last.reset();
   }
   return {};
+}
+
+bool SqliteFeed::is_wanted(std::string_view topic) const noexcept {
+  return std::any_of(config_.topics.begin(), config_.topics.end(),
+                     [&](const std::string& pattern) { return topic_matches(pattern, topic); });
 }
 
 Result<void> SqliteFeed::add(RecordedTopic topic) {
@@ -124,9 +127,9 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
   Position position;
   if (is_new_ && config_.from == From::now) {
     // From the end: only what has come since is read.
-    auto older = file.prepare("SELECT rowid FROM " + name + " WHERE time < ? ORDER BY rowid DESC LIMIT 1");
+    auto older = file.prepare("SELECT rowid FROM " + name + " WHERE run < ?1 OR time < ?2 ORDER BY rowid DESC LIMIT 1");
     if (!older) return std::move(older).error();
-    older->bind(1, to_nanoseconds(config_.attached));
+    older->bind(1, positions_->run()).bind(2, to_nanoseconds(config_.attached));
     auto row = older->step();
     if (!row) return std::move(row).error();
     if (*row) position.row = older->integer(0);
@@ -134,13 +137,13 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
     if (!has_table) return std::move(has_table).error();
     if (*has_table == 0) return position;
-    auto stored = file.prepare("SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
+    auto stored = file.prepare(
+        "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
     if (!stored) return std::move(stored).error();
     stored->bind(1, config_.sink).bind(2, table.topic.table);
     auto row = stored->step();
     if (!row) return std::move(row).error();
-    if (*row)
-      position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
+    if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
     if (position.row == 0 || position.sequence == 0) return position;
     constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
     auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
@@ -152,8 +155,9 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     if (!elsewhere) return std::move(elsewhere).error();
     const std::string of = "topic " + table.topic.topic + ": ";
     if (*elsewhere != 0) {
-      remarks_.push_back(of + "the rows of the recording have other numbers than before; goes on after the event that "
-                              "was sent last");
+      remarks_.push_back(of +
+                         "the rows of the recording have other numbers than before; goes on after the event that "
+                         "was sent last");
       position.row = *elsewhere;
     } else if (*first <= position.row) {
       // Neither there nor deleted by a limit: another file of that name, or an older copy of it.
@@ -213,6 +217,7 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     ~Reset() { statement.reset(); }
     Statement& statement;
   } reset{table.next};
+  marks_.reserve(marks_.size() + most);
   table.next.bind(1, table.read).bind(2, static_cast<std::int64_t>(most));
   std::size_t taken = 0;
   while (taken < most && (record_bytes <= bytes_left || marks_.empty())) {
@@ -232,17 +237,16 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     const std::int64_t recorded = table.next.integer(time_column);
     const auto& utc = (*of_run)->utc;
     const std::int64_t time = utc ? to_nanoseconds(utc->utc(from_nanoseconds(recorded))) : recorded;
-    const detail::RecordHeader record{&queue.stored(slot), time,
-                                      static_cast<std::uint64_t>(sequence)};
+    const detail::RecordHeader record{&queue.stored(slot), time, static_cast<std::uint64_t>(sequence)};
     std::memcpy(to, &record, sizeof record);
     const auto texts = run_number >= first_run_with_escapes_ ? detail::RowReader::Texts::with_escapes
                                                              : detail::RowReader::Texts::as_they_are;
     if (auto read = table.reader->read(table.next.raw(), fixed_columns, texts, to + sizeof record); !read) {
       // A row that cannot be read must not hold up those after it.
       ++removed_sum_;
-      remarks_.push_back("left out: " + at_row(*recording_->file(), table.topic, run_number, origin,
-                                               record.sequence, std::move(read).error())
-                                            .text());
+      remarks_.push_back(
+          "left out: " +
+          at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
       table.read = row;
       continue;
     }
@@ -294,13 +298,12 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
     removed_.store(removed_sum_, std::memory_order_relaxed);
   }
   update_counts();
+  is_known_.store(true, std::memory_order_release);
   return !marks_.empty();
 }
 
-void SqliteFeed::refused(std::size_t row, const Error& why) {
-  if (row >= marks_.size()) return;
-  const Mark& mark = marks_[row];
-  positions_->add({config_.sink, mark.table->topic.topic, runs_[mark.run].uuid, *mark.origin, mark.sequence, why.text()});
+void SqliteFeed::refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) {
+  positions_->add({config_.sink, slot.topic, slot.run, slot.origin, static_cast<std::int64_t>(sequence), why.text()});
 }
 
 void SqliteFeed::settled(std::size_t rows) noexcept {
@@ -311,15 +314,30 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
       const Mark& mark = marks_[settled_];
       Position& done = mark.table->done;
       done.row = mark.row;
+      mark.table->has_moved = true;
       done.run = mark.run;
       done.sequence = mark.sequence;
       if (done.origin != *mark.origin) done.origin = *mark.origin;
       removed_.store(mark.removed_before, std::memory_order_relaxed);
     }
-    for (const Table& table : tables_) {
-      if (table.done.row > 0) positions_->set(config_.sink, table.topic.table, table.done);
+    for (Table& table : tables_) {
+      if (std::exchange(table.has_moved, false)) positions_->set(config_.sink, table.topic.table, table.done);
     }
   } catch (...) {  // no memory: the position in the file stays behind, and a start sends some again
+  }
+  update_counts();
+}
+
+void SqliteFeed::note_committed() {
+  rows_of_new_tables_ = 0;
+  for (const auto& [name, committed] : positions_->last_rows()) {
+    const auto known = std::find_if(tables_.begin(), tables_.end(),
+                                    [&name = name](const Table& table) { return table.topic.table == name; });
+    if (known != tables_.end()) {
+      known->last_row = std::max(known->last_row, committed.last_row);
+    } else if (is_wanted(committed.topic)) {
+      rows_of_new_tables_ += static_cast<std::uint64_t>(committed.last_row);
+    }
   }
   update_counts();
 }
@@ -331,20 +349,27 @@ void SqliteFeed::forget() noexcept {
 }
 
 void SqliteFeed::update_counts() noexcept {
-  std::uint64_t offered = 0, backlog = 0;
+  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_, bytes = 0;
   if (settled_ < marks_.size()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
   for (const Table& table : tables_) {
     offered += static_cast<std::uint64_t>(table.last_row - table.begin);
-    backlog += static_cast<std::uint64_t>(table.last_row - table.done.row);
+    const auto waits = static_cast<std::uint64_t>(table.last_row - table.done.row);
+    backlog += waits;
+    bytes += waits * table.topic.description->size();
   }
+  bytes_.store(bytes, std::memory_order_relaxed);
   offered_.store(offered, std::memory_order_relaxed);
   backlog_.store(backlog, std::memory_order_relaxed);
   if (backlog == 0) oldest_.store(0, std::memory_order_relaxed);
 }
 
 detail::FeedCounts SqliteFeed::counts() const noexcept {
-  return {offered_.load(std::memory_order_relaxed), removed_.load(std::memory_order_relaxed),
-          backlog_.load(std::memory_order_relaxed), from_nanoseconds(oldest_.load(std::memory_order_relaxed))};
+  return {offered_.load(std::memory_order_relaxed),
+          removed_.load(std::memory_order_relaxed),
+          backlog_.load(std::memory_order_relaxed),
+          bytes_.load(std::memory_order_relaxed),
+          from_nanoseconds(oldest_.load(std::memory_order_relaxed)),
+          is_known_.load(std::memory_order_acquire)};
 }
 
 }  // namespace rtdata::sqlite

@@ -24,8 +24,9 @@ class SqliteFeed final : public detail::RowFeed {
   SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::FeedConfig config);
 
   Result<bool> fill(detail::SinkQueue& queue) override;
-  void refused(std::size_t row, const Error& why) override;
+  void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) override;
   void settled(std::size_t rows) noexcept override;
+  void note_committed() override;
   void forget() noexcept override;
   detail::FeedCounts counts() const noexcept override;
   std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
@@ -46,6 +47,7 @@ class SqliteFeed final : public detail::RowFeed {
     std::int64_t run_of_slot = -1;                                        // of the last row, with the next two
     std::string origin_of_slot;
     std::uint32_t slot = 0;
+    bool has_moved = false;  // `done` since the position was set
   };
   /// A row in the queue.
   struct Mark {
@@ -66,6 +68,7 @@ class SqliteFeed final : public detail::RowFeed {
   /// Tables that are new, and the last row of each.
   Result<void> look();
   Result<void> add(RecordedTopic topic);
+  bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
   Result<Position> position_in(const Table& table);
   Result<std::int64_t> number(const std::string& sql, const Position& position);
@@ -84,6 +87,7 @@ class SqliteFeed final : public detail::RowFeed {
   std::size_t next_table_ = 0;
   std::map<std::int64_t, Run> runs_;
   std::map<std::string, std::uint32_t> topic_numbers_;
+  std::uint64_t rows_of_new_tables_ = 0;  // that it has not looked at yet
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   std::int64_t first_run_with_escapes_ = 0;
@@ -95,7 +99,9 @@ class SqliteFeed final : public detail::RowFeed {
   std::atomic<std::uint64_t> offered_{0};
   std::atomic<std::uint64_t> removed_{0};
   std::atomic<std::uint64_t> backlog_{0};
+  std::atomic<std::uint64_t> bytes_{0};
   std::atomic<std::int64_t> oldest_{0};
+  std::atomic<bool> is_known_{false};
 };
 
 }  // namespace rtdata::sqlite

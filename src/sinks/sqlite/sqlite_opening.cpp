@@ -184,6 +184,7 @@ Result<void> SqliteWriter::begin_run(const std::string& uuid) {
   if (auto done = insert->run(); !done) return done;
   run_ = database_.last_rowid();
   sums_.begin(run_);
+  positions_->begin_run(run_);
   ranges_.begin(run_, run.started);
   return {};
 }

@@ -262,6 +262,10 @@ void SqliteWriter::stage() {
 
 void SqliteWriter::committed() {
   positions_->committed();
+  if (has_feeds_.load(std::memory_order_relaxed)) {
+    for (const auto& table : tables_)
+      if (table != nullptr) positions_->set_last_row(table->name(), table->topic(), table->last_rowid());
+  }
   ranges_.committed(live_);
   sums_.committed();
   if (live_) live_.sums().settle();
@@ -285,6 +289,7 @@ Result<void> SqliteWriter::flush() {
 }
 
 std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::FeedConfig& config) {
+  has_feeds_.store(true, std::memory_order_relaxed);
   return std::make_unique<SqliteFeed>(config_.path, positions_, config);
 }
 

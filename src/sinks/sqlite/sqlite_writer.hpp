@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <map>
 #include <memory>
@@ -123,6 +124,7 @@ class SqliteWriter final : public RecordingWriter {
   Time space_looked_at_{};
   bool space_is_short_ = false;
   const std::shared_ptr<Positions> positions_ = std::make_shared<Positions>();
+  std::atomic<bool> has_feeds_{false};
   Pruner pruner_;
   bool is_too_large_ = false;  // and this was reported
   Time now_{};                 // of the last account

@@ -212,6 +212,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   table.database_ = &database;
   table.escaped_ = &escaped;
   table.name_ = name;
+  table.topic_ = slot.topic;
   table.ranges_ = &ranges;
   auto order = leaves_in_order(database, name, description);
   if (!order) return std::move(order).error();

@@ -32,6 +32,7 @@ class TopicTable {
   Result<void> flush();
   std::int64_t last_rowid() const noexcept { return last_rowid_; }
   const std::string& name() const noexcept { return name_; }
+  const std::string& topic() const noexcept { return topic_; }
 
  private:
   struct Column {
@@ -50,6 +51,7 @@ class TopicTable {
   Database* database_ = nullptr;
   detail::EscapedTexts* escaped_ = nullptr;
   std::string name_;
+  std::string topic_;
   std::vector<Column> columns_;  // in the order of the table's
   ValueRanges* ranges_ = nullptr;
   RowHash hash_;

@@ -1,0 +1,159 @@
+// `rtdata forward DB FILE`: sends what waits in a recording, with the sinks of a configuration that go through one.
+#include <unistd.h>
+
+#include <algorithm>
+#include <iostream>
+
+#include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
+#include "app/run/stop_signals.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/recording.hpp"
+#include "rtdata/sinks/sink.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration look_period = std::chrono::milliseconds{200};
+constexpr Duration line_period = std::chrono::seconds{10};
+
+/// The same configuration with its recording at `database`, the sinks that go through it, and nothing else. Empty: no
+/// sink goes through one.
+std::string forwarding_configuration(const ConfigItem& root, const std::string& database,
+                                     std::vector<std::string>& senders) {
+  const ConfigItem* sinks = root.find("sinks");
+  if (sinks == nullptr) return "";
+  const auto text = [](const ConfigItem& item, std::string_view key) {
+    const ConfigItem* child = item.find(key);
+    const std::string* value = child != nullptr ? child->as_string() : nullptr;
+    return value != nullptr ? *value : std::string();
+  };
+  std::vector<std::string> recordings;
+  ConfigItem kept = ConfigItem::array();
+  for (const ConfigChild& sink : sinks->children()) {
+    if (std::string through = text(sink.item, "through"); !through.empty()) recordings.push_back(std::move(through));
+  }
+  for (const ConfigChild& sink : sinks->children()) {
+    std::string name = text(sink.item, "name");
+    if (name.empty()) name = text(sink.item, "path");
+    if (std::find(recordings.begin(), recordings.end(), name) != recordings.end()) {
+      ConfigItem recording = sink.item;
+      recording.set("name", name);
+      recording.set("path", database);
+      kept.push_back(recording);
+    } else if (!text(sink.item, "through").empty()) {
+      senders.push_back(name.empty() ? text(sink.item, "type") : name);
+      kept.push_back(sink.item);
+    }
+  }
+  if (senders.empty()) return "";
+  ConfigItem result = ConfigItem::object();
+  if (const ConfigItem* name = root.find("name")) result.set("name", *name);
+  result.set("notes", "sent what waited in this recording");
+  result.set("sinks", kept);
+  return result.to_json();
+}
+
+class Forward {
+ public:
+  explicit Forward(const ForwardOptions& options) : options_(options) {}
+
+  int run(const Registry& registry) {
+    if (auto opened = Recording::open(options_.database); !opened) {
+      std::cerr << "rtdata: " << opened.error().text() << "\n";
+      return exit_configuration;
+    }
+    SystemPlan whole = plan_system(registry, load_config(options_.file));
+    if (!whole.good()) return refuse(whole);
+    std::vector<std::string> senders;
+    const std::string text = forwarding_configuration(whole.document.root, options_.database, senders);
+    if (text.empty()) {
+      std::cerr << "rtdata: nothing to do: no sink of " << options_.file
+                << " goes through a recording; give one `through`, the name of its recording\n";
+      return exit_configuration;
+    }
+    const SystemPlan plan = plan_system(registry, parse_config(text, options_.file));
+    if (!plan.good()) return refuse(plan);
+    return send(registry, plan, senders);
+  }
+
+ private:
+  static int refuse(const SystemPlan& plan) {
+    std::cerr << plan.report() << "rtdata: nothing was sent\n";
+    return exit_configuration;
+  }
+
+  int send(const Registry& registry, const SystemPlan& plan, const std::vector<std::string>& senders) {
+    StopSignals signals;
+    Runtime runtime(plan.runtime_config());
+    runtime.on_log([](const LogRecord& record) {
+      if (record.level >= LogLevel::warning) std::cerr << "rtdata: " << record.object << ": " << record.text << "\n";
+    });
+    Loop loop(runtime, plan.loop_config());
+    System system(loop, registry, plan);
+    signals.attach(loop, {[&](const char*) { loop.stop(); }, [&] { return waiting(system, senders); },
+                          [](const char*, std::optional<std::uint64_t>) { ::_exit(exit_other); }, [] {}});
+    struct Detach {
+      StopSignals& signals;
+      ~Detach() { signals.detach(); }
+    } const detach{signals};
+    MonotonicTime told = loop.now();
+    int quiet = 0;  // looks in a row without anything that waits, all of them well
+    Ticker look(loop, {.period = look_period, .name = "look"}, [&](const Tick& tick) {
+      if (tick.now - told >= line_period) {
+        told = tick.now;
+        std::cout << progress(system, senders) << std::endl;
+      }
+      const bool is_done = waiting(system, senders) == 0 && are_well(system, senders);
+      quiet = is_done ? quiet + 1 : 0;
+      if (quiet == 3) loop.stop();
+    });
+    loop.run();
+    look.close();
+    loop.close(std::chrono::seconds{10});
+    std::uint64_t left = 0, sent = 0, refused = 0;
+    for (const SinkStatus& sink : runtime.sinks()) {
+      if (std::find(senders.begin(), senders.end(), sink.name) == senders.end()) continue;
+      std::cout << line(sink) << "\n";
+      left += sink.counts.queued;
+      sent += sink.counts.stored;
+      refused += sink.counts.all_dropped();
+    }
+    std::cout << (left == 0 ? "all is sent: " : "not all is sent: ") << sent << " events, " << refused << " dropped, "
+              << left << " wait" << std::endl;
+    return left == 0 ? exit_good : exit_other;
+  }
+
+  static std::uint64_t waiting(System& system, const std::vector<std::string>& senders) {
+    std::uint64_t sum = 0;
+    for (const std::string& name : senders) sum += system.sink(name).counts().queued;
+    return sum;
+  }
+  static bool are_well(System& system, const std::vector<std::string>& senders) {
+    return std::all_of(senders.begin(), senders.end(),
+                       [&](const std::string& name) {
+                         const SinkStatus status = system.sink(name).status();
+                         return status.health == Health::ok && status.backlog;
+                       });
+  }
+  static std::string line(const SinkStatus& sink) {
+    return sink.name + ": " + std::to_string(sink.counts.stored) + " sent, " +
+           std::to_string(sink.counts.all_dropped()) + " dropped, " + std::to_string(sink.counts.queued) + " wait" +
+           (sink.reason.empty() ? "" : " (" + sink.reason + ")");
+  }
+  static std::string progress(System& system, const std::vector<std::string>& senders) {
+    std::string text;
+    for (const std::string& name : senders)
+      text += (text.empty() ? "" : "; ") + line(system.sink(name).status());
+    return text;
+  }
+
+  const ForwardOptions& options_;
+};
+
+}  // namespace
+
+int forward(const Registry& registry, const ForwardOptions& options) { return Forward(options).run(registry); }
+
+}  // namespace rtdata::app

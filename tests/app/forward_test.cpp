@@ -1,0 +1,144 @@
+// A sink that goes through a recording, run from a configuration, over kills and starts; and `rtdata forward`.
+#include <doctest/doctest.h>
+#include <signal.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <thread>
+
+#include "app/process.hpp"
+#include "paths.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+using namespace rtdata;
+using test::Folder;
+using test::Process;
+
+namespace {
+
+const std::string program = test::built("rtdata");
+
+// The peer is a folder: while it is away, the file cannot be written.
+constexpr const char* configuration = R"({
+  "name": "node",
+  "sensors": [{"name": "cpu", "type": "host", "measures": "cpu", "rate": "100 Hz", "topic": "host/cpu"}],
+  "sinks": [
+    {"name": "recording", "type": "sqlite", "path": "node.db", "batch_time": "50 ms"},
+    {"name": "copy", "type": "file", "path": "peer/copy.jsonl", "format": "json", "through": "recording",
+     "retry_first": "10 ms", "retry_longest": "50 ms"}
+  ]
+})";
+
+std::size_t lines_of(const std::string& path) {
+  std::ifstream file(path);
+  return static_cast<std::size_t>(std::count(std::istreambuf_iterator<char>(file), {}, '\n'));
+}
+
+std::size_t rows_of(const std::string& path) {
+  auto rows = Recording::open(path).or_throw().rows({}).or_throw();
+  std::size_t count = 0;
+  while (rows.next().or_throw() != nullptr) ++count;
+  return count;
+}
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("US-32 what waits in a recording is sent at the next start, and a recording that was moved by forward") {
+    const Folder folder;
+    folder.write("node.json", configuration);
+    {
+      Process run(folder, program, {"run", "node.json", "--for", "400ms"});
+      CHECK(run.end() == 0);
+      CHECK_MESSAGE(has(run.out, "wait in a recording to be sent"), run.out);
+      CHECK_MESSAGE(has(run.out, "ledger balances"), run.out);
+    }
+    std::filesystem::create_directory(folder.path() + "/peer");
+    {
+      Process run(folder, program, {"run", "node.json", "--for", "400ms"});
+      CHECK(run.end() == 0);
+      CHECK_MESSAGE(!has(run.out, "wait in a recording"), run.out);
+    }
+    const std::size_t rows = rows_of(folder.path() + "/node.db");
+    CHECK(rows > 20);
+    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows);
+    // Once more, without a peer; then the recording is taken elsewhere.
+    std::filesystem::rename(folder.path() + "/peer", folder.path() + "/gone");
+    {
+      Process run(folder, program, {"run", "node.json", "--for", "300ms"});
+      CHECK(run.end() == 0);
+    }
+    std::filesystem::create_directories(folder.path() + "/home");
+    std::filesystem::rename(folder.path() + "/node.db", folder.path() + "/home/moved.db");
+    std::filesystem::rename(folder.path() + "/gone", folder.path() + "/peer");
+    Process forward(folder, program, {"forward", "home/moved.db", "node.json"});
+    CHECK(forward.end() == 0);
+    CHECK_MESSAGE(has(forward.out, "all is sent"), forward.out);
+    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
+    CHECK(!std::filesystem::exists(folder.path() + "/node.db"));
+    Process verify(folder, program, {"verify", "home/moved.db"});
+    CHECK(verify.end() == 0);
+    Process again(folder, program, {"forward", "home/moved.db", "node.json"});
+    CHECK(again.end() == 0);
+    CHECK(lines_of(folder.path() + "/peer/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
+  }
+
+  TEST_CASE("US-32 killed at any moment, nothing that is recorded is missing at the peer") {
+    const Folder folder;
+    folder.write("node.json", configuration);
+    std::filesystem::create_directory(folder.path() + "/peer");
+    for (int kill = 0; kill < 4; ++kill) {
+      Process run(folder, program, {"run", "node.json", "--quiet"});
+      for (int i = 0; i < 500 && !folder.has("peer/copy.jsonl"); ++i)
+        std::this_thread::sleep_for(std::chrono::milliseconds{10});
+      std::this_thread::sleep_for(std::chrono::milliseconds{37 * (kill + 1)});
+      run.signal(SIGKILL);
+      (void)run.end();
+    }
+    Process run(folder, program, {"run", "node.json", "--for", "300ms"});
+    CHECK(run.end() == 0);
+    std::ifstream file(folder.path() + "/peer/copy.jsonl");
+    std::vector<std::string> lines;
+    for (std::string line; std::getline(file, line);) lines.push_back(line);
+    std::sort(lines.begin(), lines.end());
+    lines.erase(std::unique(lines.begin(), lines.end()), lines.end());
+    CHECK(lines.size() == rows_of(folder.path() + "/node.db"));
+  }
+
+  TEST_CASE("forward says what it cannot do") {
+    const Folder folder;
+    folder.write("node.json", configuration);
+    folder.write("none.json", R"({"sensors": [], "sinks": [{"type": "sqlite", "path": "node.db"}]})");
+    Process missing(folder, program, {"forward", "node.db", "node.json"});
+    CHECK(missing.end() == 2);
+    CHECK(!std::filesystem::exists(folder.path() + "/node.db"));
+    Process made(folder, program, {"run", "node.json", "--for", "100ms", "--quiet"});
+    CHECK(made.end() == 0);
+    Process none(folder, program, {"forward", "node.db", "none.json"});
+    CHECK(none.end() == 2);
+    CHECK_MESSAGE(has(none.err, "no sink of none.json goes"), none.err);
+  }
+
+  TEST_CASE("check: `through` names a recording that takes the topics") {
+    const Folder folder;
+    const auto checked = [&](const std::string& recording, const std::string& sink) {
+      folder.write("node.json",
+                   R"({"sensors": [{"name": "cpu", "type": "host", "measures": "cpu", "rate": "1 Hz", "topic": "a/b"}],
+                       "sinks": [{"name": "recording", "type": "sqlite", "path": "node.db")" +
+                       recording + R"(}, {"name": "copy", "type": "file", "path": "c.jsonl", "format": "json")" + sink +
+                       "}]}");
+      Process check(folder, program, {"check", "node.json"});
+      (void)check.end();
+      return check.out + check.err;
+    };
+    CHECK(has(checked("", R"(, "through": "recoding")"), "did you mean \"recording\""));
+    CHECK(has(checked("", R"(, "through": "copy")"), "wrong-part"));
+    CHECK(has(checked(R"(, "through": "copy")", ""), "wrong-part"));
+    CHECK(has(checked(R"(, "topics": ["x/#"])", R"(, "through": "recording")"), "not-recorded"));
+    CHECK(!has(checked("", R"(, "through": "recording", "from": "beginning")"), "error"));
+    CHECK(has(checked("", R"(, "through": "recording", "from": "yesterday")"), "beginning"));
+  }
+}
