@@ -36,8 +36,7 @@ int look_up(const std::string& host, std::uint16_t port, int flags, std::vector<
 /// getaddrinfo has no time limit of its own.
 class HostLookup::Job final : public LaneJob {
  public:
-  Job(HostLookup& lookup, std::string host, std::uint16_t port)
-      : owner(&lookup), host_(std::move(host)), port_(port) {}
+  Job(HostLookup& lookup, std::string host, std::uint16_t port) : owner(&lookup), host_(std::move(host)), port_(port) {}
   void run() noexcept override {
     try {
       status = look_up(host_, port_, AI_ADDRCONFIG, addresses);

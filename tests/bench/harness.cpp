@@ -200,6 +200,7 @@ int run(int count, char** arguments) {
   bench_loop(report);
   bench_lanes(report);
   bench_sinks(report);
+  bench_network(report);
   bench_disk(report);
   bench_export(report);
   bench_verify(report);

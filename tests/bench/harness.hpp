@@ -90,6 +90,7 @@ void bench_publish(Report& report);
 void bench_iio(Report& report);
 void bench_filter(Report& report);
 void bench_sinks(Report& report);
+void bench_network(Report& report);
 void bench_disk(Report& report);
 void bench_export(Report& report);
 void bench_verify(Report& report);

@@ -158,10 +158,10 @@ double value_of(const std::string& message) {
 
 constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
 
-#define NEEDS_BROKER()                                         \
-  if (broker_program().empty()) {                              \
-    MESSAGE("skipped: mosquitto is not installed");            \
-    return;                                                    \
+#define NEEDS_BROKER()                              \
+  if (broker_program().empty()) {                   \
+    MESSAGE("skipped: mosquitto is not installed"); \
+    return;                                         \
   }
 
 }  // namespace
@@ -262,7 +262,8 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("NFR-1 a server that accepts and says nothing, or garbage, is given up, and closing ends in time") {
-    for (const std::string& says : {std::string(), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"), std::string(5000, '\xff')}) {
+    for (const std::string& says :
+         {std::string(), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"), std::string(5000, '\xff')}) {
       CAPTURE(says.substr(0, 8));
       Bench bench;
       FakeGpsd server;
@@ -310,8 +311,7 @@ TEST_SUITE("sinks") {
     Broker broker;
     Listener listener(broker.port());
     Bench bench;
-    MqttSink sink(bench.loop,
-                  bench.to(broker.port(), {.will = MqttWill{.topic = "state/node", .message = "gone"}}));
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.will = MqttWill{.topic = "state/node", .message = "gone"}}));
     bench.publish(1);
     CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() == 1; }));
     CHECK(bench.loop.close(1s) == 0);

@@ -202,8 +202,8 @@ TEST_SUITE("sinks") {
       CAPTURE(static_cast<int>(how));
       Bench bench;
       TcpPeer peer;
-      TcpSink sink(bench.loop, to(peer.port(), {.acknowledge = how,
-                                                .sending = {.window = 4, .parcel_rows = 50, .timeout = 5s}}));
+      TcpSink sink(bench.loop,
+                   to(peer.port(), {.acknowledge = how, .sending = {.window = 4, .parcel_rows = 50, .timeout = 5s}}));
       Received received("json");
       std::size_t confirmed = 0, connections = 0;
       std::uint32_t chance = 12345;
@@ -248,7 +248,8 @@ TEST_SUITE("sinks") {
     CHECK(bench.wait_for([&] {
       (void)peer.accept();
       if (peer.has_peer()) received.take(peer.received());
-      for (; answered < received.values.size(); ++answered) peer.send(answered % 10 == 3 ? "no it is too hot\n" : "ok\n");
+      for (; answered < received.values.size(); ++answered)
+        peer.send(answered % 10 == 3 ? "no it is too hot\n" : "ok\n");
       return sink.counts().queued == 0;
     }));
     CHECK(sink.counts().stored == 27);
@@ -324,7 +325,8 @@ TEST_SUITE("sinks") {
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
     TcpConfig config{.host = "no-such-host.invalid", .port = 9, .sink = {.batch_time = 10ms, .close_deadline = 100ms}};
     TcpSink tcp(loop, config);
-    UdpSink udp(loop, {.host = "no-such-host.invalid", .port = 9, .sink = {.batch_time = 10ms, .close_deadline = 100ms}});
+    UdpSink udp(loop,
+                {.host = "no-such-host.invalid", .port = 9, .sink = {.batch_time = 10ms, .close_deadline = 100ms}});
     loop.topic<Number>("a").publish({1});
     Ticker look(loop, 10ms, [&](const Tick&) {
       if (tcp.health() == Health::faulted && udp.health() == Health::faulted) loop.stop();
@@ -367,7 +369,8 @@ TEST_SUITE("sinks") {
     CHECK(bench.loop.close(1s) == 0);
   }
 
-  TEST_CASE("US-32 datagrams that nobody receives are told and counted, and sending goes on; too long ones are refused") {
+  TEST_CASE(
+      "US-32 datagrams that nobody receives are told and counted, and sending goes on; too long ones are refused") {
     Bench bench;
     UdpPeer peer;
     const std::uint16_t port = peer.port();

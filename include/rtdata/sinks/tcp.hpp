@@ -43,10 +43,10 @@ constexpr auto describe(type_tag<Acknowledge>) {
 }
 
 struct TcpConfig {
-  std::string host = {};     ///< a name or an address
-  std::uint16_t port = 0;    ///< of the server
+  std::string host = {};   ///< a name or an address
+  std::uint16_t port = 0;  ///< of the server
   std::string format = "jsonl";
-  bool sequence = false;     ///< "raw" alone: with the sequence number after the origin
+  bool sequence = false;  ///< "raw" alone: with the sequence number after the origin
   Acknowledge acknowledge = Acknowledge::none;
   Duration connect_timeout = std::chrono::seconds{10};  ///< of each of the host's addresses
   SendingConfig sending = {.window = 4, .parcel_rows = 1000, .parcel_bytes = std::size_t{64} << 10};

@@ -37,8 +37,8 @@ constexpr Duration upkeep = std::chrono::milliseconds{500};
 /// A client of the library, for one connection: what the library still holds ends with that.
 struct Client {
   mosquitto* handle = nullptr;
-  std::optional<int> answer;  // of the broker to the connection
-  std::optional<int> goodbye;  // why the broker has ended it
+  std::optional<int> answer;                   // of the broker to the connection
+  std::optional<int> goodbye;                  // why the broker has ended it
   std::vector<std::pair<int, int>> published;  // number and reason
   std::string trouble;                         // what the library says of it
 
@@ -165,6 +165,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     slots_.resize(slot_count);
   }
   ~Connection() {
+    drop();
     if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent server holds nobody
   }
 
@@ -248,12 +249,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
     const auto self = shared_from_this();
     std::size_t left = most_in_a_turn;
     while (client_ != nullptr) {
-      const int status = call_library(left);
-      const bool goes_on = take_answer(status);
-      if (!goes_on) break;
-      const std::size_t before = under_way_.size();
+      if (!take_answer(call_library(left))) break;
       take_published();
-      if (client_ == nullptr || (left == 0 || under_way_.empty() || (before == under_way_.size() && !can_publish()))) break;
+      if (client_ == nullptr || left == 0 || !can_publish()) break;
     }
     is_working_ = false;
     if (client_ == nullptr) return;
@@ -284,13 +282,13 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (const auto answer = std::exchange(client_->answer, {})) {
       if (*answer == 0) {
         is_connected_ = true;
-        if (status == MOSQ_ERR_SUCCESS) more_.start(Duration{0});
       } else {
         if (is_v5_ && config_.version == MqttVersion::newest &&
             (*answer == MQTT_RC_UNSUPPORTED_PROTOCOL_VERSION || *answer == CONNACK_REFUSED_PROTOCOL_VERSION))
           return try_older();
         const std::string why = is_v5_ ? ::mosquitto_reason_string(*answer) : ::mosquitto_connack_string(*answer);
-        fail(Errc::not_permitted, "the broker refuses the connection", why, "look at `user`, `password` and `client_id`");
+        fail(Errc::not_permitted, "the broker refuses the connection", why,
+             "look at `user`, `password` and `client_id`");
         return false;
       }
     }
@@ -302,8 +300,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
       return try_older();
     if (!is_connected_ && config_.version == MqttVersion::newest) is_v5_ = true;
     const auto goodbye = std::exchange(client_->goodbye, {});
-    const std::string why = goodbye && *goodbye >= 0x80 ? ::mosquitto_reason_string(*goodbye)
-                                                        : client_->reason(status);
+    const std::string why = goodbye && *goodbye >= 0x80 ? ::mosquitto_reason_string(*goodbye) : client_->reason(status);
     if (is_connected_) has_tried_older_ = false;
     fail(Errc::disconnected, is_connected_ ? "lost the connection" : "cannot connect", why);
     return false;
@@ -373,9 +370,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
       if (of == under_way_.end()) continue;
       --of->waiting;
       if (is_refusal(reason)) {
-        of->answer.refuse(ended.row, {Errc::not_permitted, "the broker refuses the event",
-                                      topic_of(of->parcel->rows()[ended.row]), ::mosquitto_reason_string(reason),
-                                      "look at its access control"});
+        of->answer.refuse(ended.row,
+                          {Errc::not_permitted, "the broker refuses the event", topic_of(of->parcel->rows()[ended.row]),
+                           ::mosquitto_reason_string(reason), "look at its access control"});
       } else if (reason >= 0x80) {
         is_short_of_room = true;
         why = reason;
@@ -402,7 +399,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
     info = row.info;
     topic = config_.topic;
     std::string origin = info->origin;
-    std::replace_if(origin.begin(), origin.end(), [](char c) { return c == '+' || c == '#' || c == '\0'; }, '_');
+    std::replace_if(
+        origin.begin(), origin.end(), [](char c) { return c == '+' || c == '#' || c == '\0'; }, '_');
     replace(topic, "{topic}", info->topic);
     replace(topic, "{origin}", origin);
     return topic;

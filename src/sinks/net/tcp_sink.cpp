@@ -84,8 +84,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
       if (got < 0 && errno == EAGAIN) break;
       if (got < 0) return fail(system_error(errno, "lost the connection", peer(), "it is connected to again"));
       if (got == 0)
-        return fail({Errc::disconnected, "lost the connection", peer(), "the peer has closed it",
-                     "it is connected to again"});
+        return fail(
+            {Errc::disconnected, "lost the connection", peer(), "the peer has closed it", "it is connected to again"});
       if (is_confirmed()) take({bytes, static_cast<std::size_t>(got)});  // else what the peer says means nothing
     }
     if (stream_.is_open()) write();
@@ -100,9 +100,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
     std::size_t left = most_written;
     bool is_full = false;
     while (left > 0 && !is_full && stream_.is_open()) {
-      const auto next = std::find_if(under_way_.begin(), under_way_.end(), [](const UnderWay& one) {
-        return one.written < one.parcel->bytes().size();
-      });
+      const auto next = std::find_if(under_way_.begin(), under_way_.end(),
+                                     [](const UnderWay& one) { return one.written < one.parcel->bytes().size(); });
       if (next == under_way_.end()) break;
       const auto bytes = next->parcel->bytes().subspan(next->written);
       const ssize_t done = stream_.write(bytes.data(), std::min(bytes.size(), left));
@@ -234,9 +233,8 @@ TcpConfig named(TcpConfig config) {
 
 std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& formats) {
   detail::require_host(what, config.host, config.port);
-  auto codec = config.format == "raw" && config.sequence
-                   ? make_raw_codec({.sequence = RawConfig::Sequence::include})
-                   : detail::codec_to_send(what, config.format, formats);
+  auto codec = config.format == "raw" && config.sequence ? make_raw_codec({.sequence = RawConfig::Sequence::include})
+                                                         : detail::codec_to_send(what, config.format, formats);
   return std::make_unique<TcpSender>(named(config), std::move(codec));
 }
 

@@ -73,7 +73,9 @@ class FieldsCodec final : public Codec {
 class Datagrams : public std::enable_shared_from_this<Datagrams> {
  public:
   Datagrams(Loop& loop, const UdpConfig& config)
-      : config_(config), loop_(loop), name_("sink " + config.sink.name),
+      : config_(config),
+        loop_(loop),
+        name_("sink " + config.sink.name),
         lookup_(loop.core(), name_, [this](Result<std::vector<HostLookup::Address>> found) {
           const auto self = shared_from_this();
           if (!found) return fail(found.error());
@@ -164,9 +166,9 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
     answer.acknowledge();
   }
   void nobody_listens() {
-    answer_.refuse(next_ > 0 ? next_ - 1 : 0, {Errc::disconnected, "nobody receives it", peer(),
-                                               "no program there listens at this port",
-                                               "start the receiver; sending goes on"});
+    answer_.refuse(next_ > 0 ? next_ - 1 : 0,
+                   {Errc::disconnected, "nobody receives it", peer(), "no program there listens at this port",
+                    "start the receiver; sending goes on"});
   }
   void wait_for_room() {
     if (watch_.is_open()) return;
