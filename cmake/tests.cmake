@@ -14,6 +14,7 @@ target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rt
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
   $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
   $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
+  $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${libmosquitto_FOUND}>:PkgConfig::libmosquitto>
   $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
@@ -23,6 +24,7 @@ if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
   target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
 endif()
+set_property(SOURCE tests/sinks/mqtt_test.cpp APPEND PROPERTY COMPILE_DEFINITIONS $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
 if(RTDATA_PCH)
   target_precompile_headers(rtdata_tests PRIVATE <pch/tests_pch.hpp>)  # in <>: no path of this clone gets into the file
   set_source_files_properties(tests/main.cpp PROPERTIES SKIP_PRECOMPILE_HEADERS ON)  # configures doctest before including it

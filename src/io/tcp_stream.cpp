@@ -1,8 +1,10 @@
 #include "io/tcp_stream.hpp"
 
+#include <linux/sockios.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -27,7 +29,11 @@ TcpStream::TcpStream(LoopCore& loop, std::string owner, std::function<void(const
       opened_(std::move(opened)),
       ready_(std::move(ready)),
       timeout_(loop.face, [this] { attempt_failed(ETIMEDOUT); }),
-      lookup_(loop, owner_) {}
+      lookup_(loop, owner_, [this](Result<std::vector<HostLookup::Address>> found) {
+        if (!found) return done(std::move(found).error());
+        addresses_ = std::move(*found);
+        try_next();
+      }) {}
 
 TcpStream::~TcpStream() { close(); }
 
@@ -40,16 +46,12 @@ void TcpStream::connect(const std::string& host, std::uint16_t port, Duration li
   next_ = 0;
   last_error_ = 0;
   is_connecting_ = true;
-  lookup_.start(host, port, [this](std::vector<SocketAddress> addresses, const std::string& why) {
-    if (addresses.empty()) return done(unknown_host(why));
-    addresses_ = std::move(addresses);
-    try_next();
-  });
+  lookup_.start(host, port);
 }
 
 void TcpStream::try_next() {
   while (next_ < addresses_.size()) {
-    const SocketAddress& address = addresses_[next_++];
+    const HostLookup::Address& address = addresses_[next_++];
     fd_ = ::socket(address.socket.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     int status = fd_ < 0 ? errno : 0;
     if (status == 0) {
@@ -58,7 +60,8 @@ void TcpStream::try_next() {
       set_option(fd_, IPPROTO_TCP, TCP_KEEPIDLE, 30);
       set_option(fd_, IPPROTO_TCP, TCP_KEEPINTVL, 10);
       set_option(fd_, IPPROTO_TCP, TCP_KEEPCNT, 3);
-      if (::connect(fd_, reinterpret_cast<const sockaddr*>(&address.socket), address.size) != 0) status = errno;
+      set_option(fd_, IPPROTO_TCP, TCP_USER_TIMEOUT, 60'000);  // nor confirms what was sent
+      if (::connect(fd_, address.get(), address.size) != 0) status = errno;
     }
     if (status == 0 || status == EINPROGRESS) {
       timeout_.start(limit_);
@@ -114,7 +117,7 @@ void TcpStream::wait(Duration at_most) {
   while (is_connecting_) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
     if (left.count() <= 0) return;
-    if (lookup_.is_running()) {
+    if (lookup_.is_under_way()) {
       lookup_.wait(left);
       continue;
     }
@@ -142,13 +145,26 @@ bool TcpStream::send(std::string_view text) noexcept {
   return ::send(fd_, text.data(), text.size(), MSG_DONTWAIT | MSG_NOSIGNAL) == static_cast<ssize_t>(text.size());
 }
 
+ssize_t TcpStream::write(const std::byte* from, std::size_t size) noexcept {
+  return ::send(fd_, from, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
+void TcpStream::want_to_write(bool wanted) {
+  watch_.set_events(wanted ? FdWatch::readable_and_writable : FdWatch::readable);
+}
+
+std::size_t TcpStream::unconfirmed() const noexcept {
+  int bytes = 0;
+  return fd_ >= 0 && ::ioctl(fd_, SIOCOUTQ, &bytes) == 0 && bytes > 0 ? static_cast<std::size_t>(bytes) : 0;
+}
+
+void TcpStream::end_writing() noexcept {
+  if (fd_ >= 0 && !is_connecting_) ::shutdown(fd_, SHUT_WR);
+}
+
 Error TcpStream::failure(int error_number) const {
   return system_error(error_number, "cannot connect", host_ + " port " + std::to_string(port_),
                       "is the server running there? `ss -ltn` on its machine lists the ports that are served");
-}
-
-Error TcpStream::unknown_host(std::string why) const {
-  return {Errc::not_found, "cannot connect", host_, std::move(why), "check the name; an address needs no looking up"};
 }
 
 }  // namespace rtdata::detail

@@ -201,6 +201,7 @@ int run(int count, char** arguments) {
   bench_lanes(report);
   bench_sinks(report);
   bench_postgresql(report);
+  bench_network(report);
   bench_disk(report);
   bench_export(report);
   bench_http(report);

@@ -91,6 +91,7 @@ void bench_iio(Report& report);
 void bench_filter(Report& report);
 void bench_sinks(Report& report);
 void bench_postgresql(Report& report);
+void bench_network(Report& report);
 void bench_disk(Report& report);
 void bench_export(Report& report);
 void bench_http(Report& report);

@@ -27,7 +27,7 @@ below = {
 rooms = {
     "loop": [{"support"}, {"core"}, {"events"}, {"runtime"}, {"tier"}],
     "sensors": [{"core"}, {"analog", "gpio", "gps", "host", "kernel", "modbus", "serial"}],
-    "sinks": [{"core"}, {"console", "file", "http", "sqlite"}, {"postgresql"}],
+    "sinks": [{"core"}, {"console", "file", "http", "mqtt", "net", "sqlite"}, {"postgresql"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
     "app": [{"core"}, {"machine"}, {"bench", "control", "inspect"}, {"run"}],
 }

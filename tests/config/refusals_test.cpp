@@ -60,7 +60,10 @@ const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sql
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
                                                      {"console", R"({"type": "console", "descriptor": 2})"},
                                                      {"http", R"({"type": "http", "url": "http://127.0.0.1:9/x"})"},
-                                                     {"postgresql", R"({"type": "postgresql", "host": "FOLDER"})"}};
+                                                     {"postgresql", R"({"type": "postgresql", "host": "FOLDER"})"},
+                                                     {"mqtt", R"({"type": "mqtt", "host": "127.0.0.1", "port": 1})"},
+                                                     {"tcp", R"({"type": "tcp", "host": "127.0.0.1", "port": 1})"},
+                                                     {"udp", R"({"type": "udp", "host": "127.0.0.1", "port": 1})"}};
 
 #ifdef RTDATA_WITH_MODBUS
 constexpr const char* modbus_bus = R"("plc": {"type": "modbus", "device": "/no/such/rs485"},)";
@@ -252,6 +255,12 @@ TEST_SUITE("config") {
          "\"a b\" is no topic name"},
         {sinks(R"({"type": "file", "path": "x", "format": "jsnol"})"),
          "there is no format \"jsnol\" (did you mean \"jsonl\"?)"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "jsnol"})"), "did you mean \"jsonl\"?"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not say which topic they are of"},
+        {sinks(R"({"type": "tcp", "host": "http://a", "port": 1})"), "it is a URL"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 0})"), "port"},
+        {sinks(R"({"type": "udp", "host": "a b"})"), "it is no name of a host"},
+        {sinks(R"({"type": "udp", "host": ""})"), "there is no host"},
         {sinks(R"({"type": "file", "path": ""})"), "the path is empty; name a file"},
         {sinks(R"({"type": "file", "path": "folder"})"), "\"folder\" is a folder"},
         {sinks(R"({"type": "file", "path": "folder/"})"), "is a folder"},

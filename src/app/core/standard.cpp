@@ -21,8 +21,13 @@
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/sinks/http.hpp"
 #endif
+#include "rtdata/sinks/tcp.hpp"
+#include "rtdata/sinks/udp.hpp"
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/sensors/modbus.hpp"
+#endif
+#ifdef RTDATA_WITH_MQTT
+#include "rtdata/sinks/mqtt.hpp"
 #endif
 #ifdef RTDATA_WITH_POSTGRESQL
 #include "rtdata/sinks/postgresql.hpp"
@@ -70,14 +75,15 @@ static void check_config(const SqliteConfig& config, const ConfigItem& item, Pro
 
 namespace {
 
-/// The shipped formats, and no others.
-void check_format(const std::string& given, const ConfigItem& item, Problems& problems) {
+/// The shipped formats, and those of this sink alone, and no others.
+void check_format(const std::string& name, std::initializer_list<const char*> own, const ConfigItem& item,
+                  Problems& problems) {
   std::vector<std::string> formats = CodecRegistry::standard().names();
-  formats.emplace_back("jsonl");
-  if (std::find(formats.begin(), formats.end(), given) != formats.end()) return;
+  formats.insert(formats.end(), own.begin(), own.end());
+  if (std::find(formats.begin(), formats.end(), name) != formats.end()) return;
   const ConfigItem* format = item.find("format");
-  std::string message = "there is no format \"" + given + "\"";
-  std::string nearest = nearest_name(given, formats);
+  std::string message = "there is no format \"" + name + "\"";
+  std::string nearest = nearest_name(name, formats);
   if (nearest.empty()) {
     message += "; there are";
     for (const std::string& known : formats) message += " " + known;
@@ -89,7 +95,30 @@ struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
     check_config(static_cast<const FileConfig&>(config), item, problems);
-    check_format(config.format, item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+struct ShippedTcpConfig : TcpConfig {
+  friend constexpr auto parameters(type_tag<ShippedTcpConfig>) { return parameter_list(include<TcpConfig>); }
+  friend void check_config(const ShippedTcpConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const TcpConfig&>(config), item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+#ifdef RTDATA_WITH_MQTT
+struct ShippedMqttConfig : MqttConfig {
+  friend constexpr auto parameters(type_tag<ShippedMqttConfig>) { return parameter_list(include<MqttConfig>); }
+  friend void check_config(const ShippedMqttConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const MqttConfig&>(config), item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
+  }
+};
+#endif
+struct ShippedUdpConfig : UdpConfig {
+  friend constexpr auto parameters(type_tag<ShippedUdpConfig>) { return parameter_list(include<UdpConfig>); }
+  friend void check_config(const ShippedUdpConfig& config, const ConfigItem& item, Problems& problems) {
+    check_config(static_cast<const UdpConfig&>(config), item, problems);
+    check_format(config.format, {"fields", "jsonl"}, item, problems);
   }
 };
 
@@ -98,7 +127,7 @@ struct ShippedHttpConfig : HttpConfig {
   friend constexpr auto parameters(type_tag<ShippedHttpConfig>) { return parameter_list(include<HttpConfig>); }
   friend void check_config(const ShippedHttpConfig& config, const ConfigItem& item, Problems& problems) {
     check_config(static_cast<const HttpConfig&>(config), item, problems);
-    check_format(config.format, item, problems);
+    check_format(config.format, {"jsonl"}, item, problems);
   }
 };
 #endif
@@ -251,6 +280,18 @@ Registry standard_registry() {
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); },
       [](Loop& loop, const ConsoleConfig& config) { return ConsoleSink(loop, config); });
+#ifdef RTDATA_WITH_MQTT
+  registry.add_sink<ShippedMqttConfig>(
+      "mqtt", "a message an event, to a broker of MQTT", [](const ShippedMqttConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedMqttConfig& config) { return MqttSink(loop, config); });
+#endif
+  registry.add_sink<ShippedTcpConfig>(
+      "tcp", "a server that listens on a TCP port", [](const ShippedTcpConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedTcpConfig& config) { return TcpSink(loop, config); });
+  registry.add_sink<ShippedUdpConfig>(
+      "udp", "a datagram an event, for programs that draw what comes, such as PlotJuggler",
+      [](const ShippedUdpConfig&) { return std::string(); },
+      [](Loop& loop, const ShippedUdpConfig& config) { return UdpSink(loop, config); });
 #ifndef RTDATA_WITH_GPIO
   for (const char* type : {"counter", "edge", "gpio"})
     registry.leave_out("sensor", type, "this program was built without libgpiod");
@@ -261,6 +302,15 @@ Registry standard_registry() {
 #endif
 #ifndef RTDATA_WITH_SQLITE
   registry.leave_out("sink", "sqlite", "this program was built without SQLite");
+#endif
+#ifndef RTDATA_WITH_MQTT
+  registry.leave_out("sink", "mqtt", "this program was built without libmosquitto");
+#endif
+#ifndef RTDATA_WITH_HTTP
+  registry.leave_out("sink", "http", "this program was built without libcurl");
+#endif
+#ifndef RTDATA_WITH_POSTGRESQL
+  registry.leave_out("sink", "postgresql", "this program was built without libpq");
 #endif
   return registry;
 }

@@ -42,7 +42,7 @@ std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept {
 }
 
 /// As CURLOPT_RESOLVE wants it; empty when it is none of IPv4 or IPv6.
-std::string text_of(const SocketAddress& address) {
+std::string text_of(const HostLookup::Address& address) {
   char text[INET6_ADDRSTRLEN] = "";
   if (address.socket.ss_family == AF_INET) {
     in_addr number{};
@@ -238,7 +238,10 @@ void HttpSender::begin(Loop& loop) {
                         is_encrypted && ::curl_version_info(CURLVERSION_NOW)->version_num < without_signals},
       [this](CURL* easy, CURLcode result) { transferred(easy, result); });
   deadline_ = Timer(loop, Timer::Config{name}, [this] { deadline(); });
-  if (!is_number((proxy_ ? *proxy_ : url_).host)) lookup_ = std::make_unique<NameLookup>(loop.core(), name);
+  if (!is_number((proxy_ ? *proxy_ : url_).host)) {
+    lookup_ = std::make_unique<HostLookup>(
+        loop.core(), name, [this](const Result<std::vector<HostLookup::Address>>& found) { looked_up(found); });
+  }
   if (config_.compression == HttpCompression::gzip)
     gzip_lane_ = std::make_unique<Lane>(loop.core(), "compression of " + name, longest_compression);
 }
@@ -386,10 +389,10 @@ void HttpSender::start_transfer(Request& request) {
   if (addresses_.empty()) {
     request.state = State::waiting;
     watch_deadlines();
-    if (!lookup_->is_running()) look_up();
+    if (!lookup_->is_under_way()) look_up();
     return;
   }
-  if (loop_->now() - looked_up_at_ > name_age && !lookup_->is_running()) {
+  if (loop_->now() - looked_up_at_ > name_age && !lookup_->is_under_way()) {
     looked_up_at_ = loop_->now();
     look_up();  // what is known serves until there is news
   }
@@ -398,16 +401,15 @@ void HttpSender::start_transfer(Request& request) {
 
 void HttpSender::look_up() {
   const HttpUrl& peer = proxy_ ? *proxy_ : url_;
-  lookup_->start(peer.host, peer.port, [this](std::vector<SocketAddress> addresses, const std::string& why) {
-    looked_up(std::move(addresses), why);
-  });
+  lookup_->start(peer.host, peer.port);
 }
 
-void HttpSender::looked_up(std::vector<SocketAddress> addresses, const std::string& why) {
+void HttpSender::looked_up(const Result<std::vector<HostLookup::Address>>& found) {
   const HttpUrl& peer = proxy_ ? *proxy_ : url_;
   looked_up_at_ = loop_->now();
+  const std::string why = found ? "it has no address of IPv4 or IPv6" : found.error().why;
   std::string list;
-  for (const SocketAddress& address : addresses)
+  for (const HostLookup::Address& address : found ? *found : std::vector<HostLookup::Address>{})
     if (const std::string text = text_of(address); !text.empty()) list += (list.empty() ? "" : ",") + text;
   if (!list.empty()) list.insert(0, peer.host + ":" + std::to_string(peer.port) + ":");
   if (!list.empty() && list != addresses_) {

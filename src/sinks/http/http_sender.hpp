@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "io/name_lookup.hpp"
+#include "io/host_lookup.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/http.hpp"
@@ -60,7 +60,7 @@ class HttpSender final : public Sender {
   void start_transfer(Request& request);
   void transfer(Request& request);
   void look_up();
-  void looked_up(std::vector<SocketAddress> addresses, const std::string& why);
+  void looked_up(const Result<std::vector<HostLookup::Address>>& found);
   void transferred(CURL* easy, CURLcode result);
   void take(Request& request, HttpJudgement judgement);
   void complete(Request& request);
@@ -87,7 +87,7 @@ class HttpSender final : public Sender {
   std::vector<std::pair<HttpKey, Rest>> rests_;  // of parcels that come again
   Timer deadline_;
   std::unique_ptr<Lane> gzip_lane_;
-  std::unique_ptr<NameLookup> lookup_;
+  std::unique_ptr<HostLookup> lookup_;
   std::string addresses_;  // of the server, or of the proxy, for CURLOPT_RESOLVE; empty: not known
   std::uint64_t addresses_number_ = 0;
   MonotonicTime looked_up_at_{};

@@ -1,0 +1,129 @@
+/// MqttSink: a message an event, to a broker of MQTT 5 or 3.1.1.
+///
+///     rtdata::MqttSink broker(loop, {.host = "broker.local", .topic = "plant/{topic}", .qos = 1,
+///                                    .sink = {.through = "run.db"}});
+///
+/// `{topic}` and `{origin}` in `topic` stand for those of the event; what MQTT does not take in a topic (+ and # of an
+/// origin) becomes _. The payload is an event in a format: "json" (its default), "cbor", "influx", "raw", or one of the
+/// program's.
+///
+/// What is promised: with `qos` 1 or 2 an event stays until the broker has confirmed it; after a lost connection, what
+/// was not confirmed is sent again, so that it may come twice (with QoS 2, too: the sessions of broker and sender end
+/// with their connection). With 0, an event counts as sent once the kernel has taken it. A message that the broker
+/// refuses (an ACL, say) is told, dropped and counted with MQTT 5; a broker of 3.1.1 confirms what it throws away, and
+/// with QoS 0 no broker says anything. A broker that refuses the connection (a password, a name) keeps the sink
+/// faulted, and events wait.
+///
+/// The library `rtdata::mqtt`, which needs libmosquitto. Connecting and looking up names happen on a lane, all else on
+/// the loop, a bounded number of messages in a turn of it.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
+/// Errors of the constructor (SetupError): bad_argument (no host, a topic that MQTT does not take, csv), not_found (no
+/// such format); those of `Sink`.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/sinks/sender.hpp"
+
+namespace rtdata {
+
+class ConfigItem;
+class Problems;
+
+enum class MqttVersion {
+  newest,  ///< 5; 3.1.1 of a broker that has no other
+  v5,
+  v311,
+};
+constexpr auto describe(type_tag<MqttVersion>) {
+  return enumeration("version", value("newest", MqttVersion::newest), value("5", MqttVersion::v5),
+                     value("3.1.1", MqttVersion::v311));
+}
+
+/// The certificate of the broker is always verified, and that it is of `host`.
+struct MqttTls {
+  std::string ca = {};           ///< file of certificates that are trusted; empty: the system's
+  std::string certificate = {};  ///< our own, a file
+  std::string key = {};          ///< of ours, a file
+
+  friend constexpr auto parameters(type_tag<MqttTls>) {
+    return parameter_list(
+        parameter("ca", &MqttTls::ca, "file of the certificates that are trusted; without it, the system's"),
+        parameter("certificate", &MqttTls::certificate, "file of our own certificate, where the broker wants one"),
+        parameter("key", &MqttTls::key, "file of its key"));
+  }
+};
+
+/// What the broker publishes when the connection is lost.
+struct MqttWill {
+  std::string topic = {};
+  std::string message = {};
+  std::uint8_t qos = 0;
+  bool retain = false;
+
+  friend constexpr auto parameters(type_tag<MqttWill>) {
+    return parameter_list(parameter("topic", &MqttWill::topic, "where the broker publishes it", required),
+                          parameter("message", &MqttWill::message, "what it publishes when the connection is lost"),
+                          parameter("qos", &MqttWill::qos, "0, 1 or 2", range(0, 2)),
+                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for who comes later"));
+  }
+};
+
+struct MqttConfig {
+  std::string host = "localhost";
+  std::uint16_t port = 0;  ///< 0: 1883, with TLS 8883
+  std::string topic = "{topic}";
+  std::string format = "json";
+  std::uint8_t qos = 1;
+  bool retain = false;  ///< the broker keeps the last message of each topic for who comes later
+  MqttVersion version = MqttVersion::newest;
+  std::string client_id = {};  ///< empty: the broker chooses
+  std::string user = {};
+  std::string password = {};
+  std::optional<MqttTls> tls = {};
+  std::optional<MqttWill> will = {};
+  Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
+  Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name
+  SendingConfig sending = {.window = 4, .parcel_rows = 100};
+  SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "mqtt" by default
+
+  friend constexpr auto parameters(type_tag<MqttConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("host", &MqttConfig::host, "the broker: a name or an address"),
+        parameter("port", &MqttConfig::port, "its port; 0: 1883, with tls 8883"),
+        parameter("topic", &MqttConfig::topic, "of a message; {topic} and {origin} are those of the event",
+                  placeholders("topic", "origin")),
+        parameter("format", &MqttConfig::format, "json, cbor, influx or raw"),
+        parameter("qos", &MqttConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
+                  range(0, 2)),
+        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for who comes later"),
+        parameter("version", &MqttConfig::version, "of MQTT"),
+        parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
+        parameter("user", &MqttConfig::user, "name at the broker"),
+        parameter("password", &MqttConfig::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
+        parameter("tls", &MqttConfig::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
+        parameter("will", &MqttConfig::will, "what the broker publishes when the connection is lost"),
+        parameter("keepalive", &MqttConfig::keepalive, "so often at least both sides show that they are there",
+                  range(5s, 18h)),
+        parameter("connect_timeout", &MqttConfig::connect_timeout, "how long connecting may take", range(10ms, 10min)),
+        include_member(&MqttConfig::sending), include_member(&MqttConfig::sink));
+  }
+};
+
+/// What no parameter says by itself: a host and topics that can be ones, a format that can be sent.
+void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems);
+
+class MqttSink : public Sink {
+ public:
+  MqttSink() noexcept = default;
+  /// `formats` is used during the call only.
+  MqttSink(Loop& loop, MqttConfig config, const CodecRegistry& formats = CodecRegistry::standard());
+};
+
+}  // namespace rtdata

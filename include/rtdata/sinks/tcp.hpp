@@ -1,0 +1,82 @@
+/// TcpSink: events to any server that listens on a TCP port, one after the other on one connection.
+///
+///     rtdata::TcpSink lines(loop, {.host = "192.168.1.7", .port = 9000});
+///     rtdata::TcpSink sure(loop, {.host = "collector.local", .port = 9000, .format = "raw",
+///                                 .acknowledge = rtdata::Acknowledge::byte, .sink = {.through = "run.db"}});
+///
+/// Any format of the registry that carries the topic: "jsonl", "cbor", "influx", "raw" (docs/formats.md), or one of the
+/// program's. The connection is made with the first event and made again when it is lost; names are looked up without
+/// blocking the loop. A peer that is away, slow, or reads nothing delays nothing else: events wait in the queue, or
+/// with `through` in the recording.
+///
+/// What is promised: with `acknowledge`, each event stays until the peer has confirmed it, so that every one arrives,
+/// now and then twice (after a lost connection what was not confirmed is sent again, and the last event of the old
+/// connection may end in the middle). Without, an event counts as sent once the kernel has taken it: what its buffers
+/// held when the connection was lost is gone; how many bytes that may be is in the error that says so.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
+/// Errors of the constructor (SetupError): bad_argument (no host, no port, csv), not_found (no such format); those of
+/// `Sink`.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/sinks/sender.hpp"
+
+namespace rtdata {
+
+class ConfigItem;
+class Problems;
+
+/// How the peer confirms each event, in the order in which they came.
+enum class Acknowledge {
+  none,
+  byte,  ///< 0x06 (ACK): it has it; 0x15 (NAK): it refuses it
+  line,  ///< "ok", or "no" and a reason, with a line end
+};
+constexpr auto describe(type_tag<Acknowledge>) {
+  return enumeration("acknowledge", value("none", Acknowledge::none), value("byte", Acknowledge::byte),
+                     value("line", Acknowledge::line));
+}
+
+struct TcpConfig {
+  std::string host = {};   ///< a name or an address
+  std::uint16_t port = 0;  ///< of the server
+  std::string format = "jsonl";
+  bool sequence = false;  ///< "raw" alone: with the sequence number after the origin
+  Acknowledge acknowledge = Acknowledge::none;
+  Duration connect_timeout = std::chrono::seconds{10};  ///< of each of the host's addresses
+  SendingConfig sending = {.window = 4, .parcel_rows = 1000, .parcel_bytes = std::size_t{64} << 10};
+  SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "tcp" by default
+
+  friend constexpr auto parameters(type_tag<TcpConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("host", &TcpConfig::host, "the server: a name or an address", required),
+        parameter("port", &TcpConfig::port, "its port", required, at_least(1)),
+        parameter("format", &TcpConfig::format, "jsonl (a JSON object a line), cbor, influx, or raw"),
+        parameter("sequence", &TcpConfig::sequence, "of raw: whether the sequence number is sent, after the origin",
+                  only_with("format", "raw")),
+        parameter("acknowledge", &TcpConfig::acknowledge,
+                  "how the peer confirms each event: not at all, by a byte (0x06, or 0x15: refused), by a line (ok, or "
+                  "no and a reason)"),
+        parameter("connect_timeout", &TcpConfig::connect_timeout, "how long each of the host's addresses is waited for",
+                  range(10ms, 10min)),
+        include_member(&TcpConfig::sending), include_member(&TcpConfig::sink));
+  }
+};
+
+/// What no parameter says by itself: a host that can be one, a format that can be sent.
+void check_config(const TcpConfig& config, const ConfigItem& item, Problems& problems);
+
+class TcpSink : public Sink {
+ public:
+  TcpSink() noexcept = default;
+  /// `formats` is used during the call only.
+  TcpSink(Loop& loop, TcpConfig config, const CodecRegistry& formats = CodecRegistry::standard());
+};
+
+}  // namespace rtdata

@@ -1,0 +1,42 @@
+#include "sinks/core/peer_config.hpp"
+
+#include <algorithm>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/problem.hpp"
+
+namespace rtdata::detail {
+
+std::string obstacle_of_host(const std::string& host) {
+  if (host.empty()) return "there is no host";
+  if (host.find("://") != std::string::npos) return "it is a URL: give the name or the address alone";
+  const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
+    return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
+  });
+  if (has_other) return "it is no name of a host, nor an address";
+  return host.size() > 253 ? "it is longer than names of hosts are" : "";
+}
+
+std::string obstacle_of_format(const std::string& format) {
+  return format == "csv" ? "rows of csv do not say which topic they are of: choose another format" : "";
+}
+
+void add_obstacle(std::string why, const char* key, const ConfigItem& item, Problems& problems) {
+  if (why.empty()) return;
+  const ConfigItem* at = item.find(key);
+  problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
+}
+
+void require_host(const char* what, const std::string& host, std::uint16_t port) {
+  if (std::string why = obstacle_of_host(host); !why.empty())
+    throw SetupError({Errc::bad_argument, what, host, std::move(why), ""});
+  if (port == 0) throw SetupError({Errc::bad_argument, what, host, "there is no port", "set `port`"});
+}
+
+std::unique_ptr<Codec> codec_to_send(const char* what, const std::string& format, const CodecRegistry& formats) {
+  if (std::string why = obstacle_of_format(format); !why.empty())
+    throw SetupError({Errc::bad_argument, what, format, std::move(why), ""});
+  return formats.make(format == "jsonl" ? "json" : format).or_throw();
+}
+
+}  // namespace rtdata::detail

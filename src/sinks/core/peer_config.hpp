@@ -1,0 +1,26 @@
+// What the senders that connect to a host have in common: what their settings may be.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "rtdata/data/codec.hpp"
+
+namespace rtdata {
+class ConfigItem;
+class Problems;
+}  // namespace rtdata
+
+namespace rtdata::detail {
+
+/// Why this is no host; empty: it may be one.
+std::string obstacle_of_host(const std::string& host);
+/// Why events of this format cannot be sent; empty: they can. A format that the registry lacks is not looked at.
+std::string obstacle_of_format(const std::string& format);
+/// Adds to the problems what is wrong with `key`, if anything.
+void add_obstacle(std::string why, const char* key, const ConfigItem& item, Problems& problems);
+/// Throws SetupError: for the reasons above, and where there is no such format.
+void require_host(const char* what, const std::string& host, std::uint16_t port);
+std::unique_ptr<Codec> codec_to_send(const char* what, const std::string& format, const CodecRegistry& formats);
+
+}  // namespace rtdata::detail

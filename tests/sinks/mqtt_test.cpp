@@ -1,0 +1,333 @@
+// The mqtt sender, with the real broker (mosquitto) and what it refuses, and what becomes of it.
+#ifdef RTDATA_WITH_MQTT
+#include <arpa/inet.h>
+#include <doctest/doctest.h>
+#include <mosquitto.h>
+#include <netinet/in.h>
+#include <signal.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <set>
+#include <thread>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sinks/mqtt.hpp"
+#include "sensors/fake_gpsd.hpp"
+#include "sinks/sink_kinds.hpp"
+
+using namespace rtdata;
+using namespace sinks;
+using namespace std::chrono_literals;
+
+namespace {
+
+std::string broker_program() {
+  for (const char* path : {"/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto", "/usr/bin/mosquitto"})
+    if (::access(path, X_OK) == 0) return path;
+  return "";
+}
+
+/// mosquitto on a port of this machine that was free.
+class Broker {
+ public:
+  explicit Broker(const std::string& more = "allow_anonymous true\n") : more_(more) {
+    FakeGpsd finder;
+    port_ = finder.port();
+    start();
+  }
+  Broker(const Broker&) = delete;
+  Broker& operator=(const Broker&) = delete;
+  ~Broker() { kill(); }
+  void start() {
+    std::ofstream(directory_ / "conf") << "listener " << port_ << " 127.0.0.1\nuser root\n" << more_;
+    const std::string program = broker_program(), conf = directory_ / "conf", log = directory_ / "log";
+    process_ = ::fork();
+    if (process_ == 0) {
+      if (std::freopen(log.c_str(), "a", stderr) == nullptr || std::freopen(log.c_str(), "a", stdout) == nullptr)
+        ::_exit(1);
+      ::execl(program.c_str(), "mosquitto", "-c", conf.c_str(), static_cast<char*>(nullptr));
+      ::_exit(127);
+    }
+    for (int i = 0; i < 1000 && !answers(); ++i) std::this_thread::sleep_for(10ms);  // another program
+    REQUIRE_MESSAGE(answers(), content(log));
+  }
+  void kill() {
+    if (process_ <= 0) return;
+    ::kill(process_, SIGKILL);
+    ::waitpid(process_, nullptr, 0);
+    process_ = -1;
+  }
+  std::uint16_t port() const { return port_; }
+  std::string write(const std::string& name, const std::string& text) {
+    std::ofstream(directory_ / name) << text;
+    return directory_ / name;
+  }
+
+ private:
+  bool answers() const {
+    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_port = htons(port_);
+    const bool is_there = ::connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0;
+    ::close(fd);
+    return is_there;
+  }
+  Directory directory_;
+  std::string more_;
+  std::uint16_t port_ = 0;
+  pid_t process_ = -1;
+};
+
+/// Hears all that the broker publishes, on the test's thread.
+class Listener {
+ public:
+  explicit Listener(std::uint16_t port, const char* user = nullptr) : client_(::mosquitto_new(nullptr, true, this)) {
+    ::mosquitto_message_callback_set(client_, [](mosquitto*, void* self, const mosquitto_message* message) {
+      static_cast<Listener*>(self)->messages.emplace_back(
+          message->topic, std::string(static_cast<const char*>(message->payload), message->payloadlen));
+    });
+    ::mosquitto_subscribe_callback_set(client_, [](mosquitto*, void* self, int, int, const int*) {
+      static_cast<Listener*>(self)->is_subscribed_ = true;
+    });
+    if (user != nullptr) ::mosquitto_username_pw_set(client_, user, user);
+    REQUIRE(::mosquitto_connect(client_, "127.0.0.1", port, 60) == MOSQ_ERR_SUCCESS);
+    for (int i = 0; i < 50; ++i) ::mosquitto_loop(client_, 10, 1);
+    ::mosquitto_subscribe(client_, nullptr, "#", 2);
+    for (int i = 0; i < 1000 && !is_subscribed_; ++i) ::mosquitto_loop(client_, 10, 1);
+    REQUIRE(is_subscribed_);
+  }
+  Listener(const Listener&) = delete;
+  Listener& operator=(const Listener&) = delete;
+  ~Listener() { ::mosquitto_destroy(client_); }
+  void hear() {
+    for (int i = 0; i < 50; ++i) ::mosquitto_loop(client_, 0, 1);
+  }
+  std::vector<std::pair<std::string, std::string>> messages;
+
+ private:
+  mosquitto* client_;
+  bool is_subscribed_ = false;
+};
+
+struct Bench {
+  Loop loop;
+  std::vector<std::string> errors;
+  double published = 0;
+
+  Bench() {
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+  }
+  MqttConfig to(std::uint16_t port, MqttConfig config = {}) {
+    config.host = "127.0.0.1";
+    config.port = port;
+    config.sink.batch_time = 10ms;
+    config.sink.retry_first = 50ms;
+    config.sink.retry_longest = 200ms;
+    return config;
+  }
+  void publish(int count, const char* topic = "a/b") {
+    for (int i = 0; i < count; ++i) loop.topic<Number>(topic).publish({++published});
+  }
+  template <class Done>
+  bool wait_for(Done&& done) {
+    bool is_done = false;
+    Ticker look(loop, 10ms, [&](const Tick& tick) {
+      is_done = done();
+      if (is_done || tick.index > 2000) loop.stop();
+    });
+    loop.run();
+    return is_done;
+  }
+  bool has_error(const std::string& part) const {
+    return std::any_of(errors.begin(), errors.end(),
+                       [&](const std::string& one) { return one.find(part) != std::string::npos; });
+  }
+};
+
+double value_of(const std::string& message) {
+  auto codec = make_json_codec();
+  return decode<Number>(*codec, std::as_bytes(std::span(message))).or_throw().data.value;
+}
+
+constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
+
+#define NEEDS_BROKER()                              \
+  if (broker_program().empty()) {                   \
+    MESSAGE("skipped: mosquitto is not installed"); \
+    return;                                         \
+  }
+
+}  // namespace
+
+TEST_SUITE("sinks") {
+  TEST_CASE("US-32 a message an event goes to an MQTT broker, with each QoS and version") {
+    NEEDS_BROKER();
+    Broker broker;
+    for (const MqttVersion version : {MqttVersion::newest, MqttVersion::v311}) {
+      for (const std::uint8_t qos : {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{2}}) {
+        CAPTURE(static_cast<int>(version));
+        CAPTURE(int{qos});
+        Bench bench;
+        Listener listener(broker.port());
+        MqttSink sink(bench.loop, bench.to(broker.port(), {.topic = "plant/{topic}", .qos = qos, .version = version}));
+        bench.publish(500);
+        CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() >= 500; }));
+        REQUIRE(listener.messages.size() == 500);
+        std::set<double> values;
+        for (const auto& [topic, message] : listener.messages) {
+          CHECK(topic == "plant/a/b");
+          values.insert(value_of(message));
+        }
+        CHECK(values.size() == 500);
+        CHECK(bench.wait_for([&] { return sink.counts().queued == 0; }));
+        CHECK(sink.counts().stored == 500);
+        CHECK(sink.counts().balances());
+        CHECK(bench.errors.empty());
+        CHECK(bench.loop.close(2s) == 0);
+      }
+    }
+  }
+
+  TEST_CASE("US-32 a broker that is absent, killed and started again gets everything: nothing is lost") {
+    NEEDS_BROKER();
+    Broker broker;
+    broker.kill();
+    Bench bench;
+    MqttSink sink(bench.loop, bench.to(broker.port()));
+    bench.publish(300);
+    CHECK(bench.wait_for([&] { return sink.health() == Health::faulted; }));
+    CHECK(sink.counts().queued == 300);
+    std::set<double> values;
+    std::uint64_t ticks = 0, missed = 0;
+    Ticker ticker(bench.loop, 50ms, [&](const Tick& tick) { ++ticks, missed += tick.missed; });
+    for (int round = 0; round < 3; ++round) {
+      broker.start();
+      Listener listener(broker.port());
+      bench.publish(300);
+      const std::uint64_t wanted = sink.counts().stored + (round < 2 ? 150U : 0U);
+      CHECK(bench.wait_for([&] {
+        listener.hear();
+        return round < 2 ? sink.counts().stored > wanted : sink.counts().queued == 0;
+      }));
+      for (int i = 0; i < 20; ++i) listener.hear();
+      for (const auto& [topic, message] : listener.messages) values.insert(value_of(message));
+      if (round < 2) broker.kill();
+    }
+    CHECK(sink.counts().stored == 1200);
+    CHECK(sink.counts().balances());
+    CHECK(sink.health() == Health::ok);
+    CHECK(bench.loop.close(2s) == 0);
+    CHECK(values.size() > 900);  // the rest went to a broker whose listener had not heard it when both were killed
+  }
+
+  TEST_CASE("a topic that the broker's access control refuses is told, dropped and counted, and the others arrive") {
+    NEEDS_BROKER();
+    Directory directory;
+    std::ofstream(directory / "acl") << "topic read #\ntopic write good\n";
+    Broker broker("allow_anonymous true\nacl_file " + (directory / "acl") + "\n");
+    for (const std::uint8_t qos : {std::uint8_t{1}, std::uint8_t{2}}) {
+      CAPTURE(int{qos});
+      Bench bench;
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.qos = qos}));
+      bench.publish(5, "good");
+      bench.publish(3, "bad");
+      CHECK(bench.wait_for([&] { return sink.counts().queued == 0; }));
+      CHECK(sink.counts().stored == 5);
+      CHECK(sink.counts().dropped[refused] == 3);
+      CHECK(bench.has_error("the broker refuses the event"));
+      CHECK(sink.health() == Health::ok);
+      CHECK(sink.counts().balances());
+      CHECK(bench.loop.close(2s) == 0);
+    }
+  }
+
+  TEST_CASE("a broker that refuses the password keeps the sink faulted, and costs no event") {
+    NEEDS_BROKER();
+    Broker broker("allow_anonymous false\n");
+    Bench bench;
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.user = "me", .password = "wrong-password"}));
+    bench.publish(10);
+    CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && bench.errors.size() >= 1; }));
+    CHECK(bench.has_error("the broker refuses the connection"));
+    CHECK_FALSE(bench.has_error("wrong-password"));
+    CHECK(sink.counts().queued == 10);
+    CHECK(bench.loop.close(100ms) == 10);
+  }
+
+  TEST_CASE("NFR-1 a server that accepts and says nothing, or garbage, is given up, and closing ends in time") {
+    for (const std::string& says :
+         {std::string(), std::string("HTTP/1.1 400 Bad Request\r\n\r\n"), std::string(5000, '\xff')}) {
+      CAPTURE(says.substr(0, 8));
+      Bench bench;
+      FakeGpsd server;
+      MqttConfig config = bench.to(server.port());
+      config.sending.timeout = 300ms;
+      config.sink.close_deadline = 100ms;
+      MqttSink sink(bench.loop, config);
+      bench.publish(10);
+      CHECK(bench.wait_for([&] {
+        if (server.accept() && !says.empty()) server.send(says);
+        return sink.health() == Health::faulted;
+      }));
+      CHECK(sink.counts().queued == 10);
+      CHECK(sink.counts().balances());
+      CHECK(bench.loop.close(1s) == 10);
+    }
+  }
+
+  TEST_CASE("a broker that knows MQTT 3.1.1 only is spoken to in that") {
+    Bench bench;
+    FakeGpsd server;
+    MqttSink sink(bench.loop, bench.to(server.port(), {.qos = 0}));
+    bench.publish(3);
+    std::string got;
+    std::vector<int> versions;
+    CHECK(bench.wait_for([&] {
+      if (server.accept()) got.clear();
+      if (!server.has_peer()) return false;
+      got += server.received();
+      if (got.size() > 8 && got[0] == 0x10) {  // CONNECT: protocol name, level
+        versions.push_back(got[8]);
+        got.clear();
+        server.send(versions.back() == 5 ? std::string("\x20\x02\x00\x01", 4) : std::string("\x20\x02\x00\x00", 4));
+      }
+      return sink.counts().queued == 0;
+    }));
+    CHECK(versions == std::vector<int>{5, 4});
+    CHECK(sink.counts().stored == 3);
+    CHECK(bench.errors.empty());
+    CHECK(bench.loop.close(1s) == 0);
+  }
+
+  TEST_CASE("the last will is published when the sender vanishes, and not when it closes") {
+    NEEDS_BROKER();
+    Broker broker;
+    Listener listener(broker.port());
+    Bench bench;
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.will = MqttWill{.topic = "state/node", .message = "gone"}}));
+    bench.publish(1);
+    CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() == 1; }));
+    CHECK(bench.loop.close(1s) == 0);
+    for (int i = 0; i < 20; ++i) listener.hear(), std::this_thread::sleep_for(5ms);  // another program
+    CHECK(listener.messages.size() == 1);
+  }
+
+  TEST_CASE("mqtt sinks refuse settings that cannot be right, when they are made") {
+    Loop loop{Loop::Manual{}};
+    CHECK_THROWS_AS(MqttSink(loop, {.host = ""}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.topic = ""}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.topic = "a/#"}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.format = "csv"}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.qos = 3}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.tls = MqttTls{.certificate = "x"}}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.will = MqttWill{.topic = "+"}}), SetupError);
+  }
+}
+#endif
