@@ -222,7 +222,10 @@ class CborCodec final : public Codec {
     to = put_integer(put_text(to, "time"), to_nanoseconds(event.time()));
     to = put_text(put_text(to, "origin"), event.origin());
     to = put_head(put_text(to, "sequence"), natural, event.sequence());
-    if (!event.run().empty()) to = put_text(put_text(to, "run"), event.run());
+    if (!event.run().empty()) {
+      const std::string_view run = run_entry(event.run());
+      to = detail::copy_short(to, run.data(), run.size());
+    }
     to = put_text(to, "data");
     const char* fixed = plan.fixed.data();
     const std::vector<Leaf>& leaves = event.description().leaves();
@@ -257,8 +260,19 @@ class CborCodec final : public Codec {
   }
 
  private:
+  /// The same for many events.
+  std::string_view run_entry(std::string_view run) {
+    if (run == run_) return run_entry_;
+    run_ = run;
+    run_entry_.resize(32 + run.size());
+    const char* const end = put_text(put_text(run_entry_.data(), "run"), run);
+    run_entry_.resize(static_cast<std::size_t>(end - run_entry_.data()));
+    return run_entry_;
+  }
+
   detail::PerDescription<Plan> plans_;
   std::vector<char> item_;
+  std::string run_, run_entry_;
 };
 
 }  // namespace

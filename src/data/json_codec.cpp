@@ -203,7 +203,7 @@ class JsonCodec final : public Codec {
     to = put_string(to, event.origin());
     to = put(to, ",\"sequence\":");
     to = put_number(to, event.sequence());
-    if (!event.run().empty()) to = put_string(put(to, ",\"run\":"), event.run());
+    if (!event.run().empty()) to = put(to, run_member(event.run()));
     to = put(to, ",\"data\":");
     const char* fixed = plan.fixed.data();
     const std::byte* payload = event.payload().data();
@@ -228,8 +228,19 @@ class JsonCodec final : public Codec {
   }
 
  private:
+  /// The same for many events.
+  std::string_view run_member(std::string_view run) {
+    if (run == run_) return run_member_;
+    run_ = run;
+    run_member_.resize(16 + 6 * run.size());
+    const char* const end = put_string(put(run_member_.data(), ",\"run\":"), run);
+    run_member_.resize(static_cast<std::size_t>(end - run_member_.data()));
+    return run_member_;
+  }
+
   detail::PerDescription<Plan> plans_;
   std::vector<char> line_;
+  std::string run_, run_member_;
 };
 
 }  // namespace
