@@ -38,6 +38,7 @@ class Broker {
   explicit Broker(const std::string& more = "allow_anonymous true\n") : more_(more) {
     FakeGpsd finder;
     port_ = finder.port();
+    finder.vanish();
     start();
   }
   Broker(const Broker&) = delete;
@@ -216,15 +217,22 @@ TEST_SUITE("sinks") {
         listener.hear();
         return round < 2 ? sink.counts().stored > wanted : sink.counts().queued == 0;
       }));
-      for (int i = 0; i < 20; ++i) listener.hear();
-      for (const auto& [topic, message] : listener.messages) values.insert(value_of(message));
+      const auto stored = sink.counts().stored;  // what the broker has, its listener hears before it is killed
+      for (int i = 0; i < 1000 && values.size() + 20 * static_cast<std::size_t>(round) < stored; ++i) {
+        listener.hear();
+        for (const auto& [topic, message] : listener.messages) values.insert(value_of(message));
+        listener.messages.clear();
+        std::this_thread::sleep_for(5ms);  // the broker is another program
+      }
+      CHECK(values.size() + 20 * static_cast<std::size_t>(round) >= stored);
       if (round < 2) broker.kill();
     }
     CHECK(sink.counts().stored == 1200);
     CHECK(sink.counts().balances());
     CHECK(sink.health() == Health::ok);
     CHECK(bench.loop.close(2s) == 0);
-    CHECK(values.size() > 900);  // the rest went to a broker whose listener had not heard it when both were killed
+    // Of each broker that was killed, up to 20 on their way may have been confirmed and not passed on.
+    CHECK(values.size() >= 1200 - 2 * 20);
   }
 
   TEST_CASE("a topic that the broker's access control refuses is told, dropped and counted, and the others arrive") {
@@ -255,7 +263,7 @@ TEST_SUITE("sinks") {
     MqttSink sink(bench.loop, bench.to(broker.port(), {.user = "me", .password = "wrong-password"}));
     bench.publish(10);
     CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && bench.errors.size() >= 1; }));
-    CHECK(bench.has_error("the broker refuses the connection"));
+    CHECK_MESSAGE(bench.has_error("the broker refuses the connection"), bench.errors.front());
     CHECK_FALSE(bench.has_error("wrong-password"));
     CHECK(sink.counts().queued == 10);
     CHECK(bench.loop.close(100ms) == 10);
