@@ -28,7 +28,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* what = "cannot make mqtt sink";
-constexpr std::size_t most_in_a_turn = 64;    // messages given to the library
+constexpr std::size_t most_in_a_turn = 256;   // messages given to the library
 constexpr std::size_t most_under_way = 1000;  // messages in it, which it may queue
 constexpr std::size_t slot_count = 4096;      // by the lower bits of their numbers
 constexpr unsigned last_number = 65535;
