@@ -327,6 +327,33 @@ TEST_SUITE("sinks") {
     CHECK(listener.messages.size() == 1);
   }
 
+  TEST_CASE("US-32 with TLS events arrive, and not at a broker whose certificate nobody vouches for") {
+    NEEDS_BROKER();
+    Directory directory;
+    const std::string make = "cd " + directory.path +
+                             " && openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2"
+                             " -subj /CN=127.0.0.1 -addext subjectAltName=IP:127.0.0.1 >/dev/null 2>&1";
+    if (std::system(make.c_str()) != 0) {
+      MESSAGE("skipped: there is no openssl");
+      return;
+    }
+    Broker broker("allow_anonymous true\ncertfile " + (directory / "cert.pem") + "\nkeyfile " +
+                  (directory / "key.pem") + "\n");
+    for (const bool is_trusted : {true, false}) {
+      CAPTURE(is_trusted);
+      Bench bench;
+      MqttSink sink(bench.loop,
+                    bench.to(broker.port(), {.tls = MqttTls{.ca = is_trusted ? directory / "cert.pem" : ""}}));
+      bench.publish(200);
+      CHECK(
+          bench.wait_for([&] { return is_trusted ? sink.counts().stored == 200 : sink.health() == Health::faulted; }));
+      CHECK(sink.counts().stored == (is_trusted ? 200U : 0U));
+      CHECK(bench.errors.empty() == is_trusted);
+      if (!is_trusted) CHECK_MESSAGE(bench.has_error("certificate verify failed"), bench.errors.front());
+      CHECK(bench.loop.close(200ms) == (is_trusted ? 0U : 200U));
+    }
+  }
+
   TEST_CASE("mqtt sinks refuse settings that cannot be right, when they are made") {
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(MqttSink(loop, {.host = ""}), SetupError);
