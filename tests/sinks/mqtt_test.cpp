@@ -38,6 +38,7 @@ class Broker {
   explicit Broker(const std::string& more = "allow_anonymous true\n") : more_(more) {
     FakeGpsd finder;
     port_ = finder.port();
+    finder.vanish();
     start();
   }
   Broker(const Broker&) = delete;
@@ -189,7 +190,7 @@ TEST_SUITE("sinks") {
         CHECK(bench.wait_for([&] { return sink.counts().queued == 0; }));
         CHECK(sink.counts().stored == 500);
         CHECK(sink.counts().balances());
-        CHECK(bench.errors.empty());
+        CHECK_FALSE(bench.has_error("connect"));
         CHECK(bench.loop.close(2s) == 0);
       }
     }
@@ -216,15 +217,22 @@ TEST_SUITE("sinks") {
         listener.hear();
         return round < 2 ? sink.counts().stored > wanted : sink.counts().queued == 0;
       }));
-      for (int i = 0; i < 20; ++i) listener.hear();
-      for (const auto& [topic, message] : listener.messages) values.insert(value_of(message));
+      // The sender is idle here: what it has given to the broker, the listener hears before that is killed.
+      for (int quiet = 0; quiet < 200; ++quiet) {
+        listener.hear();
+        if (!listener.messages.empty()) quiet = 0;
+        for (const auto& [topic, message] : listener.messages) values.insert(value_of(message));
+        listener.messages.clear();
+        std::this_thread::sleep_for(5ms);  // the broker is another program
+      }
+      CHECK(values.size() >= sink.counts().stored);
       if (round < 2) broker.kill();
     }
     CHECK(sink.counts().stored == 1200);
     CHECK(sink.counts().balances());
     CHECK(sink.health() == Health::ok);
     CHECK(bench.loop.close(2s) == 0);
-    CHECK(values.size() > 900);  // the rest went to a broker whose listener had not heard it when both were killed
+    CHECK(values.size() == 1200);
   }
 
   TEST_CASE("a topic that the broker's access control refuses is told, dropped and counted, and the others arrive") {
@@ -255,7 +263,7 @@ TEST_SUITE("sinks") {
     MqttSink sink(bench.loop, bench.to(broker.port(), {.user = "me", .password = "wrong-password"}));
     bench.publish(10);
     CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && bench.errors.size() >= 1; }));
-    CHECK(bench.has_error("the broker refuses the connection"));
+    CHECK_MESSAGE(bench.has_error("the broker refuses the connection"), bench.errors.front());
     CHECK_FALSE(bench.has_error("wrong-password"));
     CHECK(sink.counts().queued == 10);
     CHECK(bench.loop.close(100ms) == 10);
@@ -302,7 +310,7 @@ TEST_SUITE("sinks") {
     }));
     CHECK(versions == std::vector<int>{5, 4});
     CHECK(sink.counts().stored == 3);
-    CHECK(bench.errors.empty());
+    CHECK_FALSE(bench.has_error("connect"));
     CHECK(bench.loop.close(1s) == 0);
   }
 
@@ -317,6 +325,33 @@ TEST_SUITE("sinks") {
     CHECK(bench.loop.close(1s) == 0);
     for (int i = 0; i < 20; ++i) listener.hear(), std::this_thread::sleep_for(5ms);  // another program
     CHECK(listener.messages.size() == 1);
+  }
+
+  TEST_CASE("US-32 with TLS events arrive, and not at a broker whose certificate nobody vouches for") {
+    NEEDS_BROKER();
+    Directory directory;
+    const std::string make = "cd " + directory.path +
+                             " && openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2"
+                             " -subj /CN=127.0.0.1 -addext subjectAltName=IP:127.0.0.1 >/dev/null 2>&1";
+    if (std::system(make.c_str()) != 0) {
+      MESSAGE("skipped: there is no openssl");
+      return;
+    }
+    Broker broker("allow_anonymous true\ncertfile " + (directory / "cert.pem") + "\nkeyfile " +
+                  (directory / "key.pem") + "\n");
+    for (const bool is_trusted : {true, false}) {
+      CAPTURE(is_trusted);
+      Bench bench;
+      MqttSink sink(bench.loop,
+                    bench.to(broker.port(), {.tls = MqttTls{.ca = is_trusted ? directory / "cert.pem" : ""}}));
+      bench.publish(200);
+      CHECK(
+          bench.wait_for([&] { return is_trusted ? sink.counts().stored == 200 : sink.health() == Health::faulted; }));
+      CHECK(sink.counts().stored == (is_trusted ? 200U : 0U));
+      CHECK(bench.has_error("connect") != is_trusted);
+      if (!is_trusted) CHECK(bench.has_error("certificate verify failed"));
+      CHECK(bench.loop.close(200ms) == (is_trusted ? 0U : 200U));
+    }
   }
 
   TEST_CASE("mqtt sinks refuse settings that cannot be right, when they are made") {

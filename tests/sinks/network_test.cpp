@@ -261,7 +261,7 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("acknowledgements that are garbage, too many or too long cost the connection and no event") {
     for (const std::string& garbage :
-         {std::string("okay\n"), std::string("\x06\x06"), std::string(1000, 'o'), std::string("ok\nok\nok\n")}) {
+         {std::string("okay\n"), std::string("\x06\x06\n"), std::string(1000, 'o'), std::string("ok\nok\nok\n")}) {
       CAPTURE(garbage);
       Bench bench;
       TcpPeer peer;
@@ -271,6 +271,10 @@ TEST_SUITE("sinks") {
       Received received("json");
       std::size_t answered = 0;
       bool is_second = false;
+      if (garbage.starts_with("ok\n")) {  // confirmed all, and one more: told with what comes next
+        CHECK(bench.wait_for([&] { return sink.counts().stored == 2; }));
+        bench.publish(1);
+      }
       CHECK(bench.wait_for([&] {
         if (peer.accept()) is_second = true;
         if (!is_second) return false;
@@ -278,7 +282,7 @@ TEST_SUITE("sinks") {
         for (; answered < received.values.size(); ++answered) peer.send("ok\n");
         return sink.counts().queued == 0;
       }));
-      CHECK(received.has_all(2));
+      CHECK(sink.counts().stored == static_cast<std::uint64_t>(bench.published));
       CHECK(bench.has_error("cannot understand the peer"));
       CHECK(sink.counts().balances());
     }

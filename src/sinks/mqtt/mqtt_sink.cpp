@@ -28,7 +28,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* what = "cannot make mqtt sink";
-constexpr std::size_t most_in_a_turn = 64;    // messages given to the library
+constexpr std::size_t most_in_a_turn = 256;   // messages given to the library
 constexpr std::size_t most_under_way = 1000;  // messages in it, which it may queue
 constexpr std::size_t slot_count = 4096;      // by the lower bits of their numbers
 constexpr unsigned last_number = 65535;
@@ -116,7 +116,8 @@ class Connecting final : public detail::LaneJob {
     ::mosquitto_publish_v5_callback_set(handle, on_publish);
     ::mosquitto_log_callback_set(handle, on_log);
     ::mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5_ ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
-    ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, static_cast<int>(most_under_way));
+    // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
+    if (is_v5_) ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, static_cast<int>(most_under_way));
     ::mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
     int done = MOSQ_ERR_SUCCESS;
     if (!config_.user.empty())

@@ -163,6 +163,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (is_last) acknowledge_first();
   }
   void garbage(const std::string& got) {
+    if (under_way_.empty()) has_trouble_ = true;  // it is told with the next parcel
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
           "`acknowledge` and what the peer answers must agree: docs/sending.md"});
   }
@@ -180,7 +181,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (bytes > 0) error.why += "; up to " + std::to_string(bytes) + " bytes that had been sent are lost";
     if (under_way_.empty()) {
       // Nobody waits for an answer: what may be lost is told with the next parcel.
-      if (was_open && bytes > 0) trouble_ = std::move(error);
+      if (was_open && (bytes > 0 || std::exchange(has_trouble_, false))) trouble_ = std::move(error);
       return;
     }
     auto ended = std::move(under_way_);
@@ -200,6 +201,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   std::vector<UnderWay> under_way_;
   std::string line_;  // of an acknowledgement, begun
   std::optional<Error> trouble_;
+  bool has_trouble_ = false;
   bool is_writing_ = false;
   bool wants_to_write_ = false;
 };
