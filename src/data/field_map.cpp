@@ -4,6 +4,8 @@
 #include <cstring>
 #include <string>
 
+#include "rtdata/data/text.hpp"
+
 namespace rtdata::detail {
 namespace {
 

@@ -132,6 +132,32 @@ TEST_SUITE("sinks") {
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 
+  TEST_CASE("what is recorded while it closes waits for a peer that is away then, whenever it closes") {
+    for (const auto before : {0ms, 1ms, 500ms, 999ms, 1000ms, 1001ms}) {
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      const std::string path = folder / "run.db";
+      bool is_away = true;
+      peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        if (is_away) return answer.again(away);
+        peer->take(parcel, std::move(answer));
+      };
+      {
+        Run run(path, peer);
+        run.publish(250);
+        run.loop.advance(before);
+        run.publish(20, "b");
+        CHECK(run.loop.close(10s) == 0);
+        for (const SinkStatus& sink : run.loop.runtime().sinks()) CHECK(sink.counts.balances());
+      }
+      is_away = false;
+      Run run(path, peer);
+      run.loop.advance(2s);
+      CHECK(count_all_once(*peer) == 270);
+      CHECK(run.loop.close(1s) == 0);
+    }
+  }
+
   TEST_CASE("a sink begins with what comes now, or at the beginning; another goes at its own speed") {
     Folder folder;
     const std::string path = folder / "run.db";

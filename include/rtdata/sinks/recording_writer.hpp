@@ -95,7 +95,7 @@ struct StorePace {
 };
 
 namespace detail {
-struct FeedConfig;
+struct RowFeedConfig;
 class RowFeed;
 }  // namespace detail
 
@@ -134,7 +134,7 @@ class RecordingWriter : public Writer {
   /// `live_counts` and `keep` put them: from here on they are up to date there.
   virtual void begin_counting() {}
   /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
-  virtual std::unique_ptr<detail::RowFeed> feed(const detail::FeedConfig& config);
+  virtual std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config);
 
   // ---- on the lane
   /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.

@@ -15,7 +15,7 @@ namespace rtdata::detail {
 
 class SinkQueue;
 
-struct FeedConfig {
+struct RowFeedConfig {
   std::string sink;                 ///< its name: that of its position
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;

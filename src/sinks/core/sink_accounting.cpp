@@ -65,6 +65,10 @@ bool SinkNode::begin_account() {
 }
 
 bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
+  if (is_fed()) {  // the recording has the account
+    is_last_told_ = part == SinkAccount::Part::last;
+    return false;
+  }
   is_account_due_ = part != SinkAccount::Part::last;
   if (part == SinkAccount::Part::next) set_account_timer();  // if there is no memory for it now
   if (had_no_memory_) {

@@ -54,9 +54,11 @@ bool SinkQueue::gather() {
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
   // What waits already is stored together, in transactions that stay short.
-  const std::size_t enough_rows = pace_.bytes == 0 ? config_.batch_rows : 1;
+  const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
+  const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
   bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
-  while ((batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
+  const bool takes_all = feed_ != nullptr;  // what a recording gave at a time is settled together
+  while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
@@ -77,7 +79,7 @@ bool SinkQueue::gather() {
 void SinkQueue::finish_batch() {
   const std::lock_guard lock(abandon_mutex_);
   if (abandoned_) return;
-  if (feed_ != nullptr) feed_->settled(std::numeric_limits<std::size_t>::max());
+  if (feed_ != nullptr) feed_->settled(batch_.rows_);
   revision_.fetch_add(1, std::memory_order_acq_rel);
   for (SlotStored* s : slots_in_batch_) {
     add(s->stored, s->in_batch - s->refused_in_batch);

@@ -115,19 +115,23 @@ void SinkNode::on_segment(OriginCore& origin, const Segment& segment) {
 }
 
 void SinkNode::on_clock(const ClockPair& pair) {
+  if (is_fed()) return;
   note([&] { account_.notes.add(pair); });
 }
 
 void SinkNode::on_configuration(const ConfigurationChange& change) {
+  if (is_fed()) return;
   note([&] { account_.notes.add(change); });
   account_is_due();
 }
 
 void SinkNode::on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) {
+  if (is_fed()) return;
   note([&] { account_.notes.add(first, last, object, error, count); });
 }
 
 void SinkNode::on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) {
+  if (is_fed()) return;
   note([&] { account_.notes.add(first, last, change, count); });
 }
 

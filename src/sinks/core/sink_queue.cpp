@@ -11,7 +11,7 @@ namespace rtdata {
 
 LiveCounts* RecordingWriter::live_counts(std::uint32_t) { return nullptr; }
 void RecordingWriter::keep(const OriginAccount&, const Gap*) {}
-std::unique_ptr<detail::RowFeed> RecordingWriter::feed(const detail::FeedConfig&) { return nullptr; }
+std::unique_ptr<detail::RowFeed> RecordingWriter::feed(const detail::RowFeedConfig&) { return nullptr; }
 Result<void> RecordingWriter::add_topic(std::uint32_t, std::string_view, const Description&) { return {}; }
 
 namespace detail {

@@ -192,7 +192,7 @@ class SinkQueue {
   void note_committed() { feed_->note_committed(); }
   bool is_recording() const noexcept { return recording_ != nullptr; }
   /// For a sink that goes through this recording; null: this is none.
-  std::unique_ptr<RowFeed> make_feed(const FeedConfig& config) {
+  std::unique_ptr<RowFeed> make_feed(const RowFeedConfig& config) {
     return recording_ != nullptr ? recording_->feed(config) : nullptr;
   }
   /// Of a sink that is fed by a recording: about as many as fit into half of the queue, and make some parcels.

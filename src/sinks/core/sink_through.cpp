@@ -29,7 +29,7 @@ void SinkNode::follow_recording() {
   const std::size_t rows = queue_->rows_at_once();
   auto feed = recording_->queue_->make_feed(
       {config_.name, config_.topics, config_.from, runtime.event_time(loop()->now()),
-       queue_->sender() != nullptr ? FeedConfig::Times::utc : FeedConfig::Times::recorded, rows});
+       queue_->sender() != nullptr ? RowFeedConfig::Times::utc : RowFeedConfig::Times::recorded, rows});
   if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
   queue_->feed_from(std::move(feed));
   recording_->followers_.push_back(this);

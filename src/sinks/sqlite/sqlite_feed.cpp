@@ -14,7 +14,7 @@ enum Column { row_column, run_column, time_column, origin_column, sequence_colum
 
 }  // namespace
 
-SqliteFeed::SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::FeedConfig config)
+SqliteFeed::SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config)
     : path_(std::move(path)), positions_(std::move(positions)), config_(std::move(config)) {}
 
 // ---- opening
@@ -62,7 +62,7 @@ Result<void> SqliteFeed::look() {
     rows_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
-  if (config_.times == detail::FeedConfig::Times::utc) {
+  if (config_.times == detail::RowFeedConfig::Times::utc) {
     auto pairs = recording_->file()->database.integer("SELECT coalesce(max(rowid), 0) FROM rtdata_clock");
     if (!pairs) return std::move(pairs).error();
     if (std::exchange(clock_pairs_, *pairs) != *pairs) {
@@ -176,7 +176,7 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
 
 Result<SqliteFeed::Run*> SqliteFeed::run_of(std::int64_t number) {
   Run& run = runs_[number];
-  if (config_.times == detail::FeedConfig::Times::utc && !run.utc) {
+  if (config_.times == detail::RowFeedConfig::Times::utc && !run.utc) {
     auto line = recording_->utc_line(number);
     if (!line) return std::move(line).error();
     run.utc = std::move(*line);

@@ -21,7 +21,7 @@ namespace rtdata::sqlite {
 class SqliteFeed final : public detail::RowFeed {
  public:
   /// Touches no file.
-  SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::FeedConfig config);
+  SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config);
 
   Result<bool> fill(detail::SinkQueue& queue) override;
   void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) override;
@@ -83,7 +83,7 @@ class SqliteFeed final : public detail::RowFeed {
 
   const std::string path_;
   const std::shared_ptr<Positions> positions_;
-  const detail::FeedConfig config_;
+  const detail::RowFeedConfig config_;
   std::optional<Recording> recording_;
   std::deque<Table> tables_;
   std::size_t next_table_ = 0;

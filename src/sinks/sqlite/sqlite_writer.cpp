@@ -288,7 +288,7 @@ Result<void> SqliteWriter::flush() {
   return positions_->is_dirty() ? write_positions() : Result<void>{};
 }
 
-std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::FeedConfig& config) {
+std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::RowFeedConfig& config) {
   has_feeds_.store(true, std::memory_order_relaxed);
   return std::make_unique<SqliteFeed>(config_.path, positions_, config);
 }

@@ -52,7 +52,7 @@ class SqliteWriter final : public RecordingWriter {
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
   void begin_counting() override;
-  std::unique_ptr<detail::RowFeed> feed(const detail::FeedConfig& config) override;
+  std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
   }
