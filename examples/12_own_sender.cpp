@@ -10,7 +10,7 @@
 #include <iostream>
 
 #include "rtdata/data/codec.hpp"
-#include "rtdata/sensors/feed.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 

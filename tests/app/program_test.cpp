@@ -773,7 +773,7 @@ TEST_SUITE("app") {
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"record", "x"},
          "rtdata: there is no command \"record\"; there are init, run, top, scan, doctor, bench, check, types, verify, "
-         "info, export, import; "
+         "info, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
@@ -827,7 +827,7 @@ TEST_SUITE("app") {
     Process page(folder, shipped, {"types", "lm75", "--markdown"});
     CHECK(page.end() == 0);
     CHECK(has(page.out, "## `lm75`\n\nTemperature of"));
-    CHECK(has(page.out, "\n| `address` | any |  | `0x48` |  | of the chip"));
+    CHECK(has(page.out, "\n| `address` | string or integer |  | `0x48` |  | of the chip"));
     CHECK(has(page.out, "\n| `temperature` | double | Cel |\n"));
     CHECK(!has(page.out, "`retry_first`"));  // every sensor has it
     Process all(folder, shipped, {"types", "--markdown"});

@@ -208,7 +208,7 @@ TEST_CASE(
   CHECK(run.end() == 1);
   CHECK(run.err.find("SIGTERM: it is storing what is queued already (again: ends at once)") != std::string::npos);
   CHECK(run.out.find(" events were NOT stored; LOST: ") != std::string::npos);
-  CHECK(run.out.find(" dropped by sinks (a); taken: ") != std::string::npos);
+  CHECK(run.out.find(" dropped by sinks (a): refused; taken: ") != std::string::npos);
   CHECK(run.out.find("; ledger balances\n") != std::string::npos);
 }
 

@@ -112,6 +112,7 @@ def main():
                    for name in schema["properties"][part]["items"]["properties"]["type"]["enum"]}
     originals = []
     examples = os.path.join(source, "examples")
+    os.environ["COLLECTOR"] = "http://127.0.0.1:9/x"  # which http_node.json asks for
     for name in sorted(os.listdir(examples)):
         if not name.endswith(".json"):
             continue
@@ -122,12 +123,14 @@ def main():
             originals.append((name, document))
     # Every parameter of every type at its default, so that none is left out.
     with tempfile.TemporaryDirectory() as folder:
+        needed = {"console": {}, "file": {"path": "file.out"}, "http": {"url": "http://localhost/x"},
+                  "mqtt": {"host": "localhost"}, "postgresql": {"host": "localhost"}, "sqlite": {"path": "sqlite.out"},
+                  "tcp": {"host": "localhost", "port": 9}, "udp": {"host": "localhost", "port": 9}}
         full = {"tiers": {"t": {"policy": "fifo", "priority": 5, "cpus": [0], "spin": "10 us"}}, "loop": {"hold_limit": "10 ms"},
                 "log": {"level": "debug", "file": "x.log"}, "$schema": "rtdata.schema.json", "notes": "n",
                 "sensors": [{"type": "analog", "name": "a", "file": "adc", "rate": "10 Hz", "tier": "t"},
                             {"type": "serial", "name": "s", "device": "/dev/x", "fields": [{"name": "x"}]}],
-                "sinks": [{"type": kind, "path": f"{kind}.out"} if kind != "console" else {"type": kind}
-                          for kind in schema["properties"]["sinks"]["items"]["properties"]["type"]["enum"]]}
+                "sinks": [{"type": kind, **needed[kind]} for kind in schema["properties"]["sinks"]["items"]["properties"]["type"]["enum"]]}
         for part in ("sensors", "sinks"):
             for case in schema["properties"][part]["items"]["allOf"]:
                 for item in full[part]:

@@ -105,8 +105,10 @@ struct Received {
       const auto left = std::as_bytes(std::span(text));
       const std::size_t size = text.empty() ? 0 : codec->first_event(left);
       if (size == 0) return;
-      const auto event = decode<Number>(*codec, left.first(size)).or_throw();
-      values.push_back(event.data.value);
+      const auto event = codec->decode(left.first(size), *description_of<Number>()).or_throw();
+      Number number;
+      std::memcpy(&number, event.payload.data(), sizeof number);
+      values.push_back(number.value);
       topics.push_back(event.topic);
       runs.push_back(event.run);
       text.erase(0, size);

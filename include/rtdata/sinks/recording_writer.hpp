@@ -133,6 +133,8 @@ class RecordingWriter : public Writer {
   /// With `Opening::at_set_up`, called after `open`, when all counts from before it have been moved to where
   /// `live_counts` and `keep` put them: from here on they are up to date there.
   virtual void begin_counting() {}
+  /// Whether other sinks can go through it.
+  virtual bool is_recording() const noexcept { return false; }
   /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
   virtual std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config);
 

@@ -112,6 +112,8 @@ class Answer {
   friend class detail::Transfer;
   Answer(std::weak_ptr<detail::Transfer> transfer, std::size_t parcel, std::uint64_t transmission) noexcept
       : transfer_(std::move(transfer)), parcel_(parcel), transmission_(transmission) {}
+  /// It is not given any more.
+  void forget() noexcept;
   std::weak_ptr<detail::Transfer> transfer_;
   std::size_t parcel_ = 0;
   std::uint64_t transmission_ = 0;

@@ -65,7 +65,7 @@ bool SinkNode::begin_account() {
 }
 
 bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
-  if (is_fed()) {  // the recording has the account
+  if (!queue_->keeps_account()) {  // of a sink that is fed, the recording has it
     is_last_told_ = part == SinkAccount::Part::last;
     return false;
   }

@@ -146,12 +146,17 @@ bool SinkQueue::is_abandoned() {
 
 Result<void> SinkQueue::open() {
   if (has_ended_ || is_open_) return {};
+  if (feed_ != nullptr && !is_attached_) {
+    if (auto attached = call_writer([this] { return feed_->attach(); }); !attached) return attached;
+    is_attached_ = true;
+  }
   auto result = call_writer([this] { return writer_->open(); });
   is_open_ = result || has_ended_;
   return result;
 }
 
 Result<void> SinkQueue::store() {
+  if (!is_open_ && !has_batch_ && feed_ == nullptr && is_idle()) return {};  // there is nothing to open it for
   Result<void> result;
   for (;;) {
     if (is_abandoned()) return result;
@@ -183,7 +188,7 @@ Result<void> SinkQueue::do_task(SinkTurn::Task task) {
     case SinkTurn::Task::store_and_sync:
       return recording_ != nullptr ? call_writer([this] { return recording_->sync(); }) : Result<void>{};
     case SinkTurn::Task::store_and_close:
-      return call_writer([this] { return writer_->close(); });
+      return is_open_ ? call_writer([this] { return writer_->close(); }) : Result<void>{};
     default:
       return {};
   }

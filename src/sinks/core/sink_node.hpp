@@ -167,7 +167,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void follow_recording();
   void leave_recording() noexcept;
   /// Of a recording: they get no more rows.
-  void leave_followers(const std::string& why) noexcept;
+  void leave_followers(const char* why) noexcept;
   void commit_within(Duration time);
   /// The recording has committed something.
   void rows_came();

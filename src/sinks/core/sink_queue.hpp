@@ -190,7 +190,8 @@ class SinkQueue {
   }
   const RowFeed* feed() const noexcept { return feed_.get(); }
   void note_committed() { feed_->note_committed(); }
-  bool is_recording() const noexcept { return recording_ != nullptr; }
+  bool keeps_account() const noexcept { return recording_ != nullptr && feed_ == nullptr; }
+  bool is_recording() const noexcept { return recording_ != nullptr && recording_->is_recording(); }
   /// For a sink that goes through this recording; null: this is none.
   std::unique_ptr<RowFeed> make_feed(const RowFeedConfig& config) {
     return recording_ != nullptr ? recording_->feed(config) : nullptr;
@@ -310,6 +311,7 @@ class SinkQueue {
   bool has_ended_ = false;
   // the lane's, and while it is idle the loop's
   std::unique_ptr<RowFeed> feed_;
+  bool is_attached_ = false;  // to the recording that feeds it
   std::vector<Parcel> parcels_;
   std::vector<Parcel> spare_parcels_;           // for their memory
   std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted

@@ -136,7 +136,9 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
       go_on_after(turn);
     }
     report_result(turn, before);
-    if (is_open() && turn.has_closed()) finish_drain();
+    // What waits in a recording is safe there: closing does not wait for a peer that is away.
+    const bool gives_up = is_fed() && life_ == Life::closing && !turn.result;
+    if (is_open() && (turn.has_closed() || gives_up)) finish_drain();
     is_readable_ = is_readable_ || turn.has_opened();
     if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
     if (is_open() && turn.result) tell_followers();

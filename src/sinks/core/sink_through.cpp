@@ -49,11 +49,12 @@ void SinkNode::leave_recording() noexcept {
     recording->start_work();
 }
 
-void SinkNode::leave_followers(const std::string& why) noexcept {
+void SinkNode::leave_followers(const char* why) noexcept {
   for (SinkNode* follower : std::exchange(followers_, {})) {
     follower->recording_ = nullptr;
     if (!follower->is_open() || follower->is_closing()) continue;
-    follower->fault_for_good(why);
+    follower->health_ = Health::faulted;
+    follower->note([&] { follower->fault_for_good(why); });
     follower->tell_health();
   }
 }

@@ -15,7 +15,7 @@ Answer::Answer(Answer&& other) noexcept
 
 Answer& Answer::operator=(Answer&& other) noexcept {
   if (this != &other) {
-    if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+    forget();
     transfer_ = std::move(other.transfer_);
     parcel_ = other.parcel_;
     transmission_ = std::exchange(other.transmission_, 0);
@@ -23,8 +23,13 @@ Answer& Answer::operator=(Answer&& other) noexcept {
   return *this;
 }
 
-Answer::~Answer() {
-  if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+Answer::~Answer() { forget(); }
+
+void Answer::forget() noexcept {
+  try {
+    if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+  } catch (...) {  // no memory for the report: its time-out comes
+  }
 }
 
 Answer::operator bool() const noexcept {

@@ -259,17 +259,25 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
   return taken;
 }
 
+Result<void> SqliteFeed::attach() {
+  const Positions::Reading reading(*positions_);
+  if (!recording_) {
+    if (auto opened = open(); !opened) {
+      recording_.reset();
+      return opened;
+    }
+  }
+  if (auto looked = look(); !looked) return looked;
+  update_counts();
+  is_known_.store(true, std::memory_order_release);
+  return {};
+}
+
 Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   if (settled_ < marks_.size()) forget();
   marks_.clear();
   settled_ = 0;
   const Positions::Reading reading(*positions_);
-  if (!recording_) {
-    if (auto opened = open(); !opened) {
-      recording_.reset();
-      return std::move(opened).error();
-    }
-  }
   if (auto looked = look(); !looked) return std::move(looked).error();
   std::size_t bytes_left = queue.bytes_at_once();
   std::size_t rows_left = config_.rows;

@@ -23,6 +23,7 @@ class SqliteFeed final : public detail::RowFeed {
   /// Touches no file.
   SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config);
 
+  Result<void> attach() override;
   Result<bool> fill(detail::SinkQueue& queue) override;
   void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) override;
   void settled(std::size_t rows) noexcept override;

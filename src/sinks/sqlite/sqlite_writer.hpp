@@ -52,6 +52,7 @@ class SqliteWriter final : public RecordingWriter {
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
   void begin_counting() override;
+  bool is_recording() const noexcept override { return true; }
   std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
