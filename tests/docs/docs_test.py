@@ -233,6 +233,12 @@ NOT_TRIED = {
     "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
     "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",
     "SqliteSink": "a Sink with a writer; sink_contract_test.cpp tries it",
+    "HttpSink": "a Sink with a sender; sender_test.cpp and http_test.cpp try it",
+    "MqttSink": "a Sink with a sender; sender_test.cpp and mqtt_test.cpp try it",
+    "PostgresqlSink": "a Sink with a writer; sink_contract_test.cpp tries it",
+    "Replay": "a node that reads a file; replay_test.cpp tries it",
+    "TcpSink": "a Sink with a sender; sender_test.cpp and network_test.cpp try it",
+    "UdpSink": "a Sink with a sender; sender_test.cpp and network_test.cpp try it",
 }
 
 
