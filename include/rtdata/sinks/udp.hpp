@@ -2,7 +2,7 @@
 ///
 ///     rtdata::UdpSink view(loop, {.host = "192.168.1.7"});
 ///
-///     {"timestamp":1772366400.250000000,"room/climate":{"temperature":21.5,"origin":"chamber","sequence":7,"run":"9f1c..."}}
+///     {"timestamp":1772366400.25,"room/climate":{"temperature":21.5,"origin":"chamber","sequence":7,"run":"9f1c"}}
 ///
 /// `timestamp` is in seconds since the Unix epoch, the fields stand under their topic. Any other format of the registry
 /// can be sent, an event a datagram ("cbor", "influx", "raw").

@@ -56,7 +56,7 @@ bool SinkQueue::gather() {
   // What waits already is stored together, in transactions that stay short.
   const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
   const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
-  bool has_all = false;  // all before the account has been gathered, or was taken back by the loop
+  bool has_all = false;                     // all before the account has been gathered, or was taken back by the loop
   const bool takes_all = feed_ != nullptr;  // what a recording gave at a time is settled together
   while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);

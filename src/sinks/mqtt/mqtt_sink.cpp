@@ -17,11 +17,11 @@
 #include <vector>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/support/no_sigpipe.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
-#include "loop/support/no_sigpipe.hpp"
 #include "sinks/core/peer_config.hpp"
 
 namespace rtdata {
@@ -244,7 +244,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     work();
   }
 
-  /// Calls the library for whatever there is to do, and takes what came of it. Answers bring new parcels: then once more.
+  /// Calls the library for whatever there is to do, and takes what came of it. Answers bring new parcels: then again.
   void work() {
     if (std::exchange(is_working_, true)) return;
     const auto self = shared_from_this();

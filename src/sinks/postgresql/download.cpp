@@ -398,7 +398,9 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
 
 void Download::compare(const Run& run) {
   for (const auto& [key, one] : positions_) {
-    const auto tell = [&](const std::string& text) { problems.emplace_back(run.run, key_text(one) + ": " + text); };
+    const auto tell = [&, &one = one](const std::string& text) {
+      problems.emplace_back(run.run, key_text(one) + ": " + text);
+    };
     if (!one.is_known) {
       tell(std::to_string(one.found_rows) + " rows of which rtdata_position knows nothing.");
     } else if (one.found_rows != one.rows) {
