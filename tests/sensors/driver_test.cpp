@@ -50,9 +50,7 @@ FakeI2cChip& put_lm75(FakeI2c& wires, unsigned address, double degrees) {
 /// It has no open(), and needs some time for a conversion.
 class Converting {
  public:
-  struct Config {
-    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
-  };
+  using Config = NoParameters;
   using Value = TemperatureReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x4a};

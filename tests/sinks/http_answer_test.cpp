@@ -164,7 +164,9 @@ TEST_SUITE("sinks") {
         {url + R"("window": 0)", "window"},
         {url + R"("http_version": "3")", "http_version"},
     };
-    for (const auto& [parameters, expected] : cases) {
+    for (const auto& each : cases) {
+      const auto& parameters = each.first;
+      const auto& expected = each.second;
       CAPTURE(parameters);
       const std::string problems = checked(parameters);
       CHECK_MESSAGE(has(problems, expected), problems);
