@@ -315,6 +315,27 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("a row that cannot be read is left out, told and counted, and nothing is sent again for it") {
+    Folder folder;
+    auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, none, {.name = "other"});
+      run.publish(10);
+      run.loop.close(1s);
+    }
+    sql(path, "UPDATE a SET value = 'broken' WHERE sequence IN (4, 10)");
+    for (int start = 0; start < 3; ++start) {
+      Run run(path, peer, {.name = "peer", .from = From::beginning});
+      run.loop.advance(3s);
+      CHECK(run.sink.counts().balances());
+      CHECK(run.sink.counts().all_dropped() == (start == 0 ? 2 : 0));
+      CHECK(has(run.log, "left out") == (start == 0));
+      CHECK(run.loop.close(1s) == 0);
+      CHECK(peer->sequences() == std::vector<std::uint64_t>{1, 2, 3, 5, 6, 7, 8, 9});
+    }
+  }
+
   TEST_CASE("a recording that is deleted or closed faults the sinks that go through it") {
     Folder folder;
     auto peer = std::make_shared<ScriptedPeer::Script>();

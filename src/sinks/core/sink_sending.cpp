@@ -1,5 +1,4 @@
 // What becomes of a batch that is sent: parcels, made on the lane, and what was answered to them, counted on the loop.
-#include <limits>
 #include <utility>
 
 #include "sinks/core/sink_queue.hpp"

@@ -65,7 +65,7 @@ bool Positions::is_dirty() const {
   return !dirty_.empty() || !refusals_.empty();
 }
 
-Result<void> Positions::write(Database& database, const std::string& host) {
+Result<void> Positions::write(Database& database) {
   std::vector<Refusal> refusals;
   {
     const std::lock_guard lock(mutex_);
@@ -75,6 +75,7 @@ Result<void> Positions::write(Database& database, const std::string& host) {
     refusals_in_transaction_ = refusals.size();
   }
   if (auto made = database.execute(position_schema); !made) return made;
+  const std::string host = host_name();
   auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
   if (!position) return std::move(position).error();
   for (const auto& [key, at] : in_transaction_) {

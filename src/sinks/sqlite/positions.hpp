@@ -78,7 +78,7 @@ class Positions {
   std::vector<std::string> end();
   bool is_dirty() const;
   /// In a transaction: stores what has changed.
-  Result<void> write(Database& database, const std::string& host);
+  Result<void> write(Database& database);
   void committed() noexcept;
   void rolled_back() noexcept;
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <limits>
 
 #include "rtdata/loop/topic.hpp"
 #include "sinks/core/sink_queue.hpp"
@@ -299,7 +298,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   if (marks_.empty()) {  // all that was left are rows that have gone
     for (Table& table : tables_) {
       if (table.read > table.done.row) {
-        table.done.row = table.read;
+        table.done = {table.read, 0, {}, 0};  // there is no row whose key could be looked for
         positions_->set(config_.sink, table.topic.table, table.done);
       }
     }

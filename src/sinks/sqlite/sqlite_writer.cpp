@@ -192,7 +192,7 @@ Result<void> SqliteWriter::store(Batch& batch) {
   if (done) done = account_.write_escaped(batch, escaped_);
   if (done && batch.account() != nullptr) done = account_.write(batch, *batch.account(), tables_);
   if (done) done = write_checksums(batch.account());
-  if (done) done = positions_->write(database_, host_name());
+  if (done) done = positions_->write(database_);
   if (done) stage();
   if (done) done = commit();
   return done;
@@ -294,7 +294,7 @@ std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::RowFeedConfig&
 }
 
 Result<void> SqliteWriter::write_positions() {
-  return transaction([this] { return positions_->write(database_, host_name()); });
+  return transaction([this] { return positions_->write(database_); });
 }
 
 Result<void> SqliteWriter::prune() {
