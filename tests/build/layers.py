@@ -19,6 +19,7 @@ below = {
     "process": {"data", "loop"},
     "sensors": {"data", "loop", "io", "process"},  # every sensor processes its samples before it publishes them
     "sinks": {"data", "loop", "io"},
+    "fsm": {"data", "loop", "io", "process", "sensors/feed.hpp", "sensors/sensor.hpp"},  # a machine publishes by a feed
     "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
     "app": {"data", "loop", "io", "process", "sensors", "sinks", "config"},
 }

@@ -1,0 +1,251 @@
+/// Machine: a state machine on a loop, whose changes are events of a topic.
+///
+///     fsm::Machine flight(loop, {.name = "flight", .start = "pad"});
+///     fsm::Input<Altitude> altitude(flight, "altitude", 500ms);        // the latest event, for half a second
+///     flight.add_state("pad");
+///     flight.add_state("boost", {.arrive = [&] { beeper.stop(); }});
+///     flight.add_state("landed", {.is_final = true});
+///     flight.add_transition({.from = "pad", .to = "boost", .when = [&] { return altitude && altitude->metres > 20; },
+///                            .hold = 100ms});
+///     flight.add_transition({.from = "boost", .to = "landed", .on = "touchdown"});
+///     flight.start();
+///     flight.raise("touchdown");
+///
+/// From `start` until it is closed the machine is in exactly one state. It is told of the events of its inputs, of
+/// named events (`raise`), and of time. With each, the transitions out of the current state are tried in the order in
+/// which they were added, and the first that may be taken is; the others are not tried. So there is at most one change
+/// with each event. A change runs `leave` of the old state, then `arrive` of the new one. An event that is raised in
+/// one of these, or in a condition, waits until the change is done.
+///
+/// What throws is reported with its name, and counted. A condition that throws counts as false. When `leave` throws, the
+/// change goes on all the same; when `arrive` throws, the machine is in the new state. With `Config::failure` it then
+/// goes to that state: instead of to the new one when `leave` threw, or from the new one when `arrive` did. What the
+/// failure state itself throws changes nothing more.
+///
+/// States and transitions may be added and removed at any time, also in actions and conditions; a state that the
+/// machine is in, or is going to, cannot be removed.
+///
+/// Nothing is allocated when events are taken in and states change. When the loop drains, the machine stands still.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+/// Errors: SetupError (bad-argument, bad-name, not-found, busy).
+#pragma once
+
+#include <concepts>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/text.hpp"
+#include "rtdata/fsm/graph.hpp"
+#include "rtdata/loop/callback.hpp"
+#include "rtdata/loop/handle.hpp"
+#include "rtdata/loop/loop.hpp"
+
+namespace rtdata::fsm {
+
+inline constexpr std::size_t max_name = 48;    ///< bytes of a state's or an event's name
+inline constexpr std::size_t max_cause = 120;  ///< bytes of a cause; a longer one is cut in the events of the machine
+
+/// What a machine publishes with each change. The first has no `from`.
+struct StateChange {
+  text<max_name> from;
+  text<max_name> to;
+  text<max_cause> cause;  ///< the transition's, "start", or "failure of leave" and "failure of arrive"
+  double lasted = 0;      ///< how long the machine was in `from`
+  friend constexpr auto describe(type_tag<StateChange>) {
+    return record("state_change", field("from", &StateChange::from), field("to", &StateChange::to),
+                  field("cause", &StateChange::cause), field("lasted", &StateChange::lasted, "s"));
+  }
+};
+
+/// When an action or a condition is called.
+struct Moment {
+  Time time{};                ///< that of the event; of what time causes, the loop's on the line of the last event
+  std::string_view state;     ///< the one that the machine is in; in `leave` the one it leaves
+  Duration in_state{0};       ///< for how long
+  std::string_view event{};   ///< the named event; empty: it was none
+};
+
+/// A function with or without a Moment.
+class Action : public Callback<void(const Moment&)> {
+ public:
+  Action() noexcept = default;
+  template <class F>
+  requires(!std::is_base_of_v<Action, std::remove_cvref_t<F>> && std::invocable<std::decay_t<F>&, const Moment&>)
+  Action(F&& function) : Callback(std::forward<F>(function)) {}
+  template <class F>
+  requires(!std::is_base_of_v<Action, std::remove_cvref_t<F>> && std::invocable<std::decay_t<F>&>)
+  Action(F&& function) : Callback([f = std::forward<F>(function)](const Moment&) mutable { f(); }) {}
+};
+class Condition : public Callback<bool(const Moment&)> {
+ public:
+  Condition() noexcept = default;
+  template <class F>
+  requires(!std::is_base_of_v<Condition, std::remove_cvref_t<F>> &&
+           std::is_invocable_r_v<bool, std::decay_t<F>&, const Moment&>)
+  Condition(F&& function) : Callback(std::forward<F>(function)) {}
+  template <class F>
+  requires(!std::is_base_of_v<Condition, std::remove_cvref_t<F>> && std::is_invocable_r_v<bool, std::decay_t<F>&>)
+  Condition(F&& function) : Callback([f = std::forward<F>(function)](const Moment&) mutable { return bool(f()); }) {}
+};
+
+/// A state as a class. Owner: the machine.
+class State {
+ public:
+  virtual ~State() = default;
+  virtual void arrive(const Moment&) {}
+  virtual void leave(const Moment&) {}
+  /// Whether the machine may go to this state now: asked last, when everything else speaks for it.
+  virtual bool check(const Moment&) { return true; }
+};
+
+/// A state of functions.
+struct StateConfig {
+  Action arrive = {};
+  Action leave = {};
+  Condition check = {};   ///< as State::check
+  bool is_final = false;  ///< it is meant that nothing leads out of it
+};
+
+/// A way from one state to another. Each thing that it says must be so; what it does not say is no matter. When it says
+/// nothing, the next event takes it.
+struct Transition {
+  std::string from;
+  std::string to;
+  /// The named event that it waits for. Empty: it is tried with every event of an input and after `after`, and not with
+  /// named events.
+  std::string on = {};
+  Condition when = {};
+  /// `when` must have been true this long: with an event, and with each one since then, up to one that came this much
+  /// later. An input that was stale in between begins it anew.
+  Duration hold{0};
+  /// The machine must have been in `from` this long; then it is tried.
+  Duration after{0};
+  std::string cause = {};  ///< in StateChange and drawings; default: made of the above
+};
+
+struct MachineCounts {
+  std::uint64_t events = 0;       ///< of inputs, named ones, and of time, that were taken in
+  std::uint64_t transitions = 0;  ///< without the start
+  std::uint64_t ignored = 0;      ///< named events that nothing waited for in the state at that time
+  std::uint64_t dropped = 0;      ///< named events that were raised when `Machine::max_waiting` waited already
+  std::uint64_t failures = 0;     ///< actions and conditions that threw
+};
+
+class Machine;
+namespace detail {
+/// An input's event: an earlier one was too old before this one came.
+enum class Before { fresh, stale };
+void input_event(rtdata::detail::Node& machine, Time time, Before before);
+/// SetupError (closed).
+rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
+Loop& loop_of(rtdata::detail::Node& machine);
+MonotonicTime now_of(rtdata::detail::Node& machine);
+const std::string& name_of(rtdata::detail::Node& machine);
+}  // namespace detail
+
+class Machine : public Handle {
+ public:
+  static constexpr std::size_t max_waiting = 256;  ///< events that may wait for the end of a change
+  struct Config {
+    std::string name;          ///< unique in the runtime; the origin of its events
+    std::string topic = {};    ///< default: as the name
+    std::string start;         ///< the state in which it begins
+    std::string failure = {};  ///< the state to go to when an action throws; empty: none
+  };
+
+  Machine() noexcept = default;
+  Machine(Loop& loop, Config config);
+
+  void add_state(std::string name, StateConfig config = {});
+  void add_state(std::string name, std::unique_ptr<State> state, bool is_final = false);
+  /// With the transitions to and from it. SetupError: the machine is in it, or on the way to it (busy).
+  void remove_state(std::string_view name);
+  void add_transition(Transition transition);
+  /// All from the one to the other. Returns how many.
+  std::size_t remove_transitions(std::string_view from, std::string_view to);
+
+  /// Goes to the start state, or to the one that is given, and runs its `arrive`. SetupError (not-found) when there is
+  /// no such state. Of a machine that was started: nothing.
+  void start();
+  void start_in(std::string_view state);
+  /// A named event. Before the start it is ignored, and counted so. One that no transition knows is reported.
+  void raise(std::string_view event);
+  /// Tries the transitions without an event, as after a change of something that is no input.
+  void look();
+
+  /// Valid until the next change. Empty: not started, or closed.
+  std::string_view state() const noexcept;
+  Duration in_state() const;
+  bool is_started() const noexcept { return !state().empty(); }
+  MachineCounts counts() const noexcept;
+  /// Its states and transitions as they are now.
+  Graph graph() const;
+
+ private:
+  friend rtdata::detail::Node& detail::node_of_open(const Machine& machine, std::string_view input);
+};
+
+/// The latest event of a topic, and one that makes the machine try its transitions. It may be closed before its machine
+/// or after it.
+template <class T>
+class Input {
+ public:
+  Input() noexcept = default;
+  /// `max_age`: older than that it counts as not there. The topic: a name, not a pattern.
+  Input(Machine& machine, std::string_view topic, Duration max_age = Duration::max())
+      : latest_(new Latest(detail::node_of_open(machine, topic), max_age)) {
+    Latest* const latest = latest_.get();
+    Loop& loop = detail::loop_of(latest->machine);
+    latest->subscription =
+        loop.topic<T>(topic).subscribe(loop, [latest](const Event<T>& event) { latest->take(event); });
+    latest->subscription.set_name("machine " + detail::name_of(latest->machine));
+  }
+
+  /// There is one that is not too old.
+  explicit operator bool() const {
+    return latest_ != nullptr && latest_->time && latest_->machine.is_open() && latest_->age() <= latest_->max_age;
+  }
+  /// The last value, however old; one of zeros before the first.
+  const T& operator*() const noexcept { return latest_->value; }
+  const T* operator->() const noexcept { return &latest_->value; }
+  /// Since the last event came. Duration::max(): none did.
+  Duration age() const { return latest_ != nullptr && latest_->time ? latest_->age() : Duration::max(); }
+  /// Of the last event.
+  std::optional<Time> time() const noexcept { return latest_ != nullptr ? latest_->time : std::nullopt; }
+
+ private:
+  struct Latest {
+    Latest(rtdata::detail::Node& node, Duration age) : machine(node), max_age(age) { machine.retain(); }
+    Latest(const Latest&) = delete;
+    Latest& operator=(const Latest&) = delete;
+    ~Latest() { machine.release(); }
+    Duration age() const {
+      return machine.is_open() ? detail::now_of(machine) - came : Duration::max();
+    }
+    void take(const Event<T>& event) {
+      if (!machine.is_open()) return;
+      const bool was_stale = time && age() > max_age;
+      value = *event;
+      time = event.time;
+      came = detail::now_of(machine);
+      // Last: the machine's actions may end the life of this input.
+      detail::input_event(machine, event.time, was_stale ? detail::Before::stale : detail::Before::fresh);
+    }
+    rtdata::detail::Node& machine;
+    const Duration max_age;
+    T value{};
+    std::optional<Time> time;  // none: nothing came yet
+    MonotonicTime came{};
+    Subscription subscription;
+  };
+  std::unique_ptr<Latest> latest_;
+};
+
+}  // namespace rtdata::fsm

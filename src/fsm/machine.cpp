@@ -1,0 +1,527 @@
+#include "rtdata/fsm/machine.hpp"
+
+#include <algorithm>
+#include <array>
+#include <vector>
+
+#include "data/nearest.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata::fsm {
+namespace {
+
+using rtdata::detail::LoopCore;
+using rtdata::detail::Node;
+
+/// What makes a machine try its transitions: a named event, by its number, or any other.
+constexpr std::uint16_t any_event = 0xffff;
+
+class StateOfFunctions final : public State {
+ public:
+  explicit StateOfFunctions(StateConfig config) : config_(std::move(config)) {}
+  void arrive(const Moment& moment) override {
+    if (config_.arrive) config_.arrive(moment);
+  }
+  void leave(const Moment& moment) override {
+    if (config_.leave) config_.leave(moment);
+  }
+  bool check(const Moment& moment) override { return !config_.check || config_.check(moment); }
+
+ private:
+  StateConfig config_;
+};
+
+struct Entry;
+
+struct Way {
+  Transition config;
+  Entry& to;
+  std::uint16_t on;           // any_event: it waits for none
+  text<max_cause> cause;
+  bool is_removed = false;    // destroyed when no action runs
+  std::optional<Time> since{};  // its condition has been true
+};
+
+/// A state, with the ways out of it.
+struct Entry {
+  std::string name;
+  std::unique_ptr<State> code;
+  bool is_final;
+  std::vector<std::unique_ptr<Way>> ways{};
+};
+
+std::string cause_of(const Transition& transition) {
+  if (!transition.cause.empty()) return transition.cause;
+  std::string cause = transition.on;
+  const auto add = [&](const std::string& more) { cause += (cause.empty() ? "" : ", ") + more; };
+  if (transition.when) add("a condition");
+  if (transition.hold > Duration{0}) add("for " + to_string(transition.hold));
+  if (transition.after > Duration{0}) add("after " + to_string(transition.after));
+  return cause;
+}
+
+/// As much of it as fits, without a broken character at its end.
+text<max_cause> cut(std::string_view cause) {
+  if (cause.size() > max_cause) {
+    std::size_t end = max_cause;
+    while (end > 0 && (static_cast<unsigned char>(cause[end]) & 0xc0) == 0x80) --end;
+    cause = cause.substr(0, end);
+  }
+  return text<max_cause>(cause);
+}
+
+}  // namespace
+
+class MachineNode final : public Node {
+ public:
+  MachineNode(Loop& loop, Machine::Config config)
+      : Node(loop.core()),
+        config_(std::move(config)),
+        feed_(loop, {.name = config_.name, .topic = config_.topic}),
+        time_(loop, {.name = object()}, [this] { time_passed(); }) {}
+
+  // Its table
+  void add_state(std::string name, std::unique_ptr<State> code, bool is_final) {
+    check_use("cannot add a state");
+    check_name(name, "state");
+    if (code == nullptr) refuse(Errc::bad_argument, "cannot add state", name, "there is no state", "give it one");
+    if (find(name) != nullptr) {
+      refuse(Errc::bad_name, "cannot add state", name, "there is one of that name already",
+             "remove it first, or give it another name");
+    }
+    states_.push_back(std::make_unique<Entry>(Entry{std::move(name), std::move(code), is_final}));
+  }
+  void remove_state(std::string_view name) {
+    check_use("cannot remove a state");
+    Entry& state = entry(name, "cannot remove state");
+    if (&state == current_ || &state == going_to_) {
+      refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
+    }
+    for (const auto& other : states_)
+      for (const auto& way : other->ways)
+        if (&way->to == &state) way->is_removed = true;
+    const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; });
+    removed_.push_back(std::move(*found));
+    states_.erase(found);
+    tidy();
+  }
+  void add_transition(Transition transition) {
+    check_use("cannot add a transition");
+    Entry& from = entry(transition.from, "cannot add a transition from");
+    Entry& to = entry(transition.to, "cannot add a transition to");
+    const std::string name = transition.from + " to " + transition.to;
+    if (transition.hold > Duration{0} && !transition.when)
+      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` without a condition", "give `when`, or use `after`");
+    if (transition.hold < Duration{0} || transition.after < Duration{0})
+      refuse(Errc::bad_argument, "cannot add transition", name, "a time is negative", "give 0 or more");
+    if (transition.hold > Duration{0} && !transition.on.empty()) {
+      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` with `on`: a condition is asked once with a named event",
+             "leave one of them out");
+    }
+    std::uint16_t on = any_event;
+    if (!transition.on.empty()) {
+      check_name(transition.on, "event");
+      on = event_number(transition.on);
+      if (on == any_event) {
+        if (events_.size() >= any_event)
+          refuse(Errc::bad_argument, "cannot add transition", name, "there are too many events", "use fewer");
+        events_.push_back(transition.on);
+        on = static_cast<std::uint16_t>(events_.size() - 1);
+      }
+    }
+    const text<max_cause> cause = cut(transition.cause = cause_of(transition));
+    from.ways.push_back(std::make_unique<Way>(Way{std::move(transition), to, on, cause}));
+    if (&from == current_ && going_to_ == nullptr) arm();
+  }
+  std::size_t remove_transitions(std::string_view from, std::string_view to) {
+    check_use("cannot remove transitions");
+    Entry& source = entry(from, "cannot remove transitions from");
+    const Entry& target = entry(to, "cannot remove transitions to");
+    std::size_t count = 0;
+    for (const auto& way : source.ways) {
+      if (&way->to != &target || way->is_removed) continue;
+      way->is_removed = true;
+      ++count;
+    }
+    tidy();
+    return count;
+  }
+
+  // Its life
+  void start(std::string_view name) {
+    check_use("cannot start");
+    if (current_ != nullptr || going_to_ != nullptr) return;
+    Entry& state = entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
+    if (!config_.failure.empty()) (void)entry(config_.failure, "cannot have as the state after failures");
+    const rtdata::detail::Call call(*this);
+    is_busy_ = true;
+    go(state, "start", loop()->face.time());
+    ended();
+  }
+  void raise(std::string_view name) {
+    check_use("cannot raise an event");
+    const std::uint16_t number = event_number(name);
+    if (number == any_event) return unknown(name);
+    if (waiting_ == queue_.size()) {
+      ++counts_.dropped;
+      return report(Errc::backlog, "an event was dropped", name,
+                    std::to_string(queue_.size()) + " wait for the end of a change already",
+                    "raise fewer in one action");
+    }
+    queue_[(first_ + waiting_++) % queue_.size()] = number;
+    if (!is_busy_) {
+      const rtdata::detail::Call call(*this);
+      take_waiting();
+    }
+  }
+  void look() {
+    check_use("cannot look");
+    if (is_busy_) {
+      looks_again_ = true;
+      return;
+    }
+    take(any_event, now_on_line());
+  }
+  void input(Time time, detail::Before before) {
+    last_time_ = time;
+    last_came_ = loop()->now();
+    if (before == detail::Before::stale && current_ != nullptr)
+      for (const auto& way : current_->ways) way->since.reset();
+    take(any_event, time);
+  }
+
+  std::string_view state() const noexcept { return current_ != nullptr ? std::string_view(current_->name) : std::string_view(); }
+  Duration in_state() const { return current_ != nullptr ? loop()->now() - arrived_ : Duration{0}; }
+  const MachineCounts& counts() const noexcept { return counts_; }
+  const std::string& name() const noexcept { return config_.name; }
+  Graph graph() const {
+    Graph graph;
+    graph.name = config_.name;
+    const auto index = [&](const Entry& state) {
+      return static_cast<std::size_t>(
+          std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; }) - states_.begin());
+    };
+    for (const auto& state : states_) {
+      if (state->name == config_.start) graph.start = graph.states.size();
+      graph.states.push_back({state->name, state->is_final});
+    }
+    for (const auto& state : states_) {
+      for (const auto& way : state->ways) {
+        if (way->is_removed) continue;
+        const Transition& config = way->config;
+        graph.edges.push_back({index(*state), index(way->to), config.cause, config.on, !config.when && !has_check(way->to),
+                               config.after > Duration{0}});
+      }
+    }
+    return graph;
+  }
+  std::string callback_name() const override { return object(); }
+
+ private:
+  ~MachineNode() override = default;
+  std::string object() const { return "machine " + config_.name; }
+  void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
+
+  [[noreturn]] void refuse(Errc code, const char* what, std::string_view of, std::string why, std::string advice) const {
+    throw SetupError({code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
+  }
+  void check_name(const std::string& name, const char* what) const {
+    if (name.empty()) refuse(Errc::bad_name, "cannot add", what, "its name is empty", "give it one");
+    if (name.size() > max_name) {
+      refuse(Errc::bad_name, "cannot add", what + (" " + name), "its name is longer than " + std::to_string(max_name) + " bytes",
+             "give it a shorter one");
+    }
+  }
+  Entry* find(std::string_view name) const noexcept {
+    const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e->name == name; });
+    return found == states_.end() ? nullptr : found->get();
+  }
+  Entry& entry(std::string_view name, const char* what) const {
+    if (Entry* const found = find(name)) return *found;
+    std::vector<std::string_view> names;
+    for (const auto& state : states_) names.push_back(state->name);
+    refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name", rtdata::detail::suggestion(name, names));
+  }
+  std::uint16_t event_number(std::string_view name) const noexcept {
+    const auto found = std::find(events_.begin(), events_.end(), name);
+    return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());
+  }
+  /// Whether the state decides itself when it may be gone to: of a class nobody can know.
+  static bool has_check(const Entry& state) { return dynamic_cast<const StateOfFunctions*>(state.code.get()) == nullptr; }
+
+  // Events
+  void take(std::uint16_t event, Time time) {
+    const rtdata::detail::Call call(*this);
+    is_busy_ = true;
+    try_ways(event, time);
+    ended();
+    if (is_open()) take_waiting();
+  }
+  /// Those that were raised meanwhile, and in turn by what they cause; at most as many as may wait at once, then the
+  /// loop has a turn in between.
+  void take_waiting() {
+    for (std::size_t i = 0; waiting_ > 0 && is_open(); ++i) {
+      if (i == queue_.size()) return time_.start(Duration{0});
+      const std::uint16_t event = queue_[first_];
+      first_ = (first_ + 1) % queue_.size();
+      --waiting_;
+      is_busy_ = true;
+      try_ways(event, now_on_line());
+      ended();
+    }
+    if (is_open() && std::exchange(looks_again_, false)) time_.start(Duration{0});
+  }
+  void time_passed() {
+    take(any_event, now_on_line());
+    if (is_open() && waiting_ == 0) arm();
+  }
+  /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
+  Time now_on_line() {
+    if (!last_time_) return loop()->face.time();
+    return *last_time_ + (loop()->now() - last_came_);
+  }
+  /// When an action or a condition is done, and what it called.
+  void ended() {
+    is_busy_ = false;
+    tidy();
+  }
+  /// Destroys what was removed, when none of it is on the stack.
+  void tidy() {
+    if (is_busy_) return;
+    for (const auto& state : states_)
+      state->ways.erase(std::remove_if(state->ways.begin(), state->ways.end(), [](const auto& way) { return way->is_removed; }),
+                        state->ways.end());
+    removed_.clear();
+  }
+
+  void try_ways(std::uint16_t event, Time time) {
+    ++counts_.events;
+    if (current_ == nullptr || !feed_.is_running()) {
+      if (event != any_event) ++counts_.ignored;
+      return;
+    }
+    Entry& from = *current_;
+    const Moment moment{time, from.name, loop()->now() - arrived_, event == any_event ? std::string_view() : std::string_view(events_[event])};
+    bool is_known = event == any_event;
+    // By index: conditions may add ways.
+    for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
+      Way& way = *from.ways[i];
+      if (way.on != event || way.is_removed) continue;
+      is_known = true;
+      if (moment.in_state < way.config.after) continue;
+      if (!holds(way, moment) || way.is_removed || !may_go_to(way.to, moment) || way.is_removed) continue;
+      if (!is_open()) return;
+      ++counts_.transitions;
+      return go(way.to, way.cause, time);
+    }
+    if (!is_known) ++counts_.ignored;
+  }
+  bool holds(Way& way, const Moment& moment) {
+    if (!way.config.when) return true;
+    if (!ask("the condition of ", way, [&] { return way.config.when(moment); })) {
+      way.since.reset();
+      return false;
+    }
+    if (!way.since) way.since = moment.time;
+    return moment.time - *way.since >= way.config.hold;
+  }
+  bool may_go_to(Entry& state, const Moment& moment) {
+    bool may = false;
+    call("check", state, [&] { may = state.code->check(moment); });
+    return may && is_open();
+  }
+
+  /// Goes to a state, and on to the failure state when an action threw.
+  void go(Entry& target, std::string_view cause, Time time) {
+    Entry* to = &target;
+    Entry* const failure = config_.failure.empty() ? nullptr : find(config_.failure);
+    const char* why = nullptr;
+    going_to_ = to;
+    if (current_ != nullptr) {
+      const Moment moment{time, current_->name, in_state()};
+      if (!call("leave", *current_, [&] { current_->code->leave(moment); }) && failure != nullptr) {
+        to = failure;
+        why = "failure of leave";
+      }
+      if (!is_open()) return;
+    }
+    if (!arrive_in(*to, why != nullptr ? why : cause, time) && is_open() && failure != nullptr && failure != to) {
+      // The state whose arrive threw is left like any other.
+      const Moment moment{time, current_->name, Duration{0}};
+      going_to_ = failure;
+      call("leave", *current_, [&] { current_->code->leave(moment); });
+      if (is_open()) arrive_in(*failure, "failure of arrive", time);
+    }
+    if (!is_open()) return;
+    going_to_ = nullptr;
+    arm();
+  }
+  bool arrive_in(Entry& to, std::string_view cause, Time time) {
+    StateChange change;
+    if (current_ != nullptr) {
+      change.from = current_->name;
+      change.lasted = std::chrono::duration<double>(in_state()).count();
+    }
+    change.to = to.name;
+    change.cause = cut(cause);
+    current_ = &to;
+    going_to_ = &to;
+    arrived_ = loop()->now();
+    for (const auto& way : to.ways) way->since.reset();
+    feed_.publish(change, time);  // before what it causes
+    if (!is_open()) return false;
+    return call("arrive", to, [&] { to.code->arrive({time, to.name, Duration{0}}); });
+  }
+  /// Wakes up when the next way of the current state may be tried.
+  void arm() {
+    const Duration passed = in_state();
+    Duration next = Duration::max();
+    for (const auto& way : current_->ways)
+      if (!way->is_removed && way->on == any_event && way->config.after > passed) next = std::min(next, way->config.after);
+    if (next == Duration::max()) {
+      if (waiting_ == 0) time_.stop();
+    } else {
+      time_.start_at(rtdata::detail::later(arrived_, next));
+    }
+  }
+
+  // Users' functions
+  template <class Function>
+  bool call(const char* what, const Entry& state, Function&& function) {
+    return run([&] { return std::string(what) + " of state " + state.name; }, std::forward<Function>(function));
+  }
+  template <class Function>
+  bool ask(const char* what, const Way& way, Function&& function) {
+    bool answer = false;
+    run([&] { return what + way.config.from + " to " + way.config.to; }, [&] { answer = function(); });
+    return answer && is_open();
+  }
+  /// False: it threw.
+  template <class Name, class Function>
+  bool run(const Name& name, Function&& function) {
+    const LoopCore::Calling calling(loop()->runtime);
+    try {
+      function();
+      return true;
+    } catch (const std::exception& e) {
+      threw(name, e.what());
+    } catch (...) {
+      threw(name, "an exception that is no std::exception");
+    }
+    return false;
+  }
+  template <class Name>
+  void threw(const Name& name, const char* why) noexcept {
+    ++counts_.failures;
+    if (!is_open()) return;
+    loop()->call_own("machine", [&] { report(Errc::handler_threw, "an exception left", name(), why, ""); });
+  }
+  void report(Errc code, const char* what, std::string_view of, std::string why, std::string advice) {
+    loop()->runtime.report(loop(), object(), {code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
+  }
+  void unknown(std::string_view name) {
+    ++counts_.ignored;
+    report(Errc::bad_name, "cannot raise event", name, "no transition waits for an event of that name", rtdata::detail::suggestion(name, {events_.begin(), events_.end()}));
+  }
+
+  void on_close() noexcept override {
+    time_.close();
+    feed_.close();
+    current_ = going_to_ = nullptr;
+    waiting_ = 0;
+  }
+  void drop_callbacks() noexcept override {
+    states_.clear();
+    removed_.clear();
+  }
+
+  const Machine::Config config_;
+  Feed<StateChange> feed_;
+  Timer time_;  // for the next `after`, and to go on with events that wait
+  std::vector<std::unique_ptr<Entry>> states_;
+  std::vector<std::unique_ptr<Entry>> removed_;  // while an action runs
+  std::vector<std::string> events_;              // by their number
+  Entry* current_ = nullptr;
+  Entry* going_to_ = nullptr;  // while a change is under way
+  MonotonicTime arrived_{};
+  std::optional<Time> last_time_;  // of an input's event
+  MonotonicTime last_came_{};      // when that came
+  std::array<std::uint16_t, Machine::max_waiting> queue_{};  // a ring
+  std::size_t first_ = 0;
+  std::size_t waiting_ = 0;
+  bool is_busy_ = false;  // an action or a condition may be on the stack
+  bool looks_again_ = false;
+  MachineCounts counts_;
+};
+
+namespace {
+
+MachineNode& open_node(rtdata::detail::Node* node, const char* what) {
+  if (node != nullptr && node->is_open()) return *static_cast<MachineNode*>(node);
+  throw SetupError({Errc::closed, what, "machine", "it is closed", ""});
+}
+const MachineNode* node_or_null(const rtdata::detail::Node* node) noexcept {
+  return node != nullptr && node->is_open() ? static_cast<const MachineNode*>(node) : nullptr;
+}
+
+}  // namespace
+
+Machine::Machine(Loop& loop, Config config) : Handle(new MachineNode(loop, std::move(config))) {}
+void Machine::add_state(std::string name, StateConfig config) {
+  const bool is_final = config.is_final;
+  add_state(std::move(name), std::make_unique<StateOfFunctions>(std::move(config)), is_final);
+}
+void Machine::add_state(std::string name, std::unique_ptr<State> state, bool is_final) {
+  open_node(node(), "cannot add a state").add_state(std::move(name), std::move(state), is_final);
+}
+void Machine::remove_state(std::string_view name) { open_node(node(), "cannot remove a state").remove_state(name); }
+void Machine::add_transition(Transition transition) {
+  open_node(node(), "cannot add a transition").add_transition(std::move(transition));
+}
+std::size_t Machine::remove_transitions(std::string_view from, std::string_view to) {
+  return open_node(node(), "cannot remove transitions").remove_transitions(from, to);
+}
+void Machine::start() { open_node(node(), "cannot start").start({}); }
+void Machine::start_in(std::string_view state) { open_node(node(), "cannot start").start(state); }
+void Machine::raise(std::string_view event) {
+  if (is_open()) open_node(node(), "cannot raise an event").raise(event);
+}
+void Machine::look() {
+  if (is_open()) open_node(node(), "cannot look").look();
+}
+std::string_view Machine::state() const noexcept {
+  const MachineNode* const machine = node_or_null(node());
+  return machine != nullptr ? machine->state() : std::string_view();
+}
+Duration Machine::in_state() const {
+  const MachineNode* const machine = node_or_null(node());
+  return machine != nullptr ? machine->in_state() : Duration{0};
+}
+MachineCounts Machine::counts() const noexcept {
+  const MachineNode* const machine = node_or_null(node());
+  return machine != nullptr ? machine->counts() : MachineCounts{};
+}
+Graph Machine::graph() const {
+  const MachineNode* const machine = node_or_null(node());
+  return machine != nullptr ? machine->graph() : Graph{};
+}
+
+namespace detail {
+
+void input_event(rtdata::detail::Node& machine, Time time, Before before) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, before);
+}
+rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input) {
+  rtdata::detail::Node* const node = machine.node();
+  if (node != nullptr && node->is_open()) return *node;
+  throw SetupError({Errc::closed, "cannot make an input", std::string(input), "its machine is closed", ""});
+}
+Loop& loop_of(rtdata::detail::Node& machine) { return machine.loop()->face; }
+MonotonicTime now_of(rtdata::detail::Node& machine) { return machine.loop()->now(); }
+const std::string& name_of(rtdata::detail::Node& machine) { return static_cast<MachineNode&>(machine).name(); }
+
+}  // namespace detail
+}  // namespace rtdata::fsm
