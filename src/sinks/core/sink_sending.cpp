@@ -80,6 +80,10 @@ void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) 
 
 void SinkQueue::end_sending() noexcept {
   if (spare_parcels_.size() < parcels_.size()) spare_parcels_.swap(parcels_);
+  try {  // all of them: a small batch must not cost the next one its memory
+    for (Parcel& parcel : parcels_) spare_parcels_.push_back(std::move(parcel));
+  } catch (...) {  // no memory: some less
+  }
   parcels_.clear();
   finish_batch();
 }
