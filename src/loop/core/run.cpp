@@ -201,7 +201,8 @@ void LoopCore::settle() {
     run_due();
     is_some_left = take_sent(end_of_budget());
     look_at_io();
-    if (deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later) is_some_left = true;
+    if (!deliveries.is_empty() && deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later)
+      is_some_left = true;
   } while (is_some_left && !is_stopping());
 }
 
