@@ -5,6 +5,7 @@
 
 #include "data/character.hpp"
 #include "data/copy.hpp"
+#include "data/event_head.hpp"
 #include "data/json_decode.hpp"
 #include "data/load.hpp"
 #include "data/per_description.hpp"
@@ -217,16 +218,11 @@ class CborCodec final : public Codec {
     const Plan& plan = plans_.of(event.description());
     const std::size_t longest = 128 + event.topic().size() + event.origin().size() + event.run().size() + plan.longest;
     if (item_.size() < longest) item_.resize(longest);
-    char* to = put_head(item_.data(), map, event.run().empty() ? 5 : 6);
-    to = put_text(put_text(to, "topic"), event.topic());
-    to = put_integer(put_text(to, "time"), to_nanoseconds(event.time()));
-    to = put_text(put_text(to, "origin"), event.origin());
-    to = put_head(put_text(to, "sequence"), natural, event.sequence());
-    if (!event.run().empty()) {
-      const std::string_view run = run_entry(event.run());
-      to = detail::copy_short(to, run.data(), run.size());
-    }
-    to = put_text(to, "data");
+    head_.set(event, [&] { make_head(event); });
+    const auto put = [](char* at, const std::string& text) { return detail::copy_short(at, text.data(), text.size()); };
+    char* to = put_integer(put(item_.data(), head_.before_time), to_nanoseconds(event.time()));
+    to = put_head(put(to, head_.before_sequence), natural, event.sequence());
+    to = put(to, head_.before_data);
     const char* fixed = plan.fixed.data();
     const std::vector<Leaf>& leaves = event.description().leaves();
     for (std::size_t i = 0; i < leaves.size(); ++i) {
@@ -260,19 +256,20 @@ class CborCodec final : public Codec {
   }
 
  private:
-  /// The same for many events.
-  std::string_view run_entry(std::string_view run) {
-    if (run == run_) return run_entry_;
-    run_ = run;
-    run_entry_.resize(32 + run.size());
-    const char* const end = put_text(put_text(run_entry_.data(), "run"), run);
-    run_entry_.resize(static_cast<std::size_t>(end - run_entry_.data()));
-    return run_entry_;
+  void make_head(const EventView& event) {
+    const bool has_run = !event.run().empty();
+    char* const begin = item_.data();
+    char* end = put_text(put_text(put_head(begin, map, has_run ? 6 : 5), "topic"), event.topic());
+    head_.before_time.assign(begin, put_text(end, "time"));
+    end = put_text(put_text(begin, "origin"), event.origin());
+    head_.before_sequence.assign(begin, put_text(end, "sequence"));
+    end = has_run ? put_text(put_text(begin, "run"), event.run()) : begin;
+    head_.before_data.assign(begin, put_text(end, "data"));
   }
 
   detail::PerDescription<Plan> plans_;
   std::vector<char> item_;
-  std::string run_, run_entry_;
+  detail::EventHead head_;
 };
 
 }  // namespace

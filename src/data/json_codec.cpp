@@ -3,6 +3,7 @@
 
 #include "data/character.hpp"
 #include "data/copy.hpp"
+#include "data/event_head.hpp"
 #include "data/json_decode.hpp"
 #include "data/load.hpp"
 #include "data/number_text.hpp"
@@ -195,16 +196,12 @@ class JsonCodec final : public Codec {
     const std::size_t longest = 128 + 6 * (event.topic().size() + event.origin().size() + event.run().size()) +
                                 plan.longest;
     if (line_.size() < longest) line_.resize(longest);
-    char* to = put(line_.data(), "{\"topic\":");
-    to = put_string(to, event.topic());
-    to = put(to, ",\"time\":");
+    head_.set(event, [&] { make_head(event); });
+    char* to = put(line_.data(), head_.before_time);
     to = put_number(to, to_nanoseconds(event.time()));
-    to = put(to, ",\"origin\":");
-    to = put_string(to, event.origin());
-    to = put(to, ",\"sequence\":");
+    to = put(to, head_.before_sequence);
     to = put_number(to, event.sequence());
-    if (!event.run().empty()) to = put(to, run_member(event.run()));
-    to = put(to, ",\"data\":");
+    to = put(to, head_.before_data);
     const char* fixed = plan.fixed.data();
     const std::byte* payload = event.payload().data();
     for (const Plan::Step& step : plan.steps) {
@@ -228,19 +225,25 @@ class JsonCodec final : public Codec {
   }
 
  private:
-  /// The same for many events.
-  std::string_view run_member(std::string_view run) {
-    if (run == run_) return run_member_;
-    run_ = run;
-    run_member_.resize(16 + 6 * run.size());
-    const char* const end = put_string(put(run_member_.data(), ",\"run\":"), run);
-    run_member_.resize(static_cast<std::size_t>(end - run_member_.data()));
-    return run_member_;
+  void make_head(const EventView& event) {
+    const auto make = [this](std::string& text, std::string_view before, std::string_view name,
+                             std::string_view after) {
+      char* to = put_string(put(line_.data(), before), name);
+      to = put(to, after);
+      text.assign(line_.data(), to);
+    };
+    make(head_.before_time, "{\"topic\":", event.topic(), ",\"time\":");
+    make(head_.before_sequence, ",\"origin\":", event.origin(), ",\"sequence\":");
+    if (event.run().empty()) {
+      head_.before_data = ",\"data\":";
+    } else {
+      make(head_.before_data, ",\"run\":", event.run(), ",\"data\":");
+    }
   }
 
   detail::PerDescription<Plan> plans_;
   std::vector<char> line_;
-  std::string run_, run_member_;
+  detail::EventHead head_;
 };
 
 }  // namespace

@@ -131,8 +131,12 @@ class Receiver {
 double http_sink_row(const std::string& url, const std::string& format) {
   rtdata::Loop loop;
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
-  rtdata::HttpSink sink(loop,
-                        {.url = url, .format = format, .sending = {.window = window, .parcel_rows = rows_of_post}});
+  rtdata::HttpConfig config;
+  config.url = url;
+  config.format = format;
+  config.sending.window = window;
+  config.sending.parcel_rows = rows_of_post;
+  rtdata::HttpSink sink(loop, config);
   constexpr unsigned at_a_time = window * rows_of_post;
   unsigned left = rows / at_a_time;
   const std::int64_t begin = process_cpu_ns();

@@ -202,6 +202,36 @@ TEST_SUITE("loop") {
     loop.poll();
   }
 
+  TEST_CASE("virtual time looks at handles of others from the moment that the loop of libuv is asked for") {
+    Loop loop(Loop::Manual{});
+    int ticks = 0, turns = 0;
+    Ticker ticker(loop, 1ms, [&](const Tick&) { ++ticks; });
+    loop.advance(10ms);
+    CHECK(ticks == 11);
+    uv_prepare_t prepare;
+    uv_prepare_init(loop.uv(), &prepare);
+    prepare.data = &turns;
+    uv_prepare_start(&prepare, [](uv_prepare_t* handle) { ++*static_cast<int*>(handle->data); });
+    loop.advance(10ms);
+    CHECK(turns >= 10);
+    uv_close(reinterpret_cast<uv_handle_t*>(&prepare), nullptr);
+    loop.poll();
+  }
+
+  TEST_CASE("virtual time without anything of others: what is posted and a stop are seen at the next instant") {
+    Loop loop(Loop::Manual{});
+    std::vector<int> order;
+    Ticker ticker(loop, 1ms, [&](const Tick& tick) {
+      order.push_back(static_cast<int>(tick.index));
+      if (tick.index == 2) loop.post([&] { order.push_back(100); });
+      if (tick.index == 4) loop.stop();
+    });
+    loop.advance(10ms);
+    CHECK(order == std::vector<int>{0, 1, 2, 100, 3, 4});
+    loop.advance(2ms);
+    CHECK(order.size() == 8);
+  }
+
   TEST_CASE("errors go to on_error, which may throw and may set another; without one to the log") {
     Loop loop(Loop::Manual{});
     std::vector<std::string> log;

@@ -178,6 +178,33 @@ TEST_SUITE("sinks") {
     CHECK(sink.health() == Health::ok);
   }
 
+  TEST_CASE("the time for an answer is that of the parcel which waits longest, whatever is answered around it") {
+    Bench bench;
+    std::vector<Answer> kept;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (bench.peer->sent == 2) {
+        kept.push_back(std::move(answer));  // for ever
+      } else {
+        bench.peer->take(parcel, std::move(answer));
+      }
+    };
+    Sink sink = bench.make();
+    bench.publish(30);
+    bench.loop.advance(500ms);
+    const std::uint64_t before = sink.counts().stored;
+    CHECK(before > 0);
+    CHECK(before < 30);
+    bench.loop.advance(400ms);
+    CHECK(bench.peer->cancelled == 0);
+    CHECK(sink.health() == Health::ok);
+    bench.loop.advance(150ms);
+    CHECK(bench.peer->cancelled == 1);
+    bench.loop.advance(2s);
+    CHECK(sink.counts().stored == 30);
+    CHECK(bench.peer->cancelled == 1);
+    CHECK(sink.health() == Health::ok);
+  }
+
   TEST_CASE("an answer that is forgotten, and a sender that throws, are failures like others") {
     Bench bench;
     bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {

@@ -47,7 +47,7 @@ MonotonicTime Loop::now() noexcept { return core_->now(); }
 Time Loop::time() noexcept { return core_->runtime.event_time(core_->now()); }
 Runtime& Loop::runtime() noexcept { return core_->runtime.face; }
 const Loop::Config& Loop::config() const noexcept { return core_->config; }
-uv_loop_t* Loop::uv() noexcept { return core_->uv.loop(); }
+uv_loop_t* Loop::uv() noexcept { return core_->uv.lend(); }
 void Loop::on_error(Callback<void(const ErrorReport&)> handler) {
   core_->check_thread("cannot set on_error", "loop " + config().name);
   core_->check_not_ending("cannot set on_error");

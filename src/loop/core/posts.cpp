@@ -18,6 +18,7 @@ void Posts::add(Callback<void()> function) {
     if (!takes_more_) return;  // the function is destroyed when the lock is free again
     waiting_.push_back(std::move(function));
     ++posted_;
+    is_any_waiting_.store(true, std::memory_order_release);
   }
   loop_.uv.wake().send();
   if (loop_.virtual_threads() != nullptr) loop_.virtual_threads()->preempt();
@@ -36,9 +37,11 @@ PostCounts Posts::counts() noexcept {
 void Posts::take() {
   taken_.clear();
   next_ = 0;
+  if (!is_any_waiting_.load(std::memory_order_acquire)) return;  // who adds one wakes the loop up afterwards
   {
     const std::lock_guard lock(mutex_);
     taken_.swap(waiting_);
+    is_any_waiting_.store(false, std::memory_order_relaxed);
     most_waiting_ = std::max<std::uint64_t>(most_waiting_, taken_.size());
   }
   if (taken_.size() > Loop::post_backlog) [[unlikely]] {

@@ -42,6 +42,7 @@ class Posts {
   PriorityMutex mutex_;
   std::vector<Callback<void()>> waiting_;  // guarded by the mutex, as the next
   bool takes_more_ = true;
+  std::atomic<bool> is_any_waiting_{false};  // read without it
   std::uint64_t posted_ = 0;
   std::uint64_t most_waiting_ = 0;
   std::atomic<std::uint64_t> run_{0};

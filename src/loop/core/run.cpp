@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <optional>
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
@@ -138,9 +139,9 @@ void LoopCore::advance(Duration duration) {
   begin_instant();
   if (!is_stopping()) settle();
   for (bool is_there = false; !is_there && !is_stopping();) {
-    const MonotonicTime next = std::min(deadlines.next_due().value_or(MonotonicTime::max()), target);
-    const bool is_last = !deadlines.next_due() || *deadlines.next_due() > target;
-    if (!advance_to(next)) break;
+    const std::optional<MonotonicTime> next = deadlines.next_due();
+    const bool is_last = !next || *next > target;
+    if (!advance_to(is_last ? target : *next)) break;
     is_there = is_last && now() >= target;
   }
   // What tiers do at the very end, and what comes of it here; not for ever, when each time something does.
@@ -184,6 +185,9 @@ bool LoopCore::advance_to(MonotonicTime target) {
 }
 
 void LoopCore::look_at_io() {
+  // In virtual time no timer of the kernel is set, and what was sent is seen without the descriptor: so there is
+  // nothing to ask the kernel for, which would be most of the cost of an instant.
+  if (manual_ != nullptr && !uv.is_lent()) return turn_ended();
   ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
   uv_run(uv.loop(), UV_RUN_NOWAIT);
   unref();
@@ -197,7 +201,8 @@ void LoopCore::settle() {
     run_due();
     is_some_left = take_sent(end_of_budget());
     look_at_io();
-    if (deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later) is_some_left = true;
+    if (!deliveries.is_empty() && deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later)
+      is_some_left = true;
   } while (is_some_left && !is_stopping());
 }
 

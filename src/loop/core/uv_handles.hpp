@@ -21,6 +21,13 @@ class UvHandles {
   ~UvHandles();
 
   uv_loop_t* loop() noexcept { return loop_; }
+  /// For handles of others on it.
+  uv_loop_t* lend() noexcept {
+    is_lent_ = true;
+    return loop_;
+  }
+  /// Others may have handles on it.
+  bool is_lent() const noexcept { return is_lent_ || is_attached(); }
   bool is_attached() const noexcept { return loop_ != &own_loop_; }
   Wake& wake() noexcept;
 
@@ -42,6 +49,7 @@ class UvHandles {
   uv_loop_t own_loop_{};
   uv_loop_t* loop_;
   Memory* memory_ = nullptr;
+  bool is_lent_ = false;
 };
 
 }  // namespace rtdata::detail

@@ -31,7 +31,7 @@ class FdWatchNode final : public Node {
       : Node(loop), name_(std::move(name)), callback_(std::move(callback)) {
     if (!callback_) refuse_empty("cannot watch", name_);
     auto box = std::make_unique<Box>();
-    if (const int status = uv_poll_init(loop.uv.loop(), &box->handle, fd); status != 0) {
+    if (const int status = uv_poll_init(loop.uv.lend(), &box->handle, fd); status != 0) {
       failed_ = status;
       return;
     }
@@ -88,7 +88,7 @@ class SignalWatchNode final : public Node {
       : Node(loop), name_("signal " + std::to_string(number)), callback_(std::move(callback)) {
     if (!callback_) refuse_empty("cannot watch signal", std::to_string(number));
     box_ = new Box;
-    uv_signal_init(loop.uv.loop(), &box_->handle);
+    uv_signal_init(loop.uv.lend(), &box_->handle);
     box_->owner = this;
     box_->handle.data = box_;
     failed_ = uv_signal_start(

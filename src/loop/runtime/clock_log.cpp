@@ -64,15 +64,21 @@ bool is_step(Duration moved) noexcept {
 
 }  // namespace
 
-ClockPair ClockLog::read(const char* occasion) noexcept {
-  const auto [at, realtime] = both_times(*clock_);
+ClockPair ClockLog::read(const char* occasion) noexcept { return read(both_times(*clock_), occasion); }
+
+ClockPair ClockLog::read(const std::pair<MonotonicTime, Time>& both, const char* occasion) noexcept {
+  const auto& [at, realtime] = both;
   const Duration offset = difference(at.time_since_epoch(), realtime.time_since_epoch());
   return {at, is_step(difference(last_offset_, offset)) ? realtime : later(Time{last_offset_}, at.time_since_epoch()),
           "system", clock_->accuracy(), occasion};
 }
 
 bool ClockLog::look(const char* occasion) {
-  ClockPair pair = read(occasion);
+  const auto both = both_times(*clock_);
+  if (occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval &&
+      difference(both.first.time_since_epoch(), both.second.time_since_epoch()) == last_offset_)
+    return false;  // as in nearly every instant of virtual time
+  ClockPair pair = read(both, occasion);
   const Duration offset = difference(pair.monotonic.time_since_epoch(), pair.realtime.time_since_epoch());
   const bool was_set = offset != last_offset_;
   if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, pair.monotonic) < clock_look_interval)

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "loop/support/deadline.hpp"
@@ -38,6 +39,7 @@ class ClockLog {
   /// The time of day now. Two offsets that differ by less than 1 ms count as one: that is the noise of reading two
   /// clocks.
   ClockPair read(const char* occasion) noexcept;
+  ClockPair read(const std::pair<MonotonicTime, Time>& both, const char* occasion) noexcept;
   /// For a recording that begins now: the pair now, and the last ones of other sources.
   std::vector<ClockPair> pairs();
 

@@ -1,4 +1,5 @@
 // What becomes of a batch that is sent: parcels, made on the lane, and what was answered to them, counted on the loop.
+#include <algorithm>
 #include <utility>
 
 #include "sinks/core/sink_queue.hpp"
@@ -32,6 +33,7 @@ Result<void> SinkQueue::encode() {
     if (parcel == nullptr || parcel->rows_.size() >= sending_.parcel_rows ||
         parcel->bytes_.size() >= sending_.parcel_bytes) {
       parcel = &add_parcel();
+      parcel->rows_.reserve(std::min(sending_.parcel_rows, batch_.rows_ - in_batch));
     }
     const std::size_t before = parcel->bytes_.size();
     if (auto encoded = sender_->encode(record, parcel->bytes_)) {
@@ -52,10 +54,12 @@ Result<void> SinkQueue::encode() {
 void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) noexcept {
   const Parcel& parcel = parcels_[number];
   revision_.fetch_add(1, std::memory_order_acq_rel);
-  for (const Parcel::Row& row : parcel.rows_) {
-    SlotStored& slot = stored(row.slot);
-    --slot.in_batch;
-    slot.stored.fetch_add(1, std::memory_order_relaxed);
+  const std::vector<Parcel::Row>& rows = parcel.rows_;
+  for (std::size_t begin = 0, end = 0; begin < rows.size(); begin = end) {
+    while (end < rows.size() && rows[end].slot == rows[begin].slot) ++end;
+    SlotStored& slot = stored(rows[begin].slot);
+    slot.in_batch -= static_cast<std::uint32_t>(end - begin);
+    slot.stored.fetch_add(end - begin, std::memory_order_relaxed);
   }
   for (const RefusedRow& row : refused) {
     const Parcel::Row& of = parcel.rows_[row.row];
@@ -76,6 +80,10 @@ void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) 
 
 void SinkQueue::end_sending() noexcept {
   if (spare_parcels_.size() < parcels_.size()) spare_parcels_.swap(parcels_);
+  try {  // all of them: a small batch must not cost the next one its memory
+    for (Parcel& parcel : parcels_) spare_parcels_.push_back(std::move(parcel));
+  } catch (...) {  // no memory: some less
+  }
   parcels_.clear();
   finish_batch();
 }

@@ -84,7 +84,10 @@ void Transfer::begin(std::span<const Parcel> parcels) {
   entries_.clear();
   entries_.resize(parcels.size());
   parcels_ = parcels;
-  next_ = settled_ = under_way_ = 0;
+  next_ = settled_ = under_way_ = answered_ = 0;
+  sent_.clear();
+  sent_.reserve(2 * sending_.window);
+  first_sent_ = 0;
   if (!std::exchange(has_begun_, true)) call_sender("begin", [this] { sender_.begin(loop_.face); });
   go_on();
 }
@@ -101,7 +104,7 @@ void Transfer::end() noexcept {
   const bool is_awaited = under_way_ > 0;
   for (Entry& entry : entries_) entry.transmission = 0;
   entries_.clear();
-  settled_ = under_way_ = 0;
+  settled_ = under_way_ = answered_ = 0;
   timer_.close();
   if (!has_begun_) return;
   if (is_awaited) call_sender("cancel", [this] { sender_.cancel(); });
@@ -119,6 +122,7 @@ void Transfer::acknowledge(std::size_t parcel, std::uint64_t transmission) {
   if (entry == nullptr) return;
   entry->state = Entry::State::answered;
   --under_way_;
+  ++answered_;
   backoff_.reset();
   go_on();
 }
@@ -168,8 +172,9 @@ void Transfer::go_on() {
   if (owner_ == nullptr) return;
   if (!entries_.empty() && settled_ == entries_.size()) {
     entries_.clear();
-    settled_ = 0;
+    settled_ = answered_ = 0;
     timer_.stop();
+    timer_at_.reset();
     owner_->all_settled();
   } else {
     set_timer();
@@ -207,16 +212,19 @@ void Transfer::send(std::size_t parcel) {
   entry.transmission = ++transmissions_;
   entry.deadline = later(now, sending_.timeout);
   ++under_way_;
+  if (sent_.size() == sent_.capacity()) {  // it has room for twice as many as can be under way
+    std::erase_if(sent_, [this](const Sent& sent) { return awaited(sent.parcel, sent.transmission) == nullptr; });
+    first_sent_ = 0;
+  }
+  sent_.push_back({parcel, transmissions_});
   call_sender("send", [&] { sender_.send(parcels_[parcel], Answer(weak_from_this(), parcel, transmissions_)); });
 }
 
 void Transfer::timer_fired() {
   const MonotonicTime now = loop_.now();
+  timer_at_.reset();
   if (blocked_until_ && *blocked_until_ <= now) blocked_until_.reset();
-  const bool is_late = std::any_of(entries_.begin(), entries_.end(), [now](const Entry& entry) {
-    return entry.state == Entry::State::sent && entry.deadline <= now;
-  });
-  if (is_late) {
+  if (const auto deadline = next_deadline(); deadline && *deadline <= now) {
     const auto self = shared_from_this();
     for (Entry& entry : entries_) {
       if (entry.state != Entry::State::sent) continue;
@@ -239,18 +247,25 @@ void Transfer::timer_fired() {
 void Transfer::set_timer() {
   std::optional<MonotonicTime> at = blocked_until_;
   const auto wake_at = [&at](MonotonicTime time) { at = at ? std::min(*at, time) : time; };
-  bool is_any_waiting = false;
-  for (const Entry& entry : entries_) {
-    if (entry.state == Entry::State::sent) wake_at(entry.deadline);
-    is_any_waiting = is_any_waiting || entry.state == Entry::State::waiting;
-  }
+  if (const auto deadline = next_deadline()) wake_at(*deadline);
+  const bool is_any_waiting = under_way_ + answered_ < entries_.size();
   if (is_any_waiting && !blocked_until_ && under_way_ < sending_.window)
     wake_at(sending_.bytes_per_second != 0 ? std::max(paced_until_, loop_.now()) : loop_.now());
-  if (at) {
-    timer_.start_at(*at);
-  } else {
+  if (!at) {
     timer_.stop();
+    timer_at_.reset();
+  } else if (!timer_at_ || *at < *timer_at_) {  // at a time that is over it looks again
+    timer_.start_at(*at);
+    timer_at_ = at;
   }
+}
+
+std::optional<MonotonicTime> Transfer::next_deadline() noexcept {
+  for (; first_sent_ < sent_.size(); ++first_sent_) {
+    const Sent& sent = sent_[first_sent_];
+    if (const Entry* entry = awaited(sent.parcel, sent.transmission)) return entry->deadline;
+  }
+  return std::nullopt;
 }
 
 }  // namespace detail

@@ -64,6 +64,8 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   void wait_after(const Error& why, std::optional<Duration> after);
   void timer_fired();
   void set_timer();
+  /// Of those that are under way, the first.
+  std::optional<MonotonicTime> next_deadline() noexcept;
   /// A call of the sender's: what it throws is reported to the owner.
   template <class Call>
   void call_sender(const char* name, Call&& call) noexcept;
@@ -78,6 +80,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   std::size_t next_ = 0;  // before it, none waits
   std::size_t settled_ = 0;
   std::size_t under_way_ = 0;
+  std::size_t answered_ = 0;
   std::uint64_t transmissions_ = 0;
   bool has_begun_ = false;
   bool is_going_on_ = false;
@@ -85,7 +88,16 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   Backoff backoff_;
   std::optional<MonotonicTime> blocked_until_;
   MonotonicTime paced_until_{};  // by the limit on bytes
+  /// Those sent, in the order of their deadlines; before `first_sent_`, and between others, lie some that are not under
+  /// way any more.
+  struct Sent {
+    std::size_t parcel;
+    std::uint64_t transmission;
+  };
+  std::vector<Sent> sent_;
+  std::size_t first_sent_ = 0;
   Timer timer_;
+  std::optional<MonotonicTime> timer_at_;  // when it fires: not later than it has to
 };
 
 }  // namespace rtdata::detail

@@ -168,9 +168,10 @@ void Statement::reset() noexcept { sqlite3_reset(raw()); }
 std::int64_t Statement::integer(int column) const noexcept { return sqlite3_column_int64(raw(), column); }
 double Statement::real(int column) const noexcept { return sqlite3_column_double(raw(), column); }
 std::string_view Statement::text(int column) const noexcept {
-  const auto* bytes = reinterpret_cast<const char*>(sqlite3_column_text(raw(), column));
+  sqlite3_value* const value = sqlite3_column_value(raw(), column);  // no other thread uses the connection meanwhile
+  const auto* bytes = reinterpret_cast<const char*>(sqlite3_value_text(value));
   return bytes == nullptr ? std::string_view{}
-                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(raw(), column))};
+                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_value_bytes(value))};
 }
 bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(raw(), column) == SQLITE_NULL; }
 

@@ -219,6 +219,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void drop_callbacks() noexcept override { on_done.reset(); }
 
   const ReplayConfig config_;
+  const std::string callback_name_;
   std::vector<std::pair<std::string, std::string>> renamings_;
   RunInfo run_;
   Time base_{};  // is given when it starts
@@ -258,7 +259,8 @@ void ReplayJob::done(Outcome outcome) {
 
 // ---- opening
 
-ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config) : SensorEntry(loop), config_(std::move(config)) {
+ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
+    : SensorEntry(loop), config_(std::move(config)), callback_name_("replay " + config_.name) {
   if (config_.speed < 1e-6 || config_.speed > 1e6)
     throw SetupError(refused("speed", "it is not from 0.000001 to 1000000", "1 is as it was recorded"));
   for (const std::string& text : config_.rename) renamings_.push_back(renaming_of(text).or_throw());
@@ -416,7 +418,7 @@ void ReplayNode::fire(MonotonicTime now) {
   Call call(*this);
   on.nodes.begins(this);
   if (!on.deliveries.is_empty()) return wait_until(later(now, pause_for_handlers));  // handlers come first
-  on.call_own("replay " + config_.name, [&] {
+  on.call_own(callback_name_, [&] {
     if (!give_due(now)) on.deadlines.remove(*this);  // until the lane has read more
   });
   if (is_listed() && due <= now) wait_until(later(now, std::chrono::milliseconds{1}));  // there was no memory

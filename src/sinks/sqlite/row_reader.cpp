@@ -89,17 +89,19 @@ void store(std::byte* to, T value) {
 /// What is most of all recordings, without a Value in between.
 bool read_plain(sqlite3_stmt* row, int column, const Leaf& leaf, std::byte* payload) {
   if (leaf.optional != nullptr) return false;
-  const int type = sqlite3_column_type(row, column);
+  // The column is looked up once; no other thread uses the connection meanwhile.
+  sqlite3_value* const value = sqlite3_column_value(row, column);
+  const int type = sqlite3_value_type(value);
   if (leaf.kind == Kind::f64 && type == SQLITE_FLOAT) {
-    store(payload + leaf.offset, sqlite3_column_double(row, column));
+    store(payload + leaf.offset, sqlite3_value_double(value));
     return true;
   }
   if (leaf.kind == Kind::f32 && type == SQLITE_FLOAT) {
-    store(payload + leaf.offset, static_cast<float>(sqlite3_column_double(row, column)));
+    store(payload + leaf.offset, static_cast<float>(sqlite3_value_double(value)));
     return true;
   }
   if ((leaf.kind == Kind::i64 || leaf.kind == Kind::u64) && type == SQLITE_INTEGER) {
-    store(payload + leaf.offset, sqlite3_column_int64(row, column));
+    store(payload + leaf.offset, sqlite3_value_int64(value));
     return true;
   }
   return false;
