@@ -12,6 +12,7 @@
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
+#include "rtdata/sensors/encoder.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
@@ -222,6 +223,17 @@ class FakeBarometer final : public FakeFile {
   }
 };
 
+class FakeEncoder final : public FakeFile {
+ public:
+  FakeEncoder() : FakeFile("sys/bus/counter/devices/counter0/count0/count", "12\n") {
+    directory.file("sys/bus/counter/devices/counter0/name", "qep\n");
+  }
+  const char* kind() const override { return "encoder"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return EncoderSensor(loop, common(is_required), {.device = "qep", .root = directory.path()});
+  }
+};
+
 class FakeOneWire final : public FakeFile {
  public:
   FakeOneWire()
@@ -403,6 +415,7 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeProc>());
   kinds.push_back(std::make_unique<FakeBarometer>());
   kinds.push_back(std::make_unique<FakeBuffer>());
+  kinds.push_back(std::make_unique<FakeEncoder>());
   kinds.push_back(std::make_unique<FakeOneWire>());
   kinds.push_back(std::make_unique<FakePulse>());
   kinds.push_back(std::make_unique<FakeReceiver>());

@@ -89,6 +89,31 @@ void scan_iio(Scanner& scanner) {
   hwmon_chips(scanner);
 }
 
+void scan_counters(Scanner& scanner) {
+  const MachineFiles& files = scanner.files;
+  const std::string all = "/sys/bus/counter/devices";
+  for (const std::string& device : files.names(all, "counter")) {
+    const std::string folder = all + "/" + device;
+    const std::string name = scanner.text(folder + "/name");
+    std::size_t alike = 0;
+    for (const std::string& other : files.names(all, "counter"))
+      if (scanner.text(all + "/" + other + "/name") == name) ++alike;
+    std::vector<std::string> counts;
+    for (const std::string& count : files.names(folder, "count"))
+      if (files.exists(folder + "/" + count + "/count")) counts.push_back(count);
+    FoundDevice& found = scanner.add(
+        "counter", folder, name + ", " + std::to_string(counts.size()) + (counts.size() == 1 ? " count" : " counts"),
+        R_OK);
+    const std::string which = name.empty() || alike != 1 ? device : name;
+    for (const std::string& count : counts) {
+      const std::string channel = counts.size() == 1 ? "" : R"(, "channel": )" + json_text(count);
+      scanner.line(found, "sensors",
+                   R"({"name": )" + json_text(scanner.new_name(which)) + R"(, "type": "encoder", "device": )" +
+                       json_text(which) + channel + R"(, "rate": "10 Hz"})");
+    }
+  }
+}
+
 void scan_one_wire(Scanner& scanner) {
   const std::vector<std::string> devices = scanner.files.names("/sys/bus/w1/devices");
   if (devices.empty()) {
