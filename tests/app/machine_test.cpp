@@ -86,6 +86,9 @@ TEST_SUITE("app") {
     board.file("/dev/pps0");
     board.file("/sys/class/hwmon/hwmon0/name", "cpu_thermal\n");
     board.file("/sys/class/hwmon/hwmon0/temp1_input", "42000\n");
+    board.file("/sys/class/hwmon/hwmon1/name", "ina226\n");
+    board.file("/sys/class/hwmon/hwmon1/in1_input", "12000\n");
+    board.file("/sys/class/hwmon/hwmon1/power1_input", "1\n");
     for (const auto& [file, text] : {std::pair{"counter0/name", "qep\n"},
                                      {"counter0/count0/count", "3\n"},
                                      {"counter1/name", "timer\n"},
@@ -131,6 +134,11 @@ TEST_SUITE("app") {
           R"({"name": "mpu6050", "type": "iio_buffer", "device": "mpu6050", "channels": ["accel_x"]})");
     CHECK(find(scan, "/dev/pps0")->lines.size() == 1);
     CHECK(find(scan, "/sys/class/hwmon/hwmon0", "cpu_thermal")->lines.size() == 1);
+    const FoundDevice* power = find(scan, "/sys/class/hwmon/hwmon1", "ina226, 2 values");
+    REQUIRE(power != nullptr);
+    REQUIRE(power->lines.size() == 2);
+    CHECK(power->lines[0].text ==
+          R"({"name": "ina226/in1", "type": "host", "quantity": "voltage", "device": "ina226/in1", "rate": "1 Hz"})");
     const FoundDevice* counter = find(scan, "/sys/bus/counter/devices/counter0", "qep, 1 count");
     REQUIRE(counter != nullptr);
     REQUIRE(counter->lines.size() == 1);
@@ -157,7 +165,7 @@ TEST_SUITE("app") {
     const SystemPlan plan = plan_system(registry, parse_config(document.dump()));
     INFO(plan.report());
     CHECK(plan.good());
-    CHECK(document["sensors"].size() == 10);
+    CHECK(document["sensors"].size() == 15);
   }
 
   TEST_CASE("FW-2 scan of a machine that has nothing says what to switch on") {

@@ -10,9 +10,7 @@ using namespace bench;
 
 namespace {
 
-void set(const char* what, std::uint64_t value) {
-  put(device("SIM") + "/counter/" + what, std::to_string(value));
-}
+void set(const char* what, std::uint64_t value) { put(device("SIM") + "/counter/" + what, std::to_string(value)); }
 
 EncoderReading reading_of(const EventView& event) {
   EncoderReading reading;
@@ -88,7 +86,7 @@ TEST_SUITE("drivers") {
       if (first < 0) first = reading.count;
       CHECK(reading.count >= last);
       CHECK(reading.position == 0.5 * static_cast<double>(reading.count));
-      CHECK(!reading.direction);  // this driver has none
+      CHECK(!reading.direction);          // this driver has none
       if (reading.count == last) return;  // the pulse has not come yet
       last = reading.count;
       if (last == first + 20) return loop.stop();

@@ -25,7 +25,9 @@ struct Counter {
   ScratchDirectory directory;
   std::string folder = "sys/bus/counter/devices/counter0/";
   explicit Counter(const std::string& name = "qep") { put("name", name); }
-  std::string put(const std::string& file, const std::string& text) { return directory.file(folder + file, text + "\n"); }
+  std::string put(const std::string& file, const std::string& text) {
+    return directory.file(folder + file, text + "\n");
+  }
   std::string text(const std::string& file) const {
     std::string text;
     std::getline(std::ifstream(directory.path() + "/" + folder + file), text);
@@ -206,7 +208,8 @@ TEST_CASE("US-12 a count of pulses that somebody sets back is told, and is no va
   CHECK(sensor.counts().balances());
 }
 
-TEST_CASE("US-12 a counter and its count are found by name, number and path, and where there are several, not guessed") {
+TEST_CASE(
+    "US-12 a counter and its count are found by name, number and path, and where there are several, not guessed") {
   Counter counter;
   CHECK(refusal(counter, {}) == "this machine has none");  // it has no count yet
   counter.put("count0/count", "1");

@@ -89,6 +89,19 @@ class FakeThermometer final : public FakeFile {
   }
 };
 
+class FakeVoltage final : public FakeFile {
+ public:
+  FakeVoltage() : FakeFile("sys/class/hwmon/hwmon0/in1_input", "3300\n") {
+    directory.file("sys/class/hwmon/hwmon0/name", "board\n");
+    directory.file("sys/class/hwmon/hwmon0/in1_alarm", "0\n");
+  }
+  const char* kind() const override { return "host voltage"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return HostSensor(loop, common(is_required),
+                      {.quantity = HostQuantity::voltage, .device = "board/in1", .root = directory.path()});
+  }
+};
+
 class FakeProc final : public FakeFile {
  public:
   FakeProc() : FakeFile("proc/loadavg", "1.0 2.0 3.0 1/2 3\n") {}
@@ -412,6 +425,7 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   std::vector<std::unique_ptr<Fake>> kinds;
   kinds.push_back(std::make_unique<FakeAdc>());
   kinds.push_back(std::make_unique<FakeThermometer>());
+  kinds.push_back(std::make_unique<FakeVoltage>());
   kinds.push_back(std::make_unique<FakeProc>());
   kinds.push_back(std::make_unique<FakeBarometer>());
   kinds.push_back(std::make_unique<FakeBuffer>());

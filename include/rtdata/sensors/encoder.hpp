@@ -59,7 +59,8 @@ struct EncoderConfig {
     return parameter_list(
         parameter("device", &C::device, "the counter: its name, number or path; empty: the only one that there is",
                   TextIs::device),
-        parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one", TextIs::recorded),
+        parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one",
+                  TextIs::recorded),
         parameter("per_count", &C::per_count, "what one count stands for, in `unit`", not_zero),
         parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
         parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),

@@ -2,14 +2,17 @@
 
 #include <vector>
 
+#include "app/core/terminal_text.hpp"
 #include "app/machine/scanner.hpp"
 #include "io/enabling.hpp"
 #include "rtdata/io/iio.hpp"
+#include "rtdata/sensors/host.hpp"
 
 namespace rtdata::app {
 namespace {
 
 void hwmon_chips(Scanner& scanner) {
+  const std::vector<HostSensorInfo> known = available_host_sensors(scanner.files.path(""));
   for (const std::string& chip : scanner.files.names("/sys/class/hwmon", "hwmon")) {
     const std::string folder = "/sys/class/hwmon/" + chip;
     std::vector<std::string> inputs;
@@ -18,13 +21,12 @@ void hwmon_chips(Scanner& scanner) {
     if (inputs.empty()) continue;
     FoundDevice& found = scanner.add(
         "hwmon", folder, scanner.text(folder + "/name") + ", " + std::to_string(inputs.size()) + " values", R_OK);
-    for (const std::string& input : inputs) {
-      if (!input.starts_with("temp")) continue;
-      const std::string which = chip + "/" + input.substr(0, input.find('_'));
+    for (const HostSensorInfo& input : known) {
+      if (!input.file.starts_with(scanner.files.path(folder) + "/")) continue;
       scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(which)) +
-                       R"(, "type": "host", "quantity": "temperature", "device": )" + json_text(which) +
-                       R"(, "rate": "1 Hz"})");
+                   R"({"name": )" + json_text(scanner.new_name(printable(input.device))) +
+                       R"(, "type": "host", "quantity": )" + json_text(std::string(name_of(input.quantity))) +
+                       R"(, "device": )" + json_text(input.device) + R"(, "rate": "1 Hz"})");
     }
   }
 }

@@ -105,8 +105,8 @@ Result<FoundCounter> find(const EncoderConfig& config) {
                                             : CountTracker::Way::both;
   std::uint64_t range = config.bits == 0 ? 0 : std::uint64_t{1} << config.bits;
   std::uint64_t ceiling = 0;
-  if (range == 0 &&
-      detail::read_number(std::string_view(text_of(found.folder + "/ceiling")), ceiling) == std::errc{} && ceiling > 0) {
+  if (range == 0 && detail::read_number(std::string_view(text_of(found.folder + "/ceiling")), ceiling) == std::errc{} &&
+      ceiling > 0) {
     found.ceiling = ceiling;
     range = ceiling + 1;  // 0, which is not known, for one of 64 bits, which never wraps around
   }
@@ -198,7 +198,8 @@ class EncoderDevice final : public detail::LaneDevice {
     reading.position = static_cast<double>(reading.count) * config_.per_count;
     if (const auto change = found_.tracker.change()) {
       const double took = std::chrono::duration<double>(transaction.began() - last_).count();
-      if (took > 0) reading.speed = static_cast<double>(*change) * config_.per_count / took * detail::seconds_of(config_.per);
+      if (took > 0)
+        reading.speed = static_cast<double>(*change) * config_.per_count / took * detail::seconds_of(config_.per);
     }
     last_ = transaction.began();
     port.publish(&reading);
@@ -276,8 +277,8 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
   if (config.per != "s" && config.per != "min" && config.per != "h") refuse("`per` is no unit of time", "s, min or h");
   if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
-  *this = EncoderSensor(
-      detail::make_sensor(loop, std::move(sensor), std::move(type), std::make_unique<EncoderDevice>(std::move(config))));
+  *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),
+                                            std::make_unique<EncoderDevice>(std::move(config))));
 }
 
 }  // namespace rtdata
