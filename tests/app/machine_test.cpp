@@ -86,6 +86,15 @@ TEST_SUITE("app") {
     board.file("/dev/pps0");
     board.file("/sys/class/hwmon/hwmon0/name", "cpu_thermal\n");
     board.file("/sys/class/hwmon/hwmon0/temp1_input", "42000\n");
+    board.file("/sys/class/hwmon/hwmon1/name", "ina226\n");
+    board.file("/sys/class/hwmon/hwmon1/in1_input", "12000\n");
+    board.file("/sys/class/hwmon/hwmon1/power1_input", "1\n");
+    for (const auto& [file, text] : {std::pair{"counter0/name", "qep\n"},
+                                     {"counter0/count0/count", "3\n"},
+                                     {"counter1/name", "timer\n"},
+                                     {"counter1/count0/count", "3\n"},
+                                     {"counter1/count1/count", "3\n"}})
+      board.file("/sys/bus/counter/devices/" + std::string(file), text);
     board.file("/sys/bus/w1/devices/28-0000075565ad/temperature", "21500\n");
     board.file("/sys/bus/w1/devices/w1_bus_master1/w1_master_slave_count", "1\n");
     const Registry registry = standard_registry();
@@ -125,6 +134,20 @@ TEST_SUITE("app") {
           R"({"name": "mpu6050", "type": "iio_buffer", "device": "mpu6050", "channels": ["accel_x"]})");
     CHECK(find(scan, "/dev/pps0")->lines.size() == 1);
     CHECK(find(scan, "/sys/class/hwmon/hwmon0", "cpu_thermal")->lines.size() == 1);
+    const FoundDevice* power = find(scan, "/sys/class/hwmon/hwmon1", "ina226, 2 values");
+    REQUIRE(power != nullptr);
+    REQUIRE(power->lines.size() == 2);
+    CHECK(power->lines[0].text ==
+          R"({"name": "ina226/in1", "type": "host", "quantity": "voltage", "device": "ina226/in1", "rate": "1 Hz"})");
+    const FoundDevice* counter = find(scan, "/sys/bus/counter/devices/counter0", "qep, 1 count");
+    REQUIRE(counter != nullptr);
+    REQUIRE(counter->lines.size() == 1);
+    CHECK(counter->lines[0].text == R"({"name": "qep", "type": "encoder", "device": "qep", "rate": "10 Hz"})");
+    const FoundDevice* timer = find(scan, "/sys/bus/counter/devices/counter1", "timer, 2 counts");
+    REQUIRE(timer != nullptr);
+    REQUIRE(timer->lines.size() == 2);
+    CHECK(timer->lines[1].text ==
+          R"({"name": "timer-2", "type": "encoder", "device": "timer", "channel": "count1", "rate": "10 Hz"})");
     CHECK(find(scan, "/sys/bus/w1/devices/28-0000075565ad", "DS18B20")->lines.size() == 1);
     CHECK(find(scan, "/sys/bus/w1/devices/w1_bus_master1") == nullptr);
 
@@ -142,7 +165,7 @@ TEST_SUITE("app") {
     const SystemPlan plan = plan_system(registry, parse_config(document.dump()));
     INFO(plan.report());
     CHECK(plan.good());
-    CHECK(document["sensors"].size() == 10);
+    CHECK(document["sensors"].size() == 15);
   }
 
   TEST_CASE("FW-2 scan of a machine that has nothing says what to switch on") {

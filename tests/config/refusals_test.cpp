@@ -44,6 +44,7 @@ const std::map<std::string, std::string> right_sensors{
     {"imu", R"({"name": "s", "type": "imu", "rate": "10 Hz", "bus": "i2c1"})"},
     {"counter", R"({"name": "s", "type": "counter", "rate": "10 Hz", "line": "no-such-line"})"},
     {"edge", R"({"name": "s", "type": "edge", "line": "no-such-line"})"},
+    {"encoder", R"({"name": "s", "type": "encoder", "rate": "10 Hz"})"},
     {"gpio", R"({"name": "s", "type": "gpio", "rate": "10 Hz", "lines": [{"name": "x", "line": "no-such-line"}]})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"mhz19", R"({"name": "s", "type": "mhz19", "rate": "1 Hz", "bus": "tty"})"},

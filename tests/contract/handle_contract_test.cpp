@@ -26,6 +26,7 @@
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/edge.hpp"
+#include "rtdata/sensors/encoder.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
@@ -152,6 +153,15 @@ struct OfAnalogSensor {
   using Type = AnalogSensor;  // on a lane; as with those below, its callback is the handler of its errors
   Type make(Loop& loop, Probe& probe) {
     Type made(loop, {.name = "a", .rate = 1_kHz}, {.file = "/nowhere/in_voltage0_raw"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfEncoderSensor {
+  using Type = EncoderSensor;  // as the one before: there is no such counter
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "e", .rate = 1_kHz}, {.root = "/nowhere"});
     made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
     return made;
   }
@@ -293,10 +303,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                  \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
-      OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, \
-      OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
+#define HANDLES                                                                                               \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
+      OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
+      OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

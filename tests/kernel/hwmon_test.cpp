@@ -11,11 +11,8 @@ using namespace bench;
 
 namespace {
 
-/// As HostConfig names it: "hwmon0/temp1".
-std::string thermometer() {
-  const std::string folder = device("LM75");
-  return folder.substr(folder.rfind('/') + 1) + "/temp1";
-}
+/// As HostConfig names it.
+std::string thermometer() { return "lm75/temp1"; }
 
 void set(const Chip& chip, double degrees) { chip.set_word(0, static_cast<int>(degrees * 256)); }
 
@@ -48,6 +45,35 @@ TEST_SUITE("drivers") {
     CHECK(strays == 0);
     CHECK(sensor.counts().failed == 0);
     close_balanced(loop);
+  }
+
+  TEST_CASE("NFR-3 ina226: voltage, current and power of the kernel's driver, by the chip's name and by its device's") {
+    const std::string adapter = "/sys/bus/i2c/devices/" + device("I2C").substr(5);
+    put(adapter + "/new_device", "ina226 0x40");
+    const Chip chip("i2c-40");
+    chip.set_word(2, 9600);   // 1.25 mV each (data sheet, 7.6.3): 12 V
+    chip.set_word(4, -8000);  // 250 uA each at the driver's 10 mOhm: -2 A
+    chip.set_word(3, 3840);   // 25 times that: 24 W
+    Loop loop;
+    double voltage = 0, current = 0, power = 0;
+    HostSensor volts(loop, {.name = "v", .rate = 20_Hz}, {.quantity = HostQuantity::voltage, .device = "ina226/in1"});
+    HostSensor amperes(loop, {.name = "i", .rate = 20_Hz}, {.quantity = HostQuantity::current, .device = "ina226"});
+    HostSensor watts(loop, {.name = "p", .rate = 20_Hz},
+                     {.quantity = HostQuantity::power, .device = device("I2C").substr(9) + "-0040/power1"});
+    const auto v = loop.topic<HostVoltage>("v").subscribe(loop, [&](const auto& event) { voltage = event->voltage; });
+    const auto i = loop.topic<HostCurrent>("i").subscribe(loop, [&](const auto& event) { current = event->current; });
+    const auto p = loop.topic<HostPower>("p").subscribe(loop, [&](const auto& event) {
+      power = event->power;
+      if (voltage != 0 && current != 0) loop.stop();
+    });
+    const Timer patience = limit(loop);
+    loop.run();
+    CHECK(voltage == doctest::Approx(12));
+    CHECK(current == doctest::Approx(-2));
+    CHECK(power == doctest::Approx(24));
+    CHECK(volts.counts().failed + amperes.counts().failed + watts.counts().failed == 0);
+    close_balanced(loop);
+    put(adapter + "/delete_device", "0x40");
   }
 
   TEST_CASE("NFR-3 lm75: transfers that fail are failed ticks, and the next reading is taken") {

@@ -1,8 +1,12 @@
 #include "rtdata/sensors/host.hpp"
 
 #include <doctest/doctest.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cstdio>
+#include <map>
+#include <optional>
 
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/read.hpp"
@@ -158,8 +162,125 @@ TEST_CASE("FW-2 a quantity that the machine does not have is faulted until it ha
   CHECK(sensor.counts().balances());
   const auto found = available_host_sensors(root.path());
   REQUIRE(found.size() == 1);
-  CHECK(found[0].device == "hwmon0/temp2");
+  CHECK(found[0].device == "coretemp/temp2");
   CHECK(found[0].name == "coretemp Core 0");
+}
+
+TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where the chip has one") {
+  ScratchDirectory root;
+  const std::string chip = "sys/class/hwmon/hwmon3/";
+  root.file(chip + "name", "board\n");
+  root.file(chip + "in1_input", "3300\n");
+  root.file(chip + "in1_label", "+3.3V\n");
+  root.file(chip + "in1_min_alarm", "0\n");
+  const std::string alarm = root.file(chip + "in1_max_alarm", "0\n");
+  root.file(chip + "intrusion0_alarm", "1\n");  // is no input
+  root.file(chip + "curr1_input", "-1500\n");
+  root.file(chip + "power1_average", "2500000\n");
+  root.file(chip + "fan2_input", "1450\n");
+  const std::string fault = root.file(chip + "fan2_fault", "0\n");
+  root.file(chip + "humidity1_input", "45500\n");
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  std::vector<Error> errors;
+  loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error); });
+  std::map<std::string, double> values;
+  std::optional<HostVoltage> voltage;
+  std::optional<HostCurrent> current;
+  const auto v = loop.topic<HostVoltage>("voltage").subscribe(loop, [&](const auto& e) { voltage = *e; });
+  const auto c = loop.topic<HostCurrent>("current").subscribe(loop, [&](const auto& e) { current = *e; });
+  const auto p = loop.topic<HostPower>("power").subscribe(loop, [&](const auto& e) { values["power"] = e->power; });
+  const auto f = loop.topic<HostFan>("fan").subscribe(loop, [&](const auto& e) { values["fan"] = e->speed; });
+  const auto h = loop.topic<HostHumidity>("humidity").subscribe(loop, [&](const auto& e) {
+    values["humidity"] = e->humidity;
+  });
+  std::vector<HostSensor> sensors;
+  const auto add = [&](HostQuantity quantity, const char* device) {
+    sensors.emplace_back(loop, SensorConfig{.name = std::string(name_of(quantity)), .rate = 1_Hz, .retry_first = 100ms},
+                         HostConfig{.quantity = quantity, .device = device, .root = root.path()});
+  };
+  add(HostQuantity::voltage, "board/+3.3V");
+  add(HostQuantity::current, "hwmon3/curr1");
+  add(HostQuantity::power, "");
+  add(HostQuantity::fan, "board");
+  add(HostQuantity::humidity, "board/humidity1");
+  loop.advance(500ms);
+  REQUIRE(voltage);
+  CHECK(voltage->voltage == doctest::Approx(3.3));
+  CHECK(voltage->alarm == false);
+  REQUIRE(current);
+  CHECK(current->current == doctest::Approx(-1.5));
+  CHECK(!current->alarm);
+  CHECK(values["power"] == doctest::Approx(2.5));
+  CHECK(values["fan"] == doctest::Approx(1450));
+  CHECK(values["humidity"] == doctest::Approx(45.5));
+  CHECK(errors.empty());
+
+  // A limit is passed: the value is good all the same. One of two that cannot be read leaves it open.
+  ScratchDirectory::write(alarm, "1\n");
+  loop.advance(1s);
+  CHECK(voltage->alarm == true);
+  ScratchDirectory::write(alarm, "?\n");
+  loop.advance(1s);
+  CHECK(!voltage->alarm);
+
+  // A fault is no value.
+  ScratchDirectory::write(fault, "1\n");
+  values.clear();
+  loop.advance(1s);
+  CHECK(values.count("fan") == 0);
+  CHECK(values.count("power") == 1);
+  CHECK(sensors[3].health() == Health::degraded);
+  CHECK(sensors[3].counts().failed == 1);
+  REQUIRE(!errors.empty());
+  CHECK(errors.back().why == "the chip tells of a fault of its sensor");
+  ScratchDirectory::write(fault, "0\n");
+  loop.advance(1s);
+  CHECK(values.count("fan") == 1);
+  CHECK(sensors[3].health() == Health::ok);
+
+  // After the next start it has another number, and the same name.
+  const std::string all = root.path() + "/sys/class/hwmon/";
+  REQUIRE(std::rename((all + "hwmon3").c_str(), (all + "hwmon5").c_str()) == 0);
+  loop.advance(20s);
+  CHECK(sensors[0].health() == Health::ok);
+  CHECK(sensors[1].health() == Health::faulted);  // it was named by the number
+  for (const HostSensor& sensor : sensors) CHECK(sensor.counts().balances());
+}
+
+TEST_CASE("FW-2 an input of hwmon that is not there, or is one of several, is not guessed") {
+  ScratchDirectory root;
+  const auto refusal = [&](HostQuantity quantity, const std::string& device) {
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    try {
+      HostSensor(loop, {.name = "x", .rate = 1_Hz, .required = true},
+                 {.quantity = quantity, .device = device, .root = root.path()});
+    } catch (const SetupError& error) {
+      return error.error().why;
+    }
+    return std::string();
+  };
+  CHECK(refusal(HostQuantity::voltage, "") == "this machine shows none");
+  root.file("sys/class/hwmon/hwmon0/name", "nvme\n");
+  root.file("sys/class/hwmon/hwmon0/in0_input", "1\n");
+  CHECK(refusal(HostQuantity::voltage, "").empty());
+  CHECK(refusal(HostQuantity::voltage, "nvme").empty());
+  CHECK(refusal(HostQuantity::voltage, "nvme/in1") == "there are nvme/in0 (nvme)");
+  CHECK(refusal(HostQuantity::fan, "nvme/in0") == "this machine shows none");
+  root.file("sys/class/hwmon/hwmon0/in10_input", "1\n");
+  root.file("sys/class/hwmon/hwmon0/in2_input", "1\n");
+  CHECK(refusal(HostQuantity::voltage, "nvme") ==
+        "there are several: nvme/in0 (nvme), nvme/in2 (nvme), nvme/in10 (nvme)");
+  // Two chips of one name: by their devices, or if they have none by their numbers.
+  root.file("sys/class/hwmon/hwmon1/name", "nvme\n");
+  root.file("sys/class/hwmon/hwmon1/in0_input", "1\n");
+  root.file("sys/devices/0000:01:00.0/x");
+  REQUIRE(::symlink((root.path() + "/sys/devices/0000:01:00.0").c_str(),
+                    (root.path() + "/sys/class/hwmon/hwmon1/device").c_str()) == 0);
+  CHECK(refusal(HostQuantity::voltage, "nvme/in0") == "there are several: hwmon0/in0 (nvme), 0000:01:00.0/in0 (nvme)");
+  CHECK(refusal(HostQuantity::voltage, "0000:01:00.0/in0").empty());
+  CHECK(refusal(HostQuantity::voltage, "hwmon1/in0").empty());
 }
 
 TEST_CASE("FW-2 everything that this machine says it has can be read") {

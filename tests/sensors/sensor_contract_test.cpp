@@ -12,6 +12,7 @@
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
+#include "rtdata/sensors/encoder.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
@@ -85,6 +86,19 @@ class FakeThermometer final : public FakeFile {
   const char* kind() const override { return "host temperature"; }
   AnySensor make(Loop& loop, bool is_required) override {
     return HostSensor(loop, common(is_required), {.quantity = HostQuantity::temperature, .root = directory.path()});
+  }
+};
+
+class FakeVoltage final : public FakeFile {
+ public:
+  FakeVoltage() : FakeFile("sys/class/hwmon/hwmon0/in1_input", "3300\n") {
+    directory.file("sys/class/hwmon/hwmon0/name", "board\n");
+    directory.file("sys/class/hwmon/hwmon0/in1_alarm", "0\n");
+  }
+  const char* kind() const override { return "host voltage"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return HostSensor(loop, common(is_required),
+                      {.quantity = HostQuantity::voltage, .device = "board/in1", .root = directory.path()});
   }
 };
 
@@ -219,6 +233,17 @@ class FakeBarometer final : public FakeFile {
   AnySensor make(Loop& loop, bool is_required) override {
     return IioSensor(loop, common(is_required),
                      {.device = "bmp280", .channels = {"pressure"}, .root = directory.path()});
+  }
+};
+
+class FakeEncoder final : public FakeFile {
+ public:
+  FakeEncoder() : FakeFile("sys/bus/counter/devices/counter0/count0/count", "12\n") {
+    directory.file("sys/bus/counter/devices/counter0/name", "qep\n");
+  }
+  const char* kind() const override { return "encoder"; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return EncoderSensor(loop, common(is_required), {.device = "qep", .root = directory.path()});
   }
 };
 
@@ -400,9 +425,11 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   std::vector<std::unique_ptr<Fake>> kinds;
   kinds.push_back(std::make_unique<FakeAdc>());
   kinds.push_back(std::make_unique<FakeThermometer>());
+  kinds.push_back(std::make_unique<FakeVoltage>());
   kinds.push_back(std::make_unique<FakeProc>());
   kinds.push_back(std::make_unique<FakeBarometer>());
   kinds.push_back(std::make_unique<FakeBuffer>());
+  kinds.push_back(std::make_unique<FakeEncoder>());
   kinds.push_back(std::make_unique<FakeOneWire>());
   kinds.push_back(std::make_unique<FakePulse>());
   kinds.push_back(std::make_unique<FakeReceiver>());

@@ -65,7 +65,7 @@ enum class TextIs : std::uint8_t {
 /// The parameter means something only while another one, beside it, has one of these values.
 struct OnlyWith {
   std::string_view key;  ///< empty: always
-  std::array<std::string_view, 6> values{};
+  std::array<std::string_view, 12> values{};
 };
 
 /// The text is the name of another part of the configuration, which must be there.

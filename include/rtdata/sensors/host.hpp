@@ -18,6 +18,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -35,14 +36,20 @@ enum class HostQuantity {
   network,      ///< HostNetwork; device: "eth0"
   scheduler,    ///< HostScheduler
   process,      ///< HostProcess: this program
-  temperature,  ///< HostTemperature; device: "thermal_zone0" or "hwmon0/temp1", empty: the first there is
+  temperature,  ///< HostTemperature; device: "thermal_zone0", or as of `voltage`; empty: the first there is
   frequency,    ///< HostFrequency; device: "cpu0" ..., empty: cpu0
+  voltage,      ///< HostVoltage; device: "CHIP/INPUT" of hwmon, such as "ina226/in1"; empty: the only one
+  current,      ///< HostCurrent; device: as of `voltage`
+  power,        ///< HostPower; device: as of `voltage`
+  fan,          ///< HostFan; device: as of `voltage`
+  humidity,     ///< HostHumidity; device: as of `voltage`
 };
 constexpr auto describe(type_tag<HostQuantity>) {
   using enum HostQuantity;
   return enumeration("quantity", value("cpu", cpu), value("load", load), value("memory", memory), value("disk", disk),
                      value("network", network), value("scheduler", scheduler), value("process", process),
-                     value("temperature", temperature), value("frequency", frequency));
+                     value("temperature", temperature), value("frequency", frequency), value("voltage", voltage),
+                     value("current", current), value("power", power), value("fan", fan), value("humidity", humidity));
 }
 
 /// Shares of the time since the last read, "%"; they add up to 100.
@@ -120,9 +127,38 @@ struct HostProcess {
   std::uint64_t time_slices = 0;  ///< how often the loop's thread was put on a CPU
   RTDATA_FIELDS(HostProcess, (cpu_time, "ns"), (run_time, "ns"), (wait_time, "ns"), (time_slices))
 };
+/// `alarm`, here and below: whether the chip says that a limit of it is passed; none: it has no such limit, or does not
+/// tell. The value is as good with it as without. What the chip calls a fault of its sensor is no value but an error.
 struct HostTemperature {
   double temperature = 0;
-  RTDATA_FIELDS(HostTemperature, (temperature, "Cel"))
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostTemperature, (temperature, "Cel"), (alarm))
+};
+struct HostVoltage {
+  double voltage = 0;
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostVoltage, (voltage, "V"), (alarm))
+};
+struct HostCurrent {
+  double current = 0;
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostCurrent, (current, "A"), (alarm))
+};
+struct HostPower {
+  double power = 0;
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostPower, (power, "W"), (alarm))
+};
+struct HostFan {
+  double speed = 0;
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostFan, (speed, "{rev}/min"), (alarm))
+};
+/// Relative.
+struct HostHumidity {
+  double humidity = 0;
+  std::optional<bool> alarm = {};
+  RTDATA_FIELDS(HostHumidity, (humidity, "%"), (alarm))
 };
 struct HostFrequency {
   double frequency = 0;
@@ -139,12 +175,14 @@ struct HostConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("quantity", &HostConfig::quantity, "what is read", required),
-        parameter("device", &HostConfig::device, "which CPU, disk, network interface or thermometer",
-                  only_with("quantity", "cpu", "disk", "network", "temperature", "frequency")),
+        parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
+                  only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
+                            "power", "fan", "humidity")),
         parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's",
                   TextIs::device),
         parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
-                  range(Duration{1ms}, Duration{1h}), only_with("quantity", "temperature", "frequency")));
+                  range(Duration{1ms}, Duration{1h}),
+                  only_with("quantity", "temperature", "frequency", "voltage", "current", "power", "fan", "humidity")));
   }
 };
 
@@ -166,11 +204,15 @@ class HostSensor : public AnySensor {
   explicit HostSensor(detail::Node* node) noexcept : AnySensor(node) {}
 };
 
+/// As configurations write it: "temperature".
+std::string_view name_of(HostQuantity quantity) noexcept;
+
 /// One sensor that this machine has.
 struct HostSensorInfo {
   HostQuantity quantity = HostQuantity::cpu;
-  std::string device;  ///< for HostConfig::device
-  std::string name;    ///< as the kernel calls it ("x86_pkg_temp"), or empty
+  std::string device;     ///< for HostConfig::device
+  std::string name;       ///< as the kernel calls it ("x86_pkg_temp"), or empty
+  std::string file = {};  ///< of /sys, below the root, that has the value; empty: it is in one of /proc
 };
 /// Looks into /proc and /sys below `root`. Blocks for as long as listing directories takes; any thread.
 std::vector<HostSensorInfo> available_host_sensors(const std::string& root = {});

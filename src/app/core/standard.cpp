@@ -9,6 +9,7 @@
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
+#include "rtdata/sensors/encoder.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
@@ -213,6 +214,12 @@ Registry standard_registry() {
   registry.add_sensor<GpsConfig>(
       "gps", "a GPS receiver behind gpsd", [](const GpsConfig&) { return Result(description_of<GpsFix>()); },
       [](Loop& loop, const FeedConfig& common, const GpsConfig& config) { return GpsSensor(loop, common, config); });
+  registry.add_sensor<EncoderConfig>(
+      "encoder", "a counter of the kernel: a quadrature encoder, or pulses that hardware counts",
+      [](const EncoderConfig& config) { return encoder_description(config); },
+      [](Loop& loop, const SensorConfig& common, const EncoderConfig& config) {
+        return EncoderSensor(loop, common, config);
+      });
   registry.add_sensor<HostConfig>(
       "host", "what this computer knows of itself: load, memory, temperature and so on",
       [](const HostConfig& config) { return host_description(config.quantity); },

@@ -72,7 +72,8 @@ void scan_clocks(Scanner& scanner) {
 
 Scan scan_machine(const MachineFiles& files, const Registry& registry, Probing probing) {
   Scanner scanner(files, registry, probing);
-  for (const auto part : {scan_serial, scan_i2c, scan_spi, scan_gpio, scan_iio, scan_one_wire, scan_clocks, scan_gpsd})
+  for (const auto part :
+       {scan_serial, scan_i2c, scan_spi, scan_gpio, scan_iio, scan_counters, scan_one_wire, scan_clocks, scan_gpsd})
     part(scanner);
   return std::move(scanner.scan);
 }

@@ -11,7 +11,8 @@ namespace rtdata::app {
 
 /// A device, or a place where devices are.
 struct FoundDevice {
-  std::string kind;           ///< "serial", "i2c", "spi", "gpio", "iio", "hwmon", "1-wire", "pps", "pwm", "gpsd"
+  /// "serial", "i2c", "spi", "gpio", "iio", "hwmon", "counter", "1-wire", "pps", "pwm", "gpsd"
+  std::string kind;
   std::string path;           ///< by which it is opened
   std::string what;           ///< what is known of it: "FTDI FT232R USB UART, ttyUSB0"
   std::string obstacle = {};  ///< why it cannot be used; empty: it can, as far as is known

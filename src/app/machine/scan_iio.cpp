@@ -2,14 +2,17 @@
 
 #include <vector>
 
+#include "app/core/terminal_text.hpp"
 #include "app/machine/scanner.hpp"
 #include "io/enabling.hpp"
 #include "rtdata/io/iio.hpp"
+#include "rtdata/sensors/host.hpp"
 
 namespace rtdata::app {
 namespace {
 
 void hwmon_chips(Scanner& scanner) {
+  const std::vector<HostSensorInfo> known = available_host_sensors(scanner.files.path(""));
   for (const std::string& chip : scanner.files.names("/sys/class/hwmon", "hwmon")) {
     const std::string folder = "/sys/class/hwmon/" + chip;
     std::vector<std::string> inputs;
@@ -18,13 +21,12 @@ void hwmon_chips(Scanner& scanner) {
     if (inputs.empty()) continue;
     FoundDevice& found = scanner.add(
         "hwmon", folder, scanner.text(folder + "/name") + ", " + std::to_string(inputs.size()) + " values", R_OK);
-    for (const std::string& input : inputs) {
-      if (!input.starts_with("temp")) continue;
-      const std::string which = chip + "/" + input.substr(0, input.find('_'));
+    for (const HostSensorInfo& input : known) {
+      if (!input.file.starts_with(scanner.files.path(folder) + "/")) continue;
       scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(which)) +
-                       R"(, "type": "host", "quantity": "temperature", "device": )" + json_text(which) +
-                       R"(, "rate": "1 Hz"})");
+                   R"({"name": )" + json_text(scanner.new_name(printable(input.device))) +
+                       R"(, "type": "host", "quantity": )" + json_text(std::string(name_of(input.quantity))) +
+                       R"(, "device": )" + json_text(input.device) + R"(, "rate": "1 Hz"})");
     }
   }
 }
@@ -87,6 +89,31 @@ void scan_iio(Scanner& scanner) {
     iio_line(scanner, found, device);
   }
   hwmon_chips(scanner);
+}
+
+void scan_counters(Scanner& scanner) {
+  const MachineFiles& files = scanner.files;
+  const std::string all = "/sys/bus/counter/devices";
+  for (const std::string& device : files.names(all, "counter")) {
+    const std::string folder = all + "/" + device;
+    const std::string name = scanner.text(folder + "/name");
+    std::size_t alike = 0;
+    for (const std::string& other : files.names(all, "counter"))
+      if (scanner.text(all + "/" + other + "/name") == name) ++alike;
+    std::vector<std::string> counts;
+    for (const std::string& count : files.names(folder, "count"))
+      if (files.exists(folder + "/" + count + "/count")) counts.push_back(count);
+    FoundDevice& found = scanner.add(
+        "counter", folder, name + ", " + std::to_string(counts.size()) + (counts.size() == 1 ? " count" : " counts"),
+        R_OK);
+    const std::string which = name.empty() || alike != 1 ? device : name;
+    for (const std::string& count : counts) {
+      const std::string channel = counts.size() == 1 ? "" : R"(, "channel": )" + json_text(count);
+      scanner.line(found, "sensors",
+                   R"({"name": )" + json_text(scanner.new_name(which)) + R"(, "type": "encoder", "device": )" +
+                       json_text(which) + channel + R"(, "rate": "10 Hz"})");
+    }
+  }
 }
 
 void scan_one_wire(Scanner& scanner) {

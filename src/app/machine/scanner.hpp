@@ -48,6 +48,7 @@ void scan_i2c(Scanner& scanner);
 void scan_spi(Scanner& scanner);
 void scan_gpio(Scanner& scanner);
 void scan_iio(Scanner& scanner);  // and hwmon
+void scan_counters(Scanner& scanner);
 void scan_one_wire(Scanner& scanner);
 void scan_clocks(Scanner& scanner);  // PPS and PWM
 void scan_gpsd(Scanner& scanner);

@@ -4,12 +4,11 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "sensors/core/per_time.hpp"
 #include "sensors/core/source_node.hpp"
 
 namespace rtdata {
 namespace {
-
-double seconds_of(const std::string& per) { return per == "h" ? 3600 : per == "min" ? 60 : 1; }
 
 double seconds(Duration duration) { return std::chrono::duration<double>(duration).count(); }
 
@@ -44,7 +43,7 @@ class CounterDevice final : public detail::SensorDevice {
     reading.count = count_;
     reading.total = static_cast<double>(count_) * config_.per_pulse;
     reading.frequency = frequency();
-    if (reading.frequency) reading.speed = *reading.frequency * config_.per_pulse * seconds_of(config_.per);
+    if (reading.frequency) reading.speed = *reading.frequency * config_.per_pulse * detail::seconds_of(config_.per);
     reading.overflows = overflows_;
     in_interval_ = 0;
     earlier_ = last_;
@@ -107,13 +106,12 @@ class CounterDevice final : public detail::SensorDevice {
 
 Result<std::shared_ptr<const Description>> counter_description(const CounterConfig& config) {
   const std::string unit = config.unit.empty() ? "{pulse}" : config.unit;
-  const bool is_simple = unit.find_first_of("./") == std::string::npos;
   using Presence = DescriptionBuilder::Presence;
   return DescriptionBuilder("counter")
       .field("count", Kind::u64)
       .field("total", Kind::f64, unit)
       .field("frequency", Kind::f64, "Hz", Presence::optional)
-      .field("speed", Kind::f64, (is_simple ? unit : "(" + unit + ")") + "/" + config.per, Presence::optional)
+      .field("speed", Kind::f64, detail::unit_of_speed(unit, config.per), Presence::optional)
       .field("overflows", Kind::u64)
       .build();
 }

@@ -15,6 +15,7 @@
 
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/host/host_text.hpp"
+#include "sensors/host/hwmon.hpp"
 
 namespace rtdata {
 namespace {
@@ -109,50 +110,118 @@ struct CpuDevice {
   }
 };
 
-/// One number of /sys, on the device's lane. `T` has one double.
+/// What is read of /sys for one value.
+struct SysFiles {
+  std::string value;
+  std::string fault = {};  ///< says whether the value is worth anything; empty: there is none
+  std::vector<std::string> alarms = {};
+};
+
+class FindFiles final : public detail::Transaction {
+ public:
+  using Find = std::function<Result<SysFiles>()>;
+  explicit FindFiles(Find find) : find_(std::move(find)) {}
+  void transact() noexcept override try {
+    files = find_();
+    if (!files) return;
+    if (auto readable = detail::check_readable(files->value, cannot_read, not_here); !readable)
+      files = std::move(readable).error();
+  } catch (...) {  // so short that it needs no memory
+    files = Error{Errc::io_failed, "no memory", "", "", ""};
+  }
+  Result<SysFiles> files = SysFiles{};
+
+ private:
+  const Find find_;
+};
+
+class ReadFiles final : public detail::Transaction {
+ public:
+  explicit ReadFiles(const SysFiles& files) : value(files.value) {
+    if (!files.fault.empty()) fault = std::make_unique<detail::SysfsFile>(files.fault);
+    for (const std::string& alarm : files.alarms) alarms.push_back(std::make_unique<detail::SysfsFile>(alarm));
+  }
+  void transact() noexcept override {
+    value.read();
+    if (fault != nullptr) fault->read();
+    for (const auto& alarm : alarms) alarm->read();
+  }
+  void close() noexcept override {
+    value.close();
+    if (fault != nullptr) fault->close();
+    for (const auto& alarm : alarms) alarm->close();
+  }
+  detail::SysfsFile value;
+  std::unique_ptr<detail::SysfsFile> fault;
+  std::vector<std::unique_ptr<detail::SysfsFile>> alarms;
+};
+
+/// None: the chip does not tell.
+std::optional<bool> flag_in(const detail::SysfsFile& file) {
+  if (file.error_number() != 0) return {};
+  const Result<std::int64_t> number = detail::parse_number(file.text());
+  return number ? std::optional(*number != 0) : std::nullopt;
+}
+
+/// One number of /sys, on the device's lane. `T` has one double, and where it has more, `alarm`.
 template <class T>
 class SysDevice final : public detail::LaneDevice {
  public:
-  using Find = detail::FindFile::Find;
-  SysDevice(Find find, double factor, HostConfig config)
+  SysDevice(FindFiles::Find find, double factor, HostConfig config)
       : find_(std::move(find)), factor_(factor), config_(std::move(config)) {}
 
-  std::shared_ptr<detail::Transaction> make_opening() override {
-    return std::make_shared<detail::FindFile>(find_, cannot_read, not_here);
-  }
+  std::shared_ptr<detail::Transaction> make_opening() override { return std::make_shared<FindFiles>(find_); }
   Result<void> take_opening(detail::Transaction& opening) override {
-    const auto& path = static_cast<detail::FindFile&>(opening).path();
-    if (!path) return path.error();
-    path_ = *path;
+    auto& files = static_cast<FindFiles&>(opening).files;
+    if (!files) return files.error();
+    files_ = std::move(*files);
     return {};
   }
-  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<detail::ReadFile>(path_); }
+  std::shared_ptr<detail::Transaction> make_transaction() override { return std::make_shared<ReadFiles>(files_); }
   std::string lane_key() const override { return read_time().lane; }
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(config_.timeout),
+    return {Errc::timed_out, cannot_read, files_.value, "no answer within " + to_string(config_.timeout),
             "look at the chip; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
-    const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
-    if (file.error_number() != 0) return port.fail(system_error(file.error_number(), cannot_read, path_, not_here));
+    const auto& read = static_cast<ReadFiles&>(transaction);
+    // A sensor that is broken may have a value all the same, or an error of that.
+    if (read.fault != nullptr && flag_in(*read.fault).value_or(false)) {
+      return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip tells of a fault of its sensor",
+                        "look at the sensor and its wires"});
+    }
+    const detail::SysfsFile& file = read.value;
+    if (file.error_number() != 0)
+      return port.fail(system_error(file.error_number(), cannot_read, file.path(), not_here));
     Result<std::int64_t> number = detail::parse_number(file.text());
     if (!number) {
       Error error = std::move(number).error();
-      error.where = path_;
+      error.where = file.path();
       return port.unreadable(std::move(error));
     }
     T payload{static_cast<double>(*number) * factor_};
+    if constexpr (requires { payload.alarm; }) payload.alarm = alarm_in(read);
     port.publish(&payload);
     return detail::Sampled::value;
   }
 
  private:
-  Find find_;
+  static std::optional<bool> alarm_in(const ReadFiles& read) {
+    bool is_told = !read.alarms.empty();
+    for (const auto& alarm : read.alarms) {
+      const std::optional<bool> flag = flag_in(*alarm);
+      if (flag.value_or(false)) return true;
+      is_told = is_told && flag;
+    }
+    return is_told ? std::optional(false) : std::nullopt;
+  }
+
+  FindFiles::Find find_;
   double factor_;
   HostConfig config_;
-  std::string path_;
+  SysFiles files_;
 };
 
 /// The names in a directory, in the order of their numbers; none when it is not there.
@@ -176,38 +245,53 @@ std::string first_line_of(const std::string& path) {
   return std::string(detail::trimmed(file.error_number() == 0 ? file.text() : ""));
 }
 
-std::vector<HostSensorInfo> thermometers(const std::string& root) {
+std::vector<HostSensorInfo> thermal_zones(const std::string& root) {
   std::vector<HostSensorInfo> found;
   const std::string zones = root + "/sys/class/thermal/";
   for (const std::string& zone : names_in(zones)) {
     if (zone.starts_with("thermal_zone"))
-      found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type")});
-  }
-  const std::string chips = root + "/sys/class/hwmon/";
-  for (const std::string& chip : names_in(chips)) {
-    for (const std::string& file : names_in(chips + chip)) {
-      if (!file.starts_with("temp") || !file.ends_with("_input")) continue;
-      const std::string input = file.substr(0, file.size() - 6);
-      const std::string label = first_line_of(chips + chip + "/" + input + "_label");
-      found.push_back({HostQuantity::temperature, chip + "/" + input,
-                       first_line_of(chips + chip + "/name") + (label.empty() ? "" : " " + label)});
-    }
+      found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type"), zones + zone + "/temp"});
   }
   return found;
 }
 
-Result<std::string> thermometer_file(const std::string& root, std::string device) {
-  if (device.empty()) {
-    const auto all = thermometers(root);
-    if (all.empty()) {
+/// How hwmon calls inputs of a quantity, and its units (Documentation/hwmon/sysfs-interface.rst).
+struct HwmonKind {
+  HostQuantity quantity;
+  const char* prefix;
+  double factor;
+};
+constexpr HwmonKind hwmon_kinds[] = {
+    {HostQuantity::temperature, "temp", 1e-3},
+    {HostQuantity::voltage, "in", 1e-3},
+    {HostQuantity::current, "curr", 1e-3},
+    {HostQuantity::power, "power", 1e-6},
+    {HostQuantity::fan, "fan", 1},
+    {HostQuantity::humidity, "humidity", 1e-3},
+};
+const HwmonKind& hwmon_kind(HostQuantity quantity) {
+  return *std::find_if(std::begin(hwmon_kinds), std::end(hwmon_kinds),
+                       [quantity](const HwmonKind& kind) { return kind.quantity == quantity; });
+}
+
+Result<SysFiles> find_input(const HostConfig& config) {
+  const bool is_temperature = config.quantity == HostQuantity::temperature;
+  std::string device = config.device;
+  if (is_temperature && device.empty()) {
+    const auto zones = thermal_zones(config.root);
+    const auto inputs = zones.empty() ? detail::hwmon_inputs(config.root, "temp") : std::vector<detail::HwmonInput>{};
+    if (zones.empty() && inputs.empty()) {
       return Error{Errc::not_found, "cannot read a temperature",
-                   root + "/sys/class/thermal, " + root + "/sys/class/hwmon", "this machine shows none",
+                   config.root + "/sys/class/thermal, " + config.root + "/sys/class/hwmon", "this machine shows none",
                    "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
     }
-    device = all.front().device;
+    device = zones.empty() ? inputs.front().device : zones.front().device;
   }
-  if (device.find('/') == std::string::npos) return root + "/sys/class/thermal/" + device + "/temp";
-  return root + "/sys/class/hwmon/" + device + "_input";
+  if (is_temperature && device.starts_with("thermal_zone"))
+    return SysFiles{config.root + "/sys/class/thermal/" + device + "/temp"};
+  auto input = detail::find_hwmon(config.root, hwmon_kind(config.quantity).prefix, device);
+  if (!input) return input.error();
+  return SysFiles{std::move(input->value), std::move(input->fault), std::move(input->alarms)};
 }
 
 std::string frequency_file(const std::string& root, const std::string& device) {
@@ -264,25 +348,28 @@ detail::Node* make_cpu(const Quantity& self, Loop& loop, SensorConfig sensor, co
 }
 
 template <class T>
-detail::Node* make_sys(Loop& loop, SensorConfig sensor, const HostConfig& config, detail::FindFile::Find find,
-                       double factor) {
+detail::Node* make_sys(Loop& loop, SensorConfig sensor, const HostConfig& config, FindFiles::Find find, double factor) {
   return detail::make_sensor(loop, std::move(sensor), detail::payload_type<T>(),
                              std::make_unique<SysDevice<T>>(std::move(find), factor, config));
 }
 
-detail::Node* make_temperature(const Quantity&, Loop& loop, SensorConfig sensor, const HostConfig& config) {
-  return make_sys<HostTemperature>(
-      loop, std::move(sensor), config,
-      [root = config.root, device = config.device] { return thermometer_file(root, device); }, 1e-3);
+template <class T>
+detail::Node* make_hwmon(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
+  return make_sys<T>(
+      loop, std::move(sensor), config, [config] { return find_input(config); }, hwmon_kind(self.what).factor);
 }
 
-std::string place_of_thermometer(const HostConfig& config) {
-  return config.device.empty() ? config.root + "/sys/class/thermal/" : *thermometer_file(config.root, config.device);
+/// The folder of its chip, as far as the configuration names it: a lane is asked for before anything is looked up.
+std::string place_of_input(const HostConfig& config) {
+  const std::string of_class = config.root + "/sys/class/";
+  if (config.device.starts_with("thermal_zone")) return of_class + "thermal/" + config.device + "/temp";
+  if (config.device.empty() && config.quantity == HostQuantity::temperature) return of_class + "thermal/";
+  return of_class + "hwmon/" + config.device.substr(0, config.device.find('/')) + "/";
 }
 
 detail::Node* make_frequency(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
   return make_sys<HostFrequency>(
-      loop, std::move(sensor), config, [path = self.sys_file(config)] { return Result<std::string>(path); }, 1e3);
+      loop, std::move(sensor), config, [path = self.sys_file(config)] { return Result(SysFiles{path}); }, 1e3);
 }
 
 std::string frequency_file_of(const HostConfig& config) { return frequency_file(config.root, config.device); }
@@ -300,8 +387,13 @@ const Quantity& quantity(HostQuantity what) {
        "set `device`, such as eth0; /proc/net/dev lists them"},
       {scheduler, description_of<HostScheduler>, make_proc<HostScheduler, detail::parse_scheduler>, "stat", 200us},
       {process, description_of<HostProcess>, make_proc<HostProcess, process_times>, "thread-self/schedstat", 50us},
-      {temperature, description_of<HostTemperature>, make_temperature, nullptr, 0us, place_of_thermometer},
+      {temperature, description_of<HostTemperature>, make_hwmon<HostTemperature>, nullptr, 0us, place_of_input},
       {frequency, description_of<HostFrequency>, make_frequency, nullptr, 0us, frequency_file_of},
+      {voltage, description_of<HostVoltage>, make_hwmon<HostVoltage>, nullptr, 0us, place_of_input},
+      {current, description_of<HostCurrent>, make_hwmon<HostCurrent>, nullptr, 0us, place_of_input},
+      {power, description_of<HostPower>, make_hwmon<HostPower>, nullptr, 0us, place_of_input},
+      {fan, description_of<HostFan>, make_hwmon<HostFan>, nullptr, 0us, place_of_input},
+      {humidity, description_of<HostHumidity>, make_hwmon<HostHumidity>, nullptr, 0us, place_of_input},
   };
   return *std::find_if(std::begin(all), std::end(all), [what](const Quantity& one) { return one.what == what; });
 }
@@ -329,6 +421,14 @@ ReadTime read_time(const HostConfig& config) {
           .lane = detail::physical_device_of(one.sys_file(config))};
 }
 
+std::string_view name_of(HostQuantity quantity) noexcept {
+  static constexpr auto all = describe(type_tag<HostQuantity>{});
+  for (const auto& one : all.values) {
+    if (one.value == quantity) return one.name;
+  }
+  return {};
+}
+
 std::shared_ptr<const Description> host_description(HostQuantity what) { return quantity(what).description(); }
 
 HostSensor::HostSensor(Loop& loop, SensorConfig sensor, HostConfig config) {
@@ -352,8 +452,13 @@ std::vector<HostSensorInfo> available_host_sensors(const std::string& root) {
   }
   for (const std::string& interface : names_in(root + "/sys/class/net"))
     found.push_back({HostQuantity::network, interface, ""});
-  for (HostSensorInfo& info : thermometers(root)) found.push_back(std::move(info));
-  if (::access(frequency_file(root, "").c_str(), R_OK) == 0) found.push_back({HostQuantity::frequency, "cpu0", ""});
+  for (HostSensorInfo& info : thermal_zones(root)) found.push_back(std::move(info));
+  for (const HwmonKind& kind : hwmon_kinds) {
+    for (detail::HwmonInput& input : detail::hwmon_inputs(root, kind.prefix))
+      found.push_back({kind.quantity, std::move(input.device), std::move(input.name), std::move(input.value)});
+  }
+  if (::access(frequency_file(root, "").c_str(), R_OK) == 0)
+    found.push_back({HostQuantity::frequency, "cpu0", "", frequency_file(root, "")});
   return found;
 }
 

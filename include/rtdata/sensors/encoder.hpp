@@ -1,0 +1,111 @@
+/// EncoderSensor: a counter of the kernel (/sys/bus/counter): a quadrature encoder, or pulses that hardware counts.
+///
+///     rtdata::EncoderSensor shaft(loop, {.name = "shaft", .rate = 100_Hz},
+///                                 {.device = "44000000.timer:counter", .per_count = 1.0 / 4096, .unit = "{rev}"});
+///
+/// At its rate it publishes
+/// - `count`: what the kernel's counter says, carried on where that wraps around;
+/// - `position`: count * per_count, in `unit`;
+/// - `speed`: the change of position since the last reading, in `unit` a `per`; no value of the first reading;
+/// - `direction`: forward or backward, as the hardware saw it last; no value where the driver does not tell it.
+///
+/// Wrapping around: after `ceiling`, where the driver has that attribute; after 2^bits, where `bits` is set; and after
+/// 32 bits where the kernel's text shows a negative number of 32 bits, as interrupt-cnt's does. A driver that counts
+/// both ways may turn by less than half of that range between two readings, one that counts up only by less than all of
+/// it: what is faster is not noticed. A count up that goes back without a known range was set by somebody: that reading
+/// fails, and the next one begins with the new count.
+///
+/// A counter that is off (`enable` is 0) is switched on when it is opened, and stays on. One that goes away makes the
+/// sensor faulted, and it is looked for by its name; the count begins anew with what the counter says then.
+///
+/// The kernel's interface: Documentation/ABI/testing/sysfs-bus-counter. It is read on a lane, one for each device.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+enum class EncoderDirection : std::int8_t { backward = -1, forward = 1 };
+
+/// As it lies in events.
+struct EncoderReading {
+  std::int64_t count = 0;
+  double position = 0;
+  std::optional<double> speed = {};
+  std::optional<EncoderDirection> direction = {};
+};
+
+struct EncoderConfig {
+  std::string device = {};                     ///< name, number ("0", "counter0") or path; empty: the only one
+  std::string channel = {};                    ///< name, number ("0", "count0"); empty: the only one
+  double per_count = 1;                        ///< what one count stands for, in `unit`
+  std::string unit = {};                       ///< UCUM; empty: counts
+  std::string per = "s";                       ///< of the speed: "s", "min", "h"
+  unsigned bits = 0;                           ///< of a counter without a ceiling; 0: as the driver says
+  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  Duration timeout = std::chrono::seconds{1};  ///< a read that takes longer is given up
+
+  friend constexpr auto parameters(type_tag<EncoderConfig>) {
+    using namespace std::chrono_literals;
+    using C = EncoderConfig;
+    return parameter_list(
+        parameter("device", &C::device, "the counter: its name, number or path; empty: the only one that there is",
+                  TextIs::device),
+        parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one",
+                  TextIs::recorded),
+        parameter("per_count", &C::per_count, "what one count stands for, in `unit`", not_zero),
+        parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
+        parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),
+        parameter("bits", &C::bits, "it wraps around after so many bits; 0: as its driver says", range(0, 63)),
+        parameter("root", &C::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("timeout", &C::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
+  }
+};
+
+/// Errors: bad-description (a unit that makes none).
+Result<std::shared_ptr<const Description>> encoder_description(const EncoderConfig& config);
+/// The lane's part is not known: it depends on the bus behind the counter, mostly a register.
+ReadTime read_time(const EncoderConfig& config);
+
+/// How far a counter that wraps around has come.
+class CountTracker {
+ public:
+  enum class Way { up, down, both };
+  /// `range`: how many counts there are before it wraps around; 0: not known.
+  CountTracker(Way way, std::uint64_t range) noexcept : way_(way), range_(range) {}
+  CountTracker() noexcept : CountTracker(Way::both, 0) {}
+
+  /// Takes a number of the kernel's. False: it cannot have come by counting, and the count begins anew with it.
+  bool take(std::uint64_t raw) noexcept;
+  std::int64_t count() const noexcept { return count_; }
+  /// Since the take before; none after the first one, or after one that began anew.
+  std::optional<std::int64_t> change() const noexcept { return change_; }
+
+ private:
+  void begin(std::uint64_t raw) noexcept;
+  Way way_;
+  std::uint64_t range_;
+  std::optional<std::uint64_t> last_;
+  std::int64_t count_ = 0;
+  std::optional<std::int64_t> change_;
+};
+
+class EncoderSensor : public AnySensor {
+ public:
+  EncoderSensor() noexcept = default;
+  /// SetupError: as `Sensor`; bad-argument for a configuration that cannot work.
+  EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig config);
+
+ private:
+  explicit EncoderSensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

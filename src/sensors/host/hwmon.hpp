@@ -1,0 +1,28 @@
+// What chips of the kernel's hwmon measure (Documentation/hwmon/sysfs-interface.rst), found by the chip's name and the
+// label of the input. All of it blocks for as long as listing directories takes.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::detail {
+
+struct HwmonInput {
+  std::string device;                    ///< "coretemp/temp2": as HostConfig names it
+  std::string name;                      ///< for people: "coretemp Core 0"
+  std::string value;                     ///< the file
+  std::string fault = {};                ///< the file; empty: there is none
+  std::vector<std::string> alarms = {};  ///< the files
+};
+
+/// Those that begin with `prefix`, such as "temp", in the order of their numbers.
+std::vector<HwmonInput> hwmon_inputs(const std::string& root, std::string_view prefix);
+/// The one that is called `device`: CHIP/INPUT, or CHIP, whose only one it is. CHIP is the chip's name, that of its
+/// device ("1-0048"), or its folder ("hwmon0"); INPUT its label or its file's name ("temp1"). Empty: the only one.
+/// Errors: not-found, bad-argument (several), with what there is.
+Result<HwmonInput> find_hwmon(const std::string& root, std::string_view prefix, const std::string& device);
+
+}  // namespace rtdata::detail
