@@ -315,6 +315,37 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("rows that got other numbers before the first was sent are found, too") {
+    Folder folder;
+    auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, none, {.name = "other"});
+      run.publish(100);
+      run.loop.close(1s);
+    }
+    {
+      Run run(path, peer);  // begins after the 100
+      run.publish(50);
+      run.loop.advance(2s);
+      run.loop.close(1s);
+    }
+    sql(path, "DELETE FROM a WHERE run = 1 AND sequence <= 90; VACUUM");
+    REQUIRE(number(path, "SELECT max(rowid) FROM a") == 60);
+    is_away = false;
+    Run run(path, peer);
+    run.publish(3);
+    run.loop.advance(2s);
+    CHECK(run.loop.close(1s) == 0);
+    CHECK(count_all_once(*peer) == 53);
+    CHECK(has(run.log, "have other numbers than before"));
+  }
+
   TEST_CASE("a row that cannot be read is left out, told and counted, and nothing is sent again for it") {
     Folder folder;
     auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
