@@ -286,6 +286,34 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT sequence FROM rtdata_refused WHERE reason LIKE '%the test says so%'") == 3);
   }
 
+  TEST_CASE("however many rows are refused at once, the key of each is kept") {
+    for (const bool by_encoding : {false, true}) {
+      CAPTURE(by_encoding);
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      peer->sending = {.window = 4, .parcel_rows = 1000, .timeout = 1s};
+      peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        for (std::size_t i = 0; i < parcel.rows().size(); ++i)
+          answer.refuse(i, {Errc::bad_data, "refused", "peer", "it takes none", ""});
+        answer.acknowledge();
+      };
+      const std::string path = folder / "run.db";
+      Run run(path, peer);
+      if (by_encoding) {
+        peer->unencodable = 5;
+        for (int i = 0; i < 50'000; ++i) run.loop.topic<Number>("a").publish({5});
+      } else {
+        run.publish(50'000);
+      }
+      run.loop.advance(20s);
+      CHECK(run.sink.counts().queued == 0);
+      CHECK(run.sink.counts().all_dropped() == 50'000);
+      CHECK(run.sink.counts().balances());
+      CHECK(run.loop.close(5s) == 0);
+      CHECK(number(path, "SELECT count(*) FROM rtdata_refused") == 50'000);
+    }
+  }
+
   TEST_CASE("rows that got other numbers are found by their key, and an older copy of a recording is told") {
     for (const bool is_older_copy : {false, true}) {
       Folder folder;

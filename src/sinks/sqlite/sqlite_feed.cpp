@@ -278,6 +278,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   if (settled_ < marks_.size()) forget();
   marks_.clear();
   settled_ = 0;
+  if (positions_->is_full()) return false;  // the recording's next transaction calls again
   const Positions::Reading reading(*positions_);
   if (auto looked = look(); !looked) return std::move(looked).error();
   std::size_t bytes_left = queue.bytes_at_once();
@@ -312,7 +313,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
 }
 
 void SqliteFeed::refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) {
-  positions_->add({config_.sink, slot.topic, slot.run, slot.origin, static_cast<std::int64_t>(sequence), why.text()});
+  positions_->add({config_.sink, slot.topic, slot.run, slot.origin, static_cast<std::int64_t>(sequence)}, why.text());
 }
 
 void SqliteFeed::settled(std::size_t rows) noexcept {
