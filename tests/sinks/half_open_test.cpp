@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
 #include "rtdata/sinks/tcp.hpp"
 #include "sinks/sink_kinds.hpp"
 #ifdef RTDATA_WITH_HTTP
@@ -297,4 +298,28 @@ TEST_SUITE("sinks") {
       }
     }
   }
+
+#ifdef RTDATA_WITH_HTTP
+  TEST_CASE("a connection of HTTP that never came about leaves no watch on its descriptor's number") {
+    const auto all = kinds();
+    Bench bench(all[1]);
+    bench.peer.vanish();
+    bench.publish(5);
+    for (int round = 0; round < 3; ++round) {
+      const std::size_t before = bench.errors.size();
+      REQUIRE(bench.wait_for([&] { return bench.errors.size() > before; }));
+      // Whoever opens something now gets that number.
+      std::vector<FdWatch> watches;
+      std::vector<int> sockets;
+      for (int i = 0; i < 8; ++i) {
+        sockets.push_back(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+        REQUIRE(sockets.back() >= 0);
+        CHECK_NOTHROW(
+            watches.emplace_back(bench.loop, sockets.back(), FdWatch::readable, "other", [](const FdEvent&) {}));
+      }
+      watches.clear();
+      for (const int fd : sockets) ::close(fd);
+    }
+  }
+#endif
 }

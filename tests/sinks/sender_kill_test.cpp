@@ -152,22 +152,18 @@ class Receiver {
 
 Sink make_sink(Loop& loop, Protocol protocol, std::uint16_t port) {
   const SendingConfig sending{.window = 4, .parcel_rows = 20, .timeout = 300ms};
-  const SinkConfig sink{.name = "peer", .batch_time = 5ms, .retry_first = 5ms, .retry_longest = 50ms,
-                        .through = "recording"};
+  const SinkConfig sink{
+      .name = "peer", .batch_time = 5ms, .retry_first = 5ms, .retry_longest = 50ms, .through = "recording"};
 #ifdef RTDATA_WITH_HTTP
   if (protocol == Protocol::http) {
-    return HttpSink(loop, {.url = "http://127.0.0.1:" + std::to_string(port) + "/",
-                           .format = "jsonl",
-                           .sending = sending,
-                           .sink = sink});
+    return HttpSink(
+        loop,
+        {.url = "http://127.0.0.1:" + std::to_string(port) + "/", .format = "jsonl", .sending = sending, .sink = sink});
   }
 #endif
   (void)protocol;
-  return TcpSink(loop, {.host = "127.0.0.1",
-                        .port = port,
-                        .acknowledge = Acknowledge::line,
-                        .sending = sending,
-                        .sink = sink});
+  return TcpSink(
+      loop, {.host = "127.0.0.1", .port = port, .acknowledge = Acknowledge::line, .sending = sending, .sink = sink});
 }
 
 /// A run of the program; ends when it is killed, or when all is sent.
