@@ -264,6 +264,24 @@ TEST_CASE("US-32 a server that answers 500 for a minute, or asks for time") {
   }
 }
 
+TEST_CASE("US-32 an answer that repeats the request shows no secret of the URL, and no half of one") {
+  NEEDS_PYTHON();
+  HttpServer server;
+  const std::string token = "s3cr3t-token-of-the-header";
+  for (const std::string& answer :
+       {std::string("Cannot POST /hook/0123456789abcdef?key=fedcba9876543210"), std::string("no hook 0123456789abcdef"),
+        std::string("the key fedcba9876543210 has expired"), std::string(190, 'x') + token}) {
+    CAPTURE(answer);
+    server.become("status 404 -- " + answer);
+    HttpBench bench({.url = server.url("/hook/0123456789abcdef?key=fedcba9876543210"), .bearer = token});
+    bench.publish(1);
+    CHECK(bench.is_faulted());
+    CHECK(has(bench.reason(), "404"));
+    for (const char* secret : {"0123456789", "fedcba", "s3cr3t"})
+      CHECK_MESSAGE(!has(bench.said(), secret), bench.said());
+  }
+}
+
 TEST_CASE("US-32 a token that has expired throws nothing away, and is never shown") {
   NEEDS_PYTHON();
   HttpServer server;

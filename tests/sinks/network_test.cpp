@@ -343,6 +343,34 @@ TEST_SUITE("sinks") {
     CHECK(loop.close(1s) == 2);
   }
 
+  TEST_CASE("US-32 a tunnel that accepts and hangs up does not swallow what waits") {
+    TcpPeer tunnel;
+    Bench bench;
+    TcpSink sink(bench.loop, to(tunnel.port(), {.sending = {.window = 1, .parcel_rows = 10},
+                                                .sink = {.batch_time = 10ms, .queue_bytes = 1 << 20}}));
+    int connections = 0;
+    bench.wait_for([&] {
+      if (bench.published < 2000) bench.publish(5);
+      if (tunnel.accept()) {
+        ++connections;
+        tunnel.hang_up();
+      }
+      return connections >= 10;
+    });
+    CHECK(connections == 10);
+    CHECK(static_cast<double>(sink.counts().stored) < bench.published / 4);  // what the first connection has taken
+    CHECK(bench.has_error("the peer has closed it"));
+    // One that lasts gets what is left.
+    std::string got;
+    CHECK(bench.wait_for([&] {
+      (void)tunnel.accept();
+      got += tunnel.received();
+      return got.find("\"value\":" + std::to_string(static_cast<int>(bench.published))) != std::string::npos;
+    }));
+    CHECK(sink.counts().queued == 0);
+    CHECK(bench.missed == 0);
+  }
+
   TEST_CASE("tcp and udp sinks refuse settings that cannot be right, when they are made") {
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(TcpSink(loop, {.host = "", .port = 1}), SetupError);

@@ -286,6 +286,34 @@ TEST_SUITE("sinks") {
     CHECK(number(path, "SELECT sequence FROM rtdata_refused WHERE reason LIKE '%the test says so%'") == 3);
   }
 
+  TEST_CASE("however many rows are refused at once, the key of each is kept") {
+    for (const bool by_encoding : {false, true}) {
+      CAPTURE(by_encoding);
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      peer->sending = {.window = 4, .parcel_rows = 1000, .timeout = 1s};
+      peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        for (std::size_t i = 0; i < parcel.rows().size(); ++i)
+          answer.refuse(i, {Errc::bad_data, "refused", "peer", "it takes none", ""});
+        answer.acknowledge();
+      };
+      const std::string path = folder / "run.db";
+      Run run(path, peer);
+      if (by_encoding) {
+        peer->unencodable = 5;
+        for (int i = 0; i < 50'000; ++i) run.loop.topic<Number>("a").publish({5});
+      } else {
+        run.publish(50'000);
+      }
+      run.loop.advance(20s);
+      CHECK(run.sink.counts().queued == 0);
+      CHECK(run.sink.counts().all_dropped() == 50'000);
+      CHECK(run.sink.counts().balances());
+      CHECK(run.loop.close(5s) == 0);
+      CHECK(number(path, "SELECT count(*) FROM rtdata_refused") == 50'000);
+    }
+  }
+
   TEST_CASE("rows that got other numbers are found by their key, and an older copy of a recording is told") {
     for (const bool is_older_copy : {false, true}) {
       Folder folder;
@@ -313,6 +341,37 @@ TEST_SUITE("sinks") {
       CHECK(has(run.log, is_older_copy ? "may be an older copy" : "have other numbers than before"));
       CHECK(peer->events.size() == (is_older_copy ? 60 + 10 + 3 : 60 + 3));
     }
+  }
+
+  TEST_CASE("rows that got other numbers before the first was sent are found, too") {
+    Folder folder;
+    auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, none, {.name = "other"});
+      run.publish(100);
+      run.loop.close(1s);
+    }
+    {
+      Run run(path, peer);  // begins after the 100
+      run.publish(50);
+      run.loop.advance(2s);
+      run.loop.close(1s);
+    }
+    sql(path, "DELETE FROM a WHERE run = 1 AND sequence <= 90; VACUUM");
+    REQUIRE(number(path, "SELECT max(rowid) FROM a") == 60);
+    is_away = false;
+    Run run(path, peer);
+    run.publish(3);
+    run.loop.advance(2s);
+    CHECK(run.loop.close(1s) == 0);
+    CHECK(count_all_once(*peer) == 53);
+    CHECK(has(run.log, "have other numbers than before"));
   }
 
   TEST_CASE("a row that cannot be read is left out, told and counted, and nothing is sent again for it") {

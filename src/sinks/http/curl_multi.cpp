@@ -67,8 +67,16 @@ void CurlMulti::remove(CURL* easy) noexcept {
 int CurlMulti::on_socket(CURL*, curl_socket_t fd, int wants, void* self, void*) {
   auto& multi = *static_cast<CurlMulti*>(self);
   if (wants == CURL_POLL_REMOVE) {
-    // The connection may be used again in a moment: the watch stays until then, or until the socket is closed.
-    if (const auto socket = multi.sockets_.find(fd); socket != multi.sockets_.end()) socket->second.is_idle = true;
+    const auto socket = multi.sockets_.find(fd);
+    if (socket == multi.sockets_.end()) return 0;
+    // The connection may be used again in a moment: the watch stays until then, or until the socket is closed. But of
+    // one that was never connected libcurl does not tell that (it has closed it by now, and its number may be
+    // somebody else's).
+    if (socket->second.has_been_heard) {
+      socket->second.is_idle = true;
+    } else {
+      multi.sockets_.erase(socket);
+    }
     return 0;
   }
   try {
@@ -98,6 +106,7 @@ void CurlMulti::ready(int fd, const FdEvent& event) {
     return;
   }
   const std::shared_ptr<bool> alive = is_alive_;
+  socket->second.has_been_heard = socket->second.has_been_heard || (event.readable && !event.hung_up);
   const int readable = event.readable || event.hung_up ? CURL_CSELECT_IN : 0;
   act(fd, readable | (event.writable ? CURL_CSELECT_OUT : 0));
   if (!*alive || !event.hung_up) return;

@@ -44,7 +44,8 @@ class CurlMulti {
   struct Socket {
     FdWatch watch;
     FdWatch::Events events = FdWatch::readable;
-    bool is_idle = false;  // libcurl waits for nothing of it
+    bool is_idle = false;         // libcurl waits for nothing of it
+    bool has_been_heard = false;  // something has come: it is connected
   };
   static int on_socket(CURL*, curl_socket_t fd, int wants, void* self, void*);
   static int on_timer(CURLM*, long milliseconds, void* self);

@@ -76,6 +76,23 @@ const char* folder_of_authorities() {
   return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
 }
 
+/// What of a URL may be a secret, as a server's answer may repeat it: what follows the host, its query, and the long
+/// parts of both.
+void add_secrets_of(std::string_view url, std::vector<std::string>& secrets) {
+  constexpr std::size_t least = 12;  // shorter ones are words, such as a bucket's name
+  const std::size_t host = url.find("://");
+  const std::size_t target = host == url.npos ? url.npos : url.find_first_of("/?", host + 3);
+  if (target == url.npos) return;
+  std::string_view rest = url.substr(target);
+  secrets.emplace_back(rest);
+  if (const std::size_t query = rest.find('?'); query != rest.npos) secrets.emplace_back(rest.substr(query));
+  while (!rest.empty()) {
+    const std::size_t end = std::min(rest.find_first_of("/?&="), rest.size());
+    if (end >= least) secrets.emplace_back(rest.substr(0, end));
+    rest.remove_prefix(std::min(end + 1, rest.size()));
+  }
+}
+
 HttpUrl checked_url(const HttpConfig& config) {
   need_curl();
   for (const HttpMistake& mistake : mistakes_of(config))
@@ -207,6 +224,7 @@ HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
   if (!config_.proxy_user.empty()) secrets_.push_back(base64(config_.proxy_user + ":" + config_.proxy_password));
   for (const auto& [name, text] : config_.headers)
     if (constexpr std::size_t least = 8; text.size() >= least) secrets_.push_back(text);
+  add_secrets_of(config_.url, secrets_);
   append(headers_, "Content-Type: " + type_of(config_, *codec_));
   append(headers_, "Expect:");  // not asked first
   if (config_.compression == HttpCompression::gzip) append(headers_, "Content-Encoding: gzip");
@@ -473,6 +491,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     char* redirect = nullptr;
     ::curl_easy_getinfo(easy, CURLINFO_REDIRECT_URL, &redirect);
     if (redirect != nullptr) answer.redirect = redirect;
+    request.text = hidden(std::move(request.text), secrets_);  // as a whole: the line shown may end within one
     answer.text = request.text;
     HttpJudgement judgement = judge(answer, url_.origin);
     if (judgement.verdict == HttpVerdict::elsewhere && ++request.redirects <= most_redirects) {

@@ -23,12 +23,15 @@ constexpr int most_reads = 16;                  // in a turn of the loop
 constexpr std::size_t most_written = 1U << 20;  // the same, in bytes
 constexpr std::size_t most_line = 256;          // of an acknowledgement
 constexpr char ack = 0x06, nak = 0x15;
+constexpr Duration short_life = std::chrono::seconds{1};  // of a connection; the next one has to last before it is used
+constexpr Duration probation = std::chrono::milliseconds{500};
 
 /// What is under way on the loop: shared, since an answer may end the sink while one of its functions runs.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
   Connection(Loop& loop, const TcpConfig& config)
-      : config_(config),
+      : loop_(loop),
+        config_(config),
         stream_(
             loop.core(), "sink " + config.sink.name, [this](const Result<void>& result) { opened(result); },
             [this] { ready(); }),
@@ -72,6 +75,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void opened(const Result<void>& result) {
     const auto self = shared_from_this();
     if (!result) return fail(result.error());
+    opened_at_ = loop_.now();
+    is_on_probation_ = std::exchange(is_distrusted_, false);
+    if (is_on_probation_) return more_.start(std::min<Duration>(probation, config_.sending.timeout / 2));
     write();
   }
 
@@ -92,11 +98,12 @@ class Connection : public std::enable_shared_from_this<Connection> {
   }
   void go_on() {
     const auto self = shared_from_this();
+    is_on_probation_ = false;
     if (stream_.is_open()) write();
   }
 
   void write() {
-    if (std::exchange(is_writing_, true)) return;  // an answer has brought the next parcel
+    if (is_on_probation_ || std::exchange(is_writing_, true)) return;  // an answer has brought the next parcel
     std::size_t left = most_written;
     bool is_full = false;
     while (left > 0 && !is_full && stream_.is_open()) {
@@ -177,6 +184,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void fail(Error error) {
     const std::size_t bytes = is_confirmed() ? 0 : stream_.unconfirmed();
     const bool was_open = stream_.is_open();
+    // A tunnel or a proxy whose other end is away accepts, takes bytes, and hangs up: what waits must not vanish in it.
+    if (was_open && !is_confirmed()) is_distrusted_ = is_on_probation_ || loop_.now() - opened_at_ < short_life;
     close();
     if (bytes > 0) error.why += "; up to " + std::to_string(bytes) + " bytes that had been sent are lost";
     if (under_way_.empty()) {
@@ -192,9 +201,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
     stream_.close();
     more_.stop();
     line_.clear();
-    wants_to_write_ = false;
+    wants_to_write_ = is_on_probation_ = false;
   }
 
+  Loop& loop_;
   const TcpConfig config_;
   TcpStream stream_;
   Timer more_;  // goes on in the next turn of the loop
@@ -202,6 +212,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
   std::string line_;  // of an acknowledgement, begun
   std::optional<Error> trouble_;
   bool has_trouble_ = false;
+  MonotonicTime opened_at_{};
+  bool is_distrusted_ = false;  // the last connection was soon over
+  bool is_on_probation_ = false;
   bool is_writing_ = false;
   bool wants_to_write_ = false;
 };

@@ -5,7 +5,7 @@
 namespace rtdata::sqlite {
 namespace {
 
-constexpr std::size_t most_refusals = 10'000;  // that wait to be written; those beyond are counted only
+constexpr std::size_t most_refusals = 10'000;  // that wait to be written, and those of one more batch
 constexpr auto longest_wait = std::chrono::milliseconds{500};
 
 }  // namespace
@@ -15,9 +15,14 @@ void Positions::set(const std::string& sink, const std::string& table, Position 
   dirty_[{sink, table}] = std::move(position);
 }
 
-void Positions::add(Refusal refusal) {
+void Positions::add(Refusal refusal, std::string reason) {
   const std::lock_guard lock(mutex_);
-  if (refusals_.size() < most_refusals) refusals_.push_back(std::move(refusal));
+  refusals_.insert_or_assign(std::move(refusal), std::move(reason));
+}
+
+bool Positions::is_full() const {
+  const std::lock_guard lock(mutex_);
+  return refusals_.size() + refusals_in_transaction_.size() >= most_refusals;
 }
 
 std::map<std::string, Positions::Committed> Positions::last_rows() const {
@@ -66,13 +71,11 @@ bool Positions::is_dirty() const {
 }
 
 Result<void> Positions::write(Database& database) {
-  std::vector<Refusal> refusals;
   {
     const std::lock_guard lock(mutex_);
     if (dirty_.empty() && refusals_.empty()) return {};
     in_transaction_ = dirty_;
-    refusals = refusals_;
-    refusals_in_transaction_ = refusals.size();
+    refusals_in_transaction_.swap(refusals_);
   }
   if (auto made = database.execute(position_schema); !made) return made;
   const std::string host = host_name();
@@ -85,9 +88,9 @@ Result<void> Positions::write(Database& database) {
   }
   auto refused = database.prepare("INSERT OR REPLACE INTO rtdata_refused VALUES(?,?,?,?,?,?)");
   if (!refused) return std::move(refused).error();
-  for (const Refusal& one : refusals) {
+  for (const auto& [one, reason] : refusals_in_transaction_) {
     refused->bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);
-    refused->bind(6, one.reason);
+    refused->bind(6, reason);
     if (auto done = refused->run(); !done) return done;
   }
   return {};
@@ -100,14 +103,14 @@ void Positions::committed() noexcept {
     if (now != dirty_.end() && now->second.row == stored.row) dirty_.erase(now);
   }
   in_transaction_.clear();
-  refusals_.erase(refusals_.begin(), refusals_.begin() + static_cast<std::ptrdiff_t>(refusals_in_transaction_));
-  refusals_in_transaction_ = 0;
+  refusals_in_transaction_.clear();
 }
 
 void Positions::rolled_back() noexcept {
   const std::lock_guard lock(mutex_);
   in_transaction_.clear();
-  refusals_in_transaction_ = 0;
+  refusals_.merge(refusals_in_transaction_);  // what is left has been said again
+  refusals_in_transaction_.clear();
 }
 
 Positions::Reading::Reading(Positions& of) : of_(of) {

@@ -2,6 +2,7 @@
 // them with its next transaction, so that the file has one writer. A kill repeats what was acknowledged since.
 #pragma once
 
+#include <compare>
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
@@ -30,7 +31,7 @@ struct Refusal {
   std::string run;
   std::string origin;
   std::int64_t sequence = 0;
-  std::string reason;
+  auto operator<=>(const Refusal&) const = default;
 };
 
 /// In rtdata_position this stands for the table when a sink has come to the recording for the first time.
@@ -57,7 +58,10 @@ CREATE TABLE IF NOT EXISTS rtdata_refused(
 class Positions {
  public:
   void set(const std::string& sink, const std::string& table, Position position);
-  void add(Refusal refusal);
+  /// The same may be said again.
+  void add(Refusal refusal, std::string reason);
+  /// So many refusals wait to be written that a sink waits for that before it reads more rows.
+  bool is_full() const;
 
   /// What the recording's writer has committed.
   struct Committed {
@@ -112,10 +116,10 @@ class Positions {
   std::condition_variable changed_;
   std::map<Key, Position> dirty_;
   std::map<Key, Position> in_transaction_;
-  std::vector<Refusal> refusals_;
+  std::map<Refusal, std::string> refusals_;  // and their reasons
+  std::map<Refusal, std::string> refusals_in_transaction_;
   std::map<std::string, Committed> last_rows_;
   std::int64_t run_ = 0;
-  std::size_t refusals_in_transaction_ = 0;
   std::vector<std::function<std::string()>> at_end_;
   int readers_ = 0;
   bool is_held_off_ = false;

@@ -126,12 +126,13 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
   Position position;
   if (is_new_ && config_.from == From::now) {
     // From the end: only what has come since is read.
-    auto older = file.prepare("SELECT rowid FROM " + name + " WHERE run < ?1 OR time < ?2 ORDER BY rowid DESC LIMIT 1");
+    auto older = file.prepare("SELECT rowid, run, origin, sequence FROM " + name +
+                              " WHERE run < ?1 OR time < ?2 ORDER BY rowid DESC LIMIT 1");
     if (!older) return std::move(older).error();
     older->bind(1, positions_->run()).bind(2, to_nanoseconds(config_.attached));
     auto row = older->step();
     if (!row) return std::move(row).error();
-    if (*row) position.row = older->integer(0);
+    if (*row) position = {older->integer(0), older->integer(1), std::string(older->text(2)), older->integer(3)};
   } else if (!is_new_) {
     auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
     if (!has_table) return std::move(has_table).error();
@@ -143,7 +144,7 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     auto row = stored->step();
     if (!row) return std::move(row).error();
     if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
-    if (position.row == 0 || position.sequence == 0) return position;
+    if (position.row == 0) return position;
     constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
     auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
     if (!same) return std::move(same).error();
@@ -247,6 +248,7 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
           "left out: " +
           at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
       table.read = row;
+      table.left_out = {row, run_number, std::string(origin), sequence};
       continue;
     }
     queue.commit(record_bytes);
@@ -276,6 +278,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   if (settled_ < marks_.size()) forget();
   marks_.clear();
   settled_ = 0;
+  if (positions_->is_full()) return false;  // the recording's next transaction calls again
   const Positions::Reading reading(*positions_);
   if (auto looked = look(); !looked) return std::move(looked).error();
   std::size_t bytes_left = queue.bytes_at_once();
@@ -295,10 +298,10 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
     if (bytes_left == 0) break;
   }
   if (!tables_.empty()) next_table_ = (next_table_ + 1) % tables_.size();
-  if (marks_.empty()) {  // all that was left are rows that have gone
+  if (marks_.empty()) {  // all that was left are rows that cannot be read
     for (Table& table : tables_) {
       if (table.read > table.done.row) {
-        table.done = {table.read, 0, {}, 0};  // there is no row whose key could be looked for
+        table.done = table.left_out;
         positions_->set(config_.sink, table.topic.table, table.done);
       }
     }
@@ -310,7 +313,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
 }
 
 void SqliteFeed::refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) {
-  positions_->add({config_.sink, slot.topic, slot.run, slot.origin, static_cast<std::int64_t>(sequence), why.text()});
+  positions_->add({config_.sink, slot.topic, slot.run, slot.origin, static_cast<std::int64_t>(sequence)}, why.text());
 }
 
 void SqliteFeed::settled(std::size_t rows) noexcept {

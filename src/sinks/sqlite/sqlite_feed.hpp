@@ -42,7 +42,8 @@ class SqliteFeed final : public detail::RowFeed {
     Statement next;         // rows after one, so many at most
     Statement last;         // the number of the last row
     Position done;          // with all up to this one
-    std::int64_t read = 0;  // the last row that was put into the queue, or skipped
+    std::int64_t read = 0;  // the last row that was put into the queue, or left out
+    Position left_out;      // the last row that could not be read
     std::int64_t begin = 0;
     std::int64_t last_row = 0;
     std::uint32_t topic_number = 0;
