@@ -199,8 +199,8 @@ def check_types(source, program, elsewhere):
             is_member = len(match[1]) > 2  # of the parameter before it
             parent = parent if is_member else key
             places = [f"{name}`: `{parent}", f"{group}`: `{parent}"] if is_member else [name, group]
-            wanted = next((sections[s][key] for s in places if key in sections.get(s, {})), None)
-            if wanted is None:
+            wanted = [one for s in places for one in sections.get(s, {}).get(key, [])]
+            if not wanted:
                 problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")
             elif default not in wanted:
                 problem("docs/configuration.md", f"the default of {key} of {name} is {default!r}, not {' or '.join(wanted)!r}")
