@@ -2,6 +2,7 @@
 
 #include <netdb.h>
 
+#include <algorithm>
 #include <cstring>
 #include <utility>
 
@@ -105,6 +106,16 @@ void HostLookup::job_done(Job& job, LaneJob::Outcome outcome) {
 
 Error HostLookup::unknown(std::string why) const {
   return {Errc::not_found, "cannot connect", host_, std::move(why), "check the name; an address needs no looking up"};
+}
+
+std::string obstacle_of_host(const std::string& host) {
+  if (host.empty()) return "there is no host";
+  if (host.find("://") != std::string::npos) return "it is a URL: give the name or the address alone";
+  const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
+    return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
+  });
+  if (has_other) return "it is no name of a host, nor an address";
+  return host.size() > 253 ? "it is longer than names of hosts are" : "";
 }
 
 }  // namespace rtdata::detail

@@ -15,6 +15,9 @@
 
 namespace rtdata::detail {
 
+/// Why this is no host; empty: it may be one.
+std::string obstacle_of_host(const std::string& host);
+
 /// Owner: who needs the address. Thread: the loop's.
 class HostLookup {
  public:

@@ -53,6 +53,8 @@ const std::map<std::string, std::string> right_sensors{
     {"query",
      R"({"name": "s", "type": "query", "rate": "1 Hz", "bus": "tty", "request": "?", "fields": [{"name": "x"}]})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
+    {"mqtt", R"({"name": "s", "type": "mqtt", "host": "127.0.0.1", "port": 1, "topics": ["a/#"],
+                 "fields": [{"name": "x"}]})"},
     {"pps", R"({"name": "s", "type": "pps"})"},
     {"replay", R"({"name": "s", "type": "replay", "file": "FOLDER/old.db"})"},
     {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},

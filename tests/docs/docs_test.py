@@ -1,7 +1,7 @@
 """Holds the documentation to the product:  docs_test.py SOURCE_DIR BUILD_DIR CXX
 
 A comment on the line before a code block says what is done with it:
-  <!-- test: configuration [TYPE] -->   `rtdata check` finds no mistake in it; skipped where the program has no such type
+  <!-- test: configuration [TYPE...] -->   `rtdata check` finds no mistake in it; skipped where the program has no such type
   <!-- test: compile -->         it compiles
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
@@ -70,7 +70,7 @@ def check_blocks(source, build, compiler, program):
                     problem(where, f"unknown mark: {block['test']}")
                 elif program is None:
                     skipped += 1
-                elif kind == "configuration" and argument and not has_type(program, argument):
+                elif kind == "configuration" and not all(has_type(program, one) for one in argument.split()):
                     print(f"skipped: {where}, since this program has no type {argument}")
                 elif kind == "configuration":
                     file = Path(folder) / "block.json"
@@ -165,14 +165,15 @@ def check_drivers_page(source, program, rewrite):
 
 
 def documented(source):
-    """Of each section of configuration.md: the default of each parameter in its tables."""
+    """Of each section of configuration.md: the defaults of each parameter in its tables. A bus, a sensor and a sink may
+    have the same name."""
     sections, rows = {}, {}
     for line in (source / "docs/configuration.md").read_text().splitlines():
         if line.startswith("#"):
             rows = sections.setdefault(line.strip("# `"), {})
         elif line.startswith("| `"):
             cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-            rows[cells[0].strip("`")] = cells[3].strip("`")
+            rows.setdefault(cells[0].strip("`"), []).append(cells[3].strip("`"))
     return sections
 
 
@@ -198,11 +199,11 @@ def check_types(source, program, elsewhere):
             is_member = len(match[1]) > 2  # of the parameter before it
             parent = parent if is_member else key
             places = [f"{name}`: `{parent}", f"{group}`: `{parent}"] if is_member else [name, group]
-            wanted = next((sections[s][key] for s in places if key in sections.get(s, {})), None)
-            if wanted is None:
+            wanted = [one for s in places for one in sections.get(s, {}).get(key, [])]
+            if not wanted:
                 problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")
-            elif wanted != default:
-                problem("docs/configuration.md", f"the default of {key} of {name} is {default!r}, not {wanted!r}")
+            elif default not in wanted:
+                problem("docs/configuration.md", f"the default of {key} of {name} is {default!r}, not {' or '.join(wanted)!r}")
 
 
 LITERAL = r'"(?:[^"\\\n]|\\.)*"'
@@ -229,6 +230,7 @@ NOT_TRIED = {
     "AnySensor": "the base of sensors",
     "AnyFeed": "the base of feeds",
     "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
+    "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
     "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
     "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
     "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",

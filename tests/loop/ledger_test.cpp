@@ -38,6 +38,9 @@ struct Account final : detail::Recorder {
   void on_clock(const ClockPair&) override {}
   void on_error(Time, Time, std::string_view, const Error&, std::uint64_t) override {}
   SinkStatus status() const override { return {}; }
+  const std::string& name() const noexcept override { return name_; }
+  SinkCounts counts() const noexcept override { return {}; }
+  const std::string name_;
   void drain(MonotonicTime, Callback<void(std::uint64_t)> done) override { done(0); }
   detail::RuntimeCore& core;
   std::vector<NamedGap> gaps;

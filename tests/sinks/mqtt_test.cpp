@@ -18,6 +18,7 @@
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/mqtt.hpp"
 #include "sensors/fake_gpsd.hpp"
+#include "sinks/broker.hpp"
 #include "sinks/sink_kinds.hpp"
 
 using namespace rtdata;
@@ -25,66 +26,6 @@ using namespace sinks;
 using namespace std::chrono_literals;
 
 namespace {
-
-std::string broker_program() {
-  for (const char* path : {"/usr/sbin/mosquitto", "/usr/local/sbin/mosquitto", "/usr/bin/mosquitto"})
-    if (::access(path, X_OK) == 0) return path;
-  return "";
-}
-
-/// mosquitto on a port of this machine that was free.
-class Broker {
- public:
-  explicit Broker(const std::string& more = "allow_anonymous true\n") : more_(more) {
-    FakeGpsd finder;
-    port_ = finder.port();
-    finder.vanish();
-    start();
-  }
-  Broker(const Broker&) = delete;
-  Broker& operator=(const Broker&) = delete;
-  ~Broker() { kill(); }
-  void start() {
-    std::ofstream(directory_ / "conf") << "listener " << port_ << " 127.0.0.1\nuser root\n" << more_;
-    const std::string program = broker_program(), conf = directory_ / "conf", log = directory_ / "log";
-    process_ = ::fork();
-    if (process_ == 0) {
-      if (std::freopen(log.c_str(), "a", stderr) == nullptr || std::freopen(log.c_str(), "a", stdout) == nullptr)
-        ::_exit(1);
-      ::execl(program.c_str(), "mosquitto", "-c", conf.c_str(), static_cast<char*>(nullptr));
-      ::_exit(127);
-    }
-    for (int i = 0; i < 1000 && !answers(); ++i) std::this_thread::sleep_for(10ms);  // another program
-    REQUIRE_MESSAGE(answers(), content(log));
-  }
-  void kill() {
-    if (process_ <= 0) return;
-    ::kill(process_, SIGKILL);
-    ::waitpid(process_, nullptr, 0);
-    process_ = -1;
-  }
-  std::uint16_t port() const { return port_; }
-  std::string write(const std::string& name, const std::string& text) {
-    std::ofstream(directory_ / name) << text;
-    return directory_ / name;
-  }
-
- private:
-  bool answers() const {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    address.sin_port = htons(port_);
-    const bool is_there = ::connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0;
-    ::close(fd);
-    return is_there;
-  }
-  Directory directory_;
-  std::string more_;
-  std::uint16_t port_ = 0;
-  pid_t process_ = -1;
-};
 
 /// Hears all that the broker publishes, on the test's thread.
 class Listener {
@@ -158,12 +99,6 @@ double value_of(const std::string& message) {
 }
 
 constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
-
-#define NEEDS_BROKER()                              \
-  if (broker_program().empty()) {                   \
-    MESSAGE("skipped: mosquitto is not installed"); \
-    return;                                         \
-  }
 
 }  // namespace
 

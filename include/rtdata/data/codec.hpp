@@ -159,6 +159,7 @@ struct Decoded {
   std::string origin;
   Time time{};
   std::optional<std::uint64_t> sequence;
+  std::string run;  ///< empty when the event was written without
   T data;
 
   /// Valid as long as this object is unchanged.
@@ -179,8 +180,9 @@ Result<Decoded<T>> decode(Codec& codec, std::span<const std::byte> bytes) {
   }
   alignas(T) std::byte memory[sizeof(T)];
   std::memcpy(memory, event->payload.data(), sizeof(T));
-  return Decoded<T>{std::move(event->topic), std::move(event->origin), event->time, event->sequence,
-                    *std::launder(reinterpret_cast<const T*>(memory))};
+  return Decoded<T>{
+      std::move(event->topic), std::move(event->origin), event->time,
+      event->sequence,         std::move(event->run),    *std::launder(reinterpret_cast<const T*>(memory))};
 }
 
 }  // namespace rtdata

@@ -28,36 +28,13 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/io/mqtt.hpp"
 #include "rtdata/sinks/sender.hpp"
 
 namespace rtdata {
 
 class ConfigItem;
 class Problems;
-
-enum class MqttVersion {
-  newest,  ///< 5; 3.1.1 of a broker that has no other
-  v5,
-  v311,
-};
-constexpr auto describe(type_tag<MqttVersion>) {
-  return enumeration("version", value("newest", MqttVersion::newest), value("5", MqttVersion::v5),
-                     value("3.1.1", MqttVersion::v311));
-}
-
-/// The certificate of the broker is always verified, and that it is of `host`.
-struct MqttTls {
-  std::string ca = {};           ///< file of certificates that are trusted; empty: the system's
-  std::string certificate = {};  ///< our own, a file
-  std::string key = {};          ///< of ours, a file
-
-  friend constexpr auto parameters(type_tag<MqttTls>) {
-    return parameter_list(
-        parameter("ca", &MqttTls::ca, "file of the certificates that are trusted; without it, the system's"),
-        parameter("certificate", &MqttTls::certificate, "file of our own certificate, where the broker wants one"),
-        parameter("key", &MqttTls::key, "file of its key"));
-  }
-};
 
 /// What the broker publishes when the connection is lost.
 struct MqttWill {

@@ -28,6 +28,7 @@
 #include "rtdata/sensors/modbus.hpp"
 #endif
 #ifdef RTDATA_WITH_MQTT
+#include "rtdata/sensors/mqtt.hpp"
 #include "rtdata/sinks/mqtt.hpp"
 #endif
 #ifdef RTDATA_WITH_POSTGRESQL
@@ -237,6 +238,15 @@ Registry standard_registry() {
         return IioBufferSensor(loop, common, config);
       },
       [](PartPlan& plan, const IioBufferConfig& config) { plan.place = buffer_of(config.device, config.root); });
+#ifdef RTDATA_WITH_MQTT
+  registry.add_sensor<MqttSensorConfig>(
+      "mqtt", "the messages of a broker of MQTT, such as a phone's or an ESP32's",
+      [](const MqttSensorConfig& config) { return mqtt_description(config); },
+      [](Loop& loop, const FeedConfig& common, const MqttSensorConfig& config) {
+        return MqttSensor(loop, common, config);
+      },
+      [](PartPlan& plan, const MqttSensorConfig& config) { plan.stored_by = config.stored_by; });
+#endif
   registry.add_sensor<PpsConfig>(
       "pps", "pulses per second, as the kernel times them; a source of the time of day",
       [](const PpsConfig&) { return Result(description_of<PpsPulse>()); },
@@ -311,7 +321,8 @@ Registry standard_registry() {
   registry.leave_out("sink", "sqlite", "this program was built without SQLite");
 #endif
 #ifndef RTDATA_WITH_MQTT
-  registry.leave_out("sink", "mqtt", "this program was built without libmosquitto");
+  for (const char* kind : {"sensor", "sink"})
+    registry.leave_out(kind, "mqtt", "this program was built without libmosquitto");
 #endif
 #ifndef RTDATA_WITH_HTTP
   registry.leave_out("sink", "http", "this program was built without libcurl");

@@ -274,7 +274,24 @@ void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
   }
 }
 
+void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const {
+  const PartPlan* sink = find("sink", part.stored_by);
+  if (sink == nullptr || !sink->stores || !part.publishes) return;
+  const ConfigItem& at = child_or_self(part.item, "stored_by");
+  const std::string name = "the sink " + ConfigItem::of(part.stored_by).to_json() + ", at " + place_of(sink->item) +
+                           ",";
+  if (!sink->stores->through.empty()) {
+    problems.add(at.problem("wrong-part", name + " goes through a recording: name that"));
+  } else if (!sink->stores->wants(part.publishes->topic)) {
+    problems.add(at.problem("not-recorded", name + " does not take the topic \"" + part.publishes->topic +
+                                                "\"; add it to the `topics` there"));
+  } else if (sink->tier() != part.tier()) {
+    problems.add(at.problem("wrong-part", name + " is on another loop; give both the same `tier`, or none"));
+  }
+}
+
 void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
+  if (!part.stored_by.empty()) check_stored_by(part, problems);
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   for (const PartUse& use : part.uses) {
     if (use.kind == "topic") {

@@ -41,6 +41,8 @@ class Neighbours {
   void check_uses(const PartPlan& part, Problems& problems);
   /// The recording that a sink goes through has all of its topics.
   void check_through(const PartPlan& part, Problems& problems) const;
+  /// The sink that is to store a part's events takes them, itself and on the same loop.
+  void check_stored_by(const PartPlan& part, Problems& problems) const;
   /// The log is a file of its own. `at`: the item that names it.
   void add_log(const LogSettings& log, const ConfigItem& at, Problems& problems);
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <string_view>
 
 #include "rtdata/data/error.hpp"
@@ -42,6 +43,9 @@ class Recorder : public Listener {
   virtual void on_clock(const ClockPair& pair) = 0;
   virtual void on_configuration(const ConfigurationChange&) {}
   virtual SinkStatus status() const = 0;
+  virtual const std::string& name() const noexcept = 0;
+  /// Of what it was offered.
+  virtual SinkCounts counts() const noexcept = 0;
   /// Null: something else that records.
   virtual SinkNode* as_sink() noexcept { return nullptr; }
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.

@@ -14,8 +14,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* bad_line = "cannot use a line";
-constexpr const char* check_fields = "check `fields` and the line's settings";
+constexpr const char* check_fields = "check `fields` and the other settings";
 
 Error refused(std::string where, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use these fields", std::move(where), std::move(why), std::move(advice)};
@@ -158,8 +157,10 @@ std::string shown(std::string_view text) {
 
 }  // namespace
 
-LineDecoder::LineDecoder(const SerialConfig& config)
-    : fields_(config.fields),
+LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
+    : around_(std::move(around)),
+      bad_line_("cannot use a " + around_.what),
+      fields_(config.fields),
       description_(line_description(config.fields).or_throw()),
       format_(config.format),
       separator_(config.separator),
@@ -171,6 +172,9 @@ LineDecoder::LineDecoder(const SerialConfig& config)
   for (LineField& field : fields_) {
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
     if (field.key.empty()) field.key = field.name;
+    const auto& given = around_.given;
+    is_given_.push_back(std::find(given.begin(), given.end(), field.key) != given.end());
+    if (!is_given_.back()) ++columns_;
     if (format_ == LineFormat::json && field.key.empty()) {
       throw SetupError(
           refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
@@ -197,9 +201,17 @@ Result<void> LineDecoder::decode(std::string_view line) {
   return format_ == LineFormat::csv ? decode_csv(line) : decode_json(line);
 }
 
+Result<void> LineDecoder::give(std::string_view key, std::string_view text) {
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    if (!is_given(i) || fields_[i].key != key) continue;
+    if (auto done = put(i, text); !done) return done;
+  }
+  return {};
+}
+
 Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const {
   const std::string& name = fields_[index].name;
-  return {code, bad_line, name.empty() ? "column " + std::to_string(index + 1) : "field " + name, std::move(why),
+  return {code, bad_line_, name.empty() ? "column " + std::to_string(index + 1) : "field " + name, std::move(why),
           check_fields};
 }
 
@@ -283,12 +295,13 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
 
 Result<void> LineDecoder::decode_csv(std::string_view line) {
   const auto count_error = [&](std::string_view what) {
-    return Error{Errc::bad_data, bad_line, shown(line),
-                 "it has " + std::string(what) + " than the " + std::to_string(fields_.size()) + " columns expected",
+    return Error{Errc::bad_data, bad_line_, shown(line),
+                 "it has " + std::string(what) + " than the " + std::to_string(columns_) + " columns expected",
                  check_fields};
   };
   std::string_view rest = separator_ == ' ' ? trimmed(line) : line;
   for (std::size_t i = 0; i < fields_.size(); ++i) {
+    if (is_given(i)) continue;
     const bool has_more = rest.data() != nullptr;
     if (!has_more) return count_error("fewer");
     const Result<Column> column = next_column(i, rest);
@@ -345,12 +358,13 @@ class LineDecoder::JsonHandler {
     return true;
   }
   bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
-    error_ = Error{Errc::bad_data, bad_line, "", "it is no JSON from byte " + std::to_string(position) + " on",
-                   check_fields};
+    error_ = Error{Errc::bad_data, decoder_.bad_line_, "",
+                   "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
     return false;
   }
   Error take_error() {
-    return error_ ? std::move(*error_) : Error{Errc::bad_data, bad_line, "", "it is no JSON object", check_fields};
+    return error_ ? std::move(*error_)
+                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is no JSON object", check_fields};
   }
 
  private:
@@ -374,7 +388,7 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
   if (arrays_ != 0) return true;
   if (starts_.empty()) return false;
   for (std::size_t i = 0; i < decoder_.fields_.size(); ++i) {
-    if (decoder_.fields_[i].key != path_) continue;
+    if (decoder_.fields_[i].key != path_ || decoder_.is_given(i)) continue;
     const Kind kind = decoder_.fields_[i].type;
     const bool is_textual = kind == Kind::text || kind == Kind::character;
     if (decoder_.seen_[i]) {
@@ -403,8 +417,8 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
     return error;
   }
   for (std::size_t i = 0; i < fields_.size(); ++i) {
-    if (!seen_[i] && !fields_[i].optional)
-      return failure(Errc::bad_data, i, "the line has no \"" + fields_[i].key + "\"");
+    if (!seen_[i] && !fields_[i].optional && !is_given(i))
+      return failure(Errc::bad_data, i, "the " + around_.what + " has no \"" + fields_[i].key + "\"");
   }
   return {};
 }

@@ -11,11 +11,17 @@
 
 namespace rtdata::detail {
 
+/// What is not in the lines themselves: fields with one of these keys are `give`n. And what a line is called.
+struct AroundLine {
+  std::vector<std::string> given = {};
+  std::string what = "line";
+};
+
 /// Decodes one line at a time into a buffer of its own.
 class LineDecoder {
  public:
   /// SetupError (bad-argument, bad-description).
-  explicit LineDecoder(const SerialConfig& config);
+  explicit LineDecoder(const SerialConfig& config, AroundLine around = {});
 
   const std::shared_ptr<const Description>& description() const noexcept { return description_; }
   /// Whether there is nothing to be decoded in the line: it is empty or a comment.
@@ -23,6 +29,8 @@ class LineDecoder {
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
   /// good.
   Result<void> decode(std::string_view line);
+  /// After `decode`: the value of the fields with this key. Errors: those of `decode`.
+  Result<void> give(std::string_view key, std::string_view text);
   std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
 
   /// What the line's number says against the last one's.
@@ -49,7 +57,10 @@ class LineDecoder {
   };
   Result<Column> next_column(std::size_t index, std::string_view& rest);
   Error failure(Errc code, std::size_t index, std::string why) const;
+  bool is_given(std::size_t index) const noexcept { return is_given_[index]; }
 
+  const AroundLine around_;
+  const std::string bad_line_;
   std::vector<LineField> fields_;
   std::vector<const Leaf*> leaves_;  // of each field; null: not kept
   std::shared_ptr<const Description> description_;
@@ -60,6 +71,8 @@ class LineDecoder {
   std::optional<std::uint64_t> last_;  // the bits of the number
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
+  std::vector<bool> is_given_;
+  std::size_t columns_ = 0;
   std::string cell_;  // without its quotes
 };
 

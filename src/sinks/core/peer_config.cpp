@@ -1,21 +1,9 @@
 #include "sinks/core/peer_config.hpp"
 
-#include <algorithm>
-
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 
 namespace rtdata::detail {
-
-std::string obstacle_of_host(const std::string& host) {
-  if (host.empty()) return "there is no host";
-  if (host.find("://") != std::string::npos) return "it is a URL: give the name or the address alone";
-  const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
-    return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
-  });
-  if (has_other) return "it is no name of a host, nor an address";
-  return host.size() > 253 ? "it is longer than names of hosts are" : "";
-}
 
 std::string obstacle_of_format(const std::string& format) {
   return format == "csv" ? "rows of csv do not say which topic they are of: choose another format" : "";

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 
+#include "io/host_lookup.hpp"
 #include "rtdata/data/codec.hpp"
 
 namespace rtdata {
@@ -13,8 +14,6 @@ class Problems;
 
 namespace rtdata::detail {
 
-/// Why this is no host; empty: it may be one.
-std::string obstacle_of_host(const std::string& host);
 /// Why events of this format cannot be sent; empty: they can. A format that the registry lacks is not looked at.
 std::string obstacle_of_format(const std::string& format);
 /// Adds to the problems what is wrong with `key`, if anything.

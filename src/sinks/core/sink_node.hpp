@@ -60,8 +60,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void account_is_due();
 
   Handler<ErrorReport> on_error_;
-  const std::string& name() const noexcept { return config_.name; }
-  SinkCounts counts() const noexcept { return last_ ? last_->counts : queue_->counts(); }
+  const std::string& name() const noexcept override { return config_.name; }
+  SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
 
  private:

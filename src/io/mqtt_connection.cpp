@@ -1,0 +1,340 @@
+#include "io/mqtt_connection.hpp"
+
+#include <fcntl.h>
+#include <mqtt_protocol.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <mutex>
+#include <system_error>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/support/no_sigpipe.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr Duration upkeep = std::chrono::milliseconds{500};
+
+MqttClient& of(void* client) noexcept { return *static_cast<MqttClient*>(client); }
+
+extern "C" {
+static void on_connect(mosquitto*, void* client, int reason, int, const mosquitto_property*) {
+  of(client).answer = reason;
+}
+static void on_disconnect(mosquitto*, void* client, int reason, const mosquitto_property*) {
+  of(client).goodbye = reason;
+}
+static void on_publish(mosquitto*, void* client, int number, int reason, const mosquitto_property*) {
+  of(client).published.emplace_back(number, reason);
+}
+static void on_subscribe(mosquitto*, void* client, int, int count, const int* granted, const mosquitto_property*) {
+  of(client).granted.emplace(granted, granted + count);
+}
+static void on_message(mosquitto*, void* client, const mosquitto_message* message, const mosquitto_property*) {
+  MqttClient& to = of(client);
+  if (to.arrived == to.messages.size()) to.messages.emplace_back();
+  MqttClient::Message& copy = to.messages[to.arrived++];
+  copy.topic = message->topic;
+  const auto length = static_cast<std::size_t>(std::max(message->payloadlen, 0));
+  copy.payload.assign(length != 0 ? static_cast<const char*>(message->payload) : "", length);
+  copy.is_retained = message->retain;
+}
+static void on_log(mosquitto*, void* client, int level, const char* text) {
+  if (level == MOSQ_LOG_ERR) of(client).trouble = text;
+}
+}
+
+const char* or_null(const std::string& text) { return text.empty() ? nullptr : text.c_str(); }
+
+}  // namespace
+
+MqttClient::~MqttClient() {
+  const NoSigpipe guard;
+  if (handle != nullptr) ::mosquitto_destroy(handle);
+}
+
+std::string MqttClient::reason(int status) const {
+  std::string text = status == MOSQ_ERR_ERRNO ? std::generic_category().message(errno) : ::mosquitto_strerror(status);
+  while (text.ends_with('.')) text.pop_back();
+  return trouble.empty() ? text : text + " (" + trouble + ")";
+}
+
+std::uint16_t port_of(const MqttBroker& broker) noexcept {
+  return broker.port != 0 ? broker.port : static_cast<std::uint16_t>(broker.tls ? 8883 : 1883);
+}
+
+std::string obstacle_of_tls(const std::optional<MqttTls>& tls) {
+  return tls && tls->certificate.empty() != tls->key.empty() ? "`certificate` and `key` go together" : "";
+}
+
+/// Makes a client and connects it: blocks, as looking up names does. The rest is done on the loop.
+class MqttConnecting final : public LaneJob {
+ public:
+  MqttConnecting(const MqttBroker& broker, const MqttOptions& options, bool is_v5,
+                 std::function<void(MqttConnecting&, Outcome)> ended)
+      : client(std::make_shared<MqttClient>()),
+        broker_(broker),
+        options_(options),
+        is_v5_(is_v5),
+        ended_(std::move(ended)) {
+    client->published.reserve(static_cast<std::size_t>(options.most_sent));
+  }
+  void run() noexcept override {
+    try {
+      const NoSigpipe guard;
+      status = connect();
+      if (status != MOSQ_ERR_SUCCESS) why = client->reason(status);
+    } catch (...) {
+      status = MOSQ_ERR_NOMEM;
+    }
+  }
+  void done(Outcome outcome) override {
+    if (const auto ended = std::exchange(ended_, nullptr)) ended(*this, outcome);
+  }
+  /// Nobody waits for it any more. The loop's thread.
+  void forget() noexcept { ended_ = nullptr; }
+
+  std::shared_ptr<MqttClient> client;
+  int status = MOSQ_ERR_SUCCESS;
+  std::string why;
+
+ private:
+  int connect() {
+    static std::once_flag once;
+    std::call_once(once, [] { ::mosquitto_lib_init(); });
+    errno = 0;
+    const bool is_new_session = options_.session <= Duration{0};
+    mosquitto* const handle = ::mosquitto_new(or_null(broker_.client_id), is_new_session, client.get());
+    if (handle == nullptr) return errno == ENOMEM ? MOSQ_ERR_NOMEM : MOSQ_ERR_INVAL;
+    client->handle = handle;
+    ::mosquitto_connect_v5_callback_set(handle, on_connect);
+    ::mosquitto_disconnect_v5_callback_set(handle, on_disconnect);
+    ::mosquitto_publish_v5_callback_set(handle, on_publish);
+    ::mosquitto_subscribe_v5_callback_set(handle, on_subscribe);
+    ::mosquitto_message_v5_callback_set(handle, on_message);
+    ::mosquitto_log_callback_set(handle, on_log);
+    ::mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5_ ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
+    // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
+    if (is_v5_ && options_.most_sent != 0) ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options_.most_sent);
+    if (is_v5_ && options_.most_received != 0)
+      ::mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options_.most_received);
+    ::mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
+    // As for programs with threads, the library then queues its packets, and writes them when it is told to.
+    if (options_.holds_answers) ::mosquitto_threaded_set(handle, true);
+    int done = MOSQ_ERR_SUCCESS;
+    if (!broker_.user.empty())
+      done = ::mosquitto_username_pw_set(handle, broker_.user.c_str(), or_null(broker_.password));
+    if (done == MOSQ_ERR_SUCCESS && options_.will) {
+      const MqttOptions::Will& will = *options_.will;
+      done = ::mosquitto_will_set(handle, will.topic.c_str(), static_cast<int>(will.message.size()),
+                                  will.message.data(), will.qos, will.retain);
+    }
+    if (done == MOSQ_ERR_SUCCESS && broker_.tls) {
+      const MqttTls& tls = *broker_.tls;
+      if (tls.ca.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+      if (!tls.ca.empty() || !tls.certificate.empty())
+        done = ::mosquitto_tls_set(handle, or_null(tls.ca), tls.ca.empty() ? "/etc/ssl/certs" : nullptr,
+                                   or_null(tls.certificate), or_null(tls.key), nullptr);
+      if (done == MOSQ_ERR_INVAL) client->trouble = "a file of `tls` cannot be read";
+    }
+    if (done != MOSQ_ERR_SUCCESS) return done;
+    mosquitto_property* properties = nullptr;
+    if (is_v5_ && !is_new_session) {
+      const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(options_.session).count();
+      done = ::mosquitto_property_add_int32(
+          &properties, MQTT_PROP_SESSION_EXPIRY_INTERVAL,
+          static_cast<std::uint32_t>(std::clamp<std::int64_t>(seconds, 1, UINT32_MAX)));
+    }
+    if (done == MOSQ_ERR_SUCCESS) {
+      const auto keepalive = std::chrono::duration_cast<std::chrono::seconds>(broker_.keepalive).count();
+      done = ::mosquitto_connect_bind_v5(handle, broker_.host.c_str(), port_of(broker_), static_cast<int>(keepalive),
+                                         nullptr, properties);
+    }
+    ::mosquitto_property_free_all(&properties);
+    return done;
+  }
+
+  const MqttBroker broker_;  // copies: the job may outlive its owner
+  const MqttOptions options_;
+  const bool is_v5_;
+  std::function<void(MqttConnecting&, Outcome)> ended_;  // loop
+};
+
+MqttConnection::MqttConnection(Loop& loop, std::string name, const MqttBroker& broker, MqttOptions options)
+    : broker_(broker),
+      options_(std::move(options)),
+      loop_(loop),
+      name_(std::move(name)),
+      is_v5_(broker.version != MqttVersion::v311),
+      more_(loop, [this] { work(); }),
+      upkeep_(loop, [this] { work(); }) {}
+
+MqttConnection::~MqttConnection() {
+  if (job_ != nullptr) job_->forget();
+  if (watch_.is_open()) watch_.close();
+  if (fd_ >= 0) ::close(fd_);
+  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent server holds nobody
+}
+
+std::string MqttConnection::peer() const { return broker_.host + " port " + std::to_string(port_of(broker_)); }
+
+void MqttConnection::connect() {
+  const auto self = shared_from_this();
+  if (lane_ == nullptr) lane_ = std::make_unique<Lane>(loop_.core(), "connecting of " + name_, broker_.connect_timeout);
+  const auto job = std::make_shared<MqttConnecting>(broker_, options_, is_v5_, [this](auto& ended, auto outcome) {
+    const auto alive = shared_from_this();
+    job_ = nullptr;
+    connecting_ended(ended, outcome);
+  });
+  job_ = job;
+  last_job_ = job;
+  if (!lane_->submit(job) && job_ == job) {
+    job_ = nullptr;
+    fail(Errc::timed_out, "cannot connect", "no thread can do it: earlier attempts still hang");
+  }
+}
+
+void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outcome) {
+  if (outcome == LaneJob::Outcome::cancelled) return;
+  if (outcome == LaneJob::Outcome::given_up)
+    return fail(Errc::timed_out, "cannot connect", "no connection in " + to_string(broker_.connect_timeout));
+  if (job.status != MOSQ_ERR_SUCCESS) return fail(Errc::disconnected, "cannot connect", job.why);
+  client_ = std::move(job.client);
+  // A descriptor of our own: the library closes its as it likes, and a watched one must not be closed.
+  const int fd = ::fcntl(::mosquitto_socket(client_->handle), F_DUPFD_CLOEXEC, 3);
+  if (fd < 0) return fail(Errc::io_failed, "cannot connect", std::generic_category().message(errno));
+  fd_ = fd;
+  work();
+}
+
+void MqttConnection::watch() {
+  const unsigned wanted = (may_read() ? FdWatch::readable : 0U) |
+                          (may_write() && ::mosquitto_want_write(client_->handle) ? FdWatch::writable : 0U);
+  if (std::exchange(watched_, wanted) == wanted) return;
+  if (wanted == 0) {
+    watch_.close();
+  } else if (watch_.is_open()) {
+    watch_.set_events(static_cast<FdWatch::Events>(wanted));
+  } else {
+    watch_ = FdWatch(loop_, fd_, static_cast<FdWatch::Events>(wanted), name_, [this](const FdEvent& event) {
+      is_readable_ = is_readable_ || event.readable || event.hung_up;
+      work();
+    });
+  }
+}
+
+void MqttConnection::work() {
+  if (client_ == nullptr || std::exchange(is_working_, true)) return;
+  const auto self = shared_from_this();
+  std::size_t left = most_in_a_turn;
+  while (client_ != nullptr) {
+    if (!take_answer(call_library(left))) break;
+    take();
+    if (client_ == nullptr || left == 0 || !is_connected_ || !has_more()) break;
+  }
+  is_working_ = false;
+  if (client_ == nullptr) return;
+  watch();
+  if (left == 0) more_.start(Duration{0});
+  if (!upkeep_.is_running()) upkeep_.start(upkeep);
+}
+
+int MqttConnection::call_library(std::size_t& left) {
+  std::optional<NoSigpipe> guard;
+  if (broker_.tls) guard.emplace();  // without TLS the library writes without the signal
+  errno = 0;
+  int status = MOSQ_ERR_SUCCESS;
+  if (is_readable_ && may_read()) status = read_some(left);
+  if (status == MOSQ_ERR_SUCCESS && may_write() && ::mosquitto_want_write(client_->handle))
+    status = ::mosquitto_loop_write(client_->handle, 1);
+  if (status == MOSQ_ERR_SUCCESS) status = ::mosquitto_loop_misc(client_->handle);
+  if (status == MOSQ_ERR_SUCCESS && is_connected_) status = give(left);
+  return status;
+}
+
+/// The library takes a packet a call, mostly.
+int MqttConnection::read_some(std::size_t& left) {
+  for (;;) {
+    const std::size_t before = client_->arrived;
+    const int status = ::mosquitto_loop_read(client_->handle, 1);
+    const std::size_t got = client_->arrived - before;
+    left -= std::min(left, got);
+    if (status == MOSQ_ERR_SUCCESS && got != 0 && left != 0) continue;
+    is_readable_ = status == MOSQ_ERR_SUCCESS && got != 0;  // else the watch tells
+    return status;
+  }
+}
+
+/// False: the connection is over.
+bool MqttConnection::take_answer(int status) {
+  if (const auto answer = std::exchange(client_->answer, {})) {
+    if (*answer == 0) {
+      is_connected_ = true;
+      connected();
+      if (client_ == nullptr) return false;
+    } else {
+      if (is_v5_ && broker_.version == MqttVersion::newest &&
+          (*answer == MQTT_RC_UNSUPPORTED_PROTOCOL_VERSION || *answer == CONNACK_REFUSED_PROTOCOL_VERSION))
+        return try_older();
+      const std::string why = is_v5_ ? ::mosquitto_reason_string(*answer) : ::mosquitto_connack_string(*answer);
+      fail(Errc::not_permitted, "the broker refuses the connection", why, "look at `user`, `password` and `client_id`");
+      return false;
+    }
+  }
+  if (status == MOSQ_ERR_SUCCESS) return true;
+  // Old brokers hang up on a version that they do not know.
+  if (!is_connected_ && is_v5_ && broker_.version == MqttVersion::newest &&
+      (status == MOSQ_ERR_CONN_LOST || status == MOSQ_ERR_PROTOCOL || status == MOSQ_ERR_MALFORMED_PACKET) &&
+      !std::exchange(has_tried_older_, true))
+    return try_older();
+  if (!is_connected_ && broker_.version == MqttVersion::newest) is_v5_ = true;
+  const auto goodbye = std::exchange(client_->goodbye, {});
+  const std::string why = goodbye && *goodbye >= 0x80 ? ::mosquitto_reason_string(*goodbye) : client_->reason(status);
+  if (is_connected_) has_tried_older_ = false;
+  fail(Errc::disconnected, is_connected_ ? "lost the connection" : "cannot connect", why);
+  return false;
+}
+
+bool MqttConnection::try_older() {
+  drop();
+  is_v5_ = false;
+  connect();
+  return false;
+}
+
+void MqttConnection::fail(Errc code, const char* failed, std::string why, const char* advice) {
+  drop();
+  lost({code, failed, peer(), std::move(why), advice});
+}
+
+void MqttConnection::drop() {
+  if (const auto job = std::exchange(job_, nullptr)) job->forget();
+  if (watch_.is_open()) watch_.close();
+  if (fd_ >= 0) ::close(fd_);
+  fd_ = -1;
+  client_ = nullptr;  // closes the socket
+  is_connected_ = is_readable_ = false;
+  watched_ = 0;
+  more_.stop();
+  upkeep_.stop();
+  forget();
+}
+
+void MqttConnection::leave() {
+  if (is_connected_) {
+    const NoSigpipe guard;
+    ::mosquitto_disconnect_v5(client_->handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
+    if (options_.holds_answers && may_write()) ::mosquitto_loop_write(client_->handle, 1);
+  }
+  drop();
+}
+
+void MqttConnection::end() {
+  leave();
+  more_.close();
+  upkeep_.close();
+}
+
+}  // namespace rtdata::detail
