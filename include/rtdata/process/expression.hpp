@@ -5,8 +5,8 @@
 ///     falling.set(1, false);
 ///     if (falling.evaluate(loop.now()).is_true()) ...
 ///
-/// Numbers, `+ - * / ^`, comparisons, `and or not` (also `&& || !`), `condition ? a : b`, `pi`, `e`, `true`, `false`, the
-/// usual functions (sqrt, sin, min, max ...), and functions with a memory (docs/expressions.md has all of them):
+/// Numbers, `+ - * / ^`, comparisons, `and or not` (also `&& || !`), `condition ? a : b`, `pi`, `e`, `true`, `false`,
+/// the usual functions (sqrt, sin, min, max ...), and functions with a memory (docs/expressions.md has all of them):
 ///   - highest(x), lowest(x): the largest and the least value so far
 ///   - mean(x, seconds): the mean of the values that came in the last so many seconds
 ///   - rate(x): the change a second since the value before; rate(x, seconds): since the oldest value of the last so
@@ -19,8 +19,8 @@
 ///
 /// A result is a value, *waiting*, or failed. Waiting: a name that it needs was never set, or a memory has nothing to
 /// tell yet (`previous(x)` of the first value, `since(c)` before c was ever true). Failed: a number that is not finite
-/// anywhere on the way, even where the result would be finite (1 / (1 / 0)), with a reason. An `and` with a side that is
-/// false is false, and an `or` with one that is true is true, whatever the other side is; `? :` needs only what it
+/// anywhere on the way, even where the result would be finite (1 / (1 / 0)), with a reason. An `and` with a side that
+/// is false is false, and an `or` with one that is true is true, whatever the other side is; `? :` needs only what it
 /// chooses. Otherwise failed wins over waiting. A memory whose argument is waiting or failed is so too, and keeps what
 /// it has.
 ///
@@ -107,8 +107,8 @@ class Expression {
 
   /// Empty: evaluates to waiting.
   Expression() noexcept;
-  /// ExpressionError: a mistake in the text. SetupError (bad-argument): two of the names are the same; (not-found): this
-  /// library was built without muParser.
+  /// ExpressionError: a mistake in the text. SetupError (bad-argument): two of the names are the same; (not-found):
+  /// this library was built without muParser.
   Expression(std::string_view text, std::vector<std::string> names);
   Expression(Expression&&) noexcept;
   Expression& operator=(Expression&&) noexcept;
