@@ -194,9 +194,9 @@ struct Expression::Program {
     ExpressionNode::Memory type{};
     std::size_t column = 1;
     std::string name = {};
-    std::size_t argument = 0;              // an operation
-    std::vector<std::size_t> names = {};   // in its argument
-    bool is_always_new = false;            // time alone changes its argument, or itself
+    std::size_t argument = 0;             // an operation
+    std::vector<std::size_t> names = {};  // in its argument
+    bool is_always_new = false;           // time alone changes its argument, or itself
     std::unique_ptr<Window> window = {};
     bool has_value = false;
     bool has_result = false;
@@ -206,8 +206,7 @@ struct Expression::Program {
     Time last_time{};
   };
 
-  Program(std::string_view the_text, std::vector<std::string> the_names)
-      : text(the_text), names(std::move(the_names)) {
+  Program(std::string_view the_text, std::vector<std::string> the_names) : text(the_text), names(std::move(the_names)) {
     std::vector<std::size_t> index_of;
     const ExpressionTree tree = tree_of(text, names, index_of);
     is_condition = tree.is_condition;
@@ -480,7 +479,8 @@ struct Expression::Program {
   Got remember(Memory& memory, std::size_t place, const Got& argument, Time time) noexcept {
     if (argument.state != State::value) return argument;
     const bool is_new = memory.is_always_new || !memory.has_value ||
-                        std::any_of(memory.names.begin(), memory.names.end(), [this](std::size_t n) { return is_fresh[n] != 0; });
+                        std::any_of(memory.names.begin(), memory.names.end(),
+                                    [this](std::size_t n) { return is_fresh[n] != 0; });
     if (is_new) take(memory, argument.value, time);
     Got got;
     got.at = static_cast<std::uint32_t>(place);
@@ -552,8 +552,7 @@ struct Expression::Program {
     last_time = std::max(time, last_time);
     for (const Step& step : steps) {
       const Got got = evaluate(operations[step.operation]);
-      values[step.place] =
-          step.memory == no_memory ? got : remember(memories[step.memory], step.place, got, last_time);
+      values[step.place] = step.memory == no_memory ? got : remember(memories[step.memory], step.place, got, last_time);
     }
     outcome = evaluate(operations[root]);
     std::fill(is_fresh.begin(), is_fresh.end(), std::uint8_t{0});
@@ -692,7 +691,8 @@ Expression::Expression(std::string_view text, std::vector<std::string> names) {
   for (std::size_t i = 0; i < names.size(); ++i)
     for (std::size_t n = 0; n < i; ++n)
       if (normal_name(names[i]) == normal_name(names[n]))
-        throw SetupError({Errc::bad_argument, "cannot make an expression", "\"" + std::string(text.substr(0, 60)) + "\"",
+        throw SetupError({Errc::bad_argument, "cannot make an expression",
+                          "\"" + std::string(text.substr(0, 60)) + "\"",
                           "two of its names are the same: " + names[n] + " and " + names[i], "give each name once"});
 #ifdef RTDATA_WITH_MUPARSER
   try {

@@ -24,18 +24,14 @@ struct Function {
 };
 constexpr std::size_t any_number = 64;
 constexpr auto functions = std::to_array<Function>({
-    {"abs", "abs", 1, 1},       {"acos", "acos", 1, 1},
-    {"asin", "asin", 1, 1},     {"atan", "atan", 1, 1},
-    {"atan2", "atan2", 2, 2},   {"average", "avg", 1, any_number},
-    {"ceil", "ceil", 1, 1},     {"cos", "cos", 1, 1},
-    {"cosh", "cosh", 1, 1},     {"exp", "exp", 1, 1},
-    {"floor", "floor", 1, 1},   {"ln", "ln", 1, 1},
-    {"log10", "log10", 1, 1},   {"log2", "log2", 1, 1},
-    {"max", "max", 1, any_number}, {"min", "min", 1, any_number},
-    {"round", "round", 1, 1},   {"sign", "sign", 1, 1},
-    {"sin", "sin", 1, 1},       {"sinh", "sinh", 1, 1},
-    {"sqrt", "sqrt", 1, 1},     {"sum", "sum", 1, any_number},
-    {"tan", "tan", 1, 1},       {"tanh", "tanh", 1, 1},
+    {"abs", "abs", 1, 1},          {"acos", "acos", 1, 1},   {"asin", "asin", 1, 1},
+    {"atan", "atan", 1, 1},        {"atan2", "atan2", 2, 2}, {"average", "avg", 1, any_number},
+    {"ceil", "ceil", 1, 1},        {"cos", "cos", 1, 1},     {"cosh", "cosh", 1, 1},
+    {"exp", "exp", 1, 1},          {"floor", "floor", 1, 1}, {"ln", "ln", 1, 1},
+    {"log10", "log10", 1, 1},      {"log2", "log2", 1, 1},   {"max", "max", 1, any_number},
+    {"min", "min", 1, any_number}, {"round", "round", 1, 1}, {"sign", "sign", 1, 1},
+    {"sin", "sin", 1, 1},          {"sinh", "sinh", 1, 1},   {"sqrt", "sqrt", 1, 1},
+    {"sum", "sum", 1, any_number}, {"tan", "tan", 1, 1},     {"tanh", "tanh", 1, 1},
 });
 
 struct MemoryFunction {
@@ -125,7 +121,8 @@ class Parser {
     if (std::string_view("+-*/^()<>=!?:,").find(c) != std::string_view::npos) return take(Token::symbol, at_ + 1);
     if (c == '%') fail("there is no `%`");
     if (c == '"') fail("names stand in single quotes, if in any");
-    if (c == '&' || c == '|') fail(std::string("there is no single `") + c + "`: write `" + (c == '&' ? "and" : "or") + "`");
+    if (c == '&' || c == '|')
+      fail(std::string("there is no single `") + c + "`: write `" + (c == '&' ? "and" : "or") + "`");
     const auto byte = static_cast<unsigned char>(c);
     if (byte < 0x20 || byte == 0x7F) fail("a control character");
     std::size_t end = at_ + 1;
@@ -198,7 +195,9 @@ class Parser {
   }
   [[noreturn]] void too_deep(std::size_t column) const {
     throw ExpressionMistakeFound{
-        {column, "more than " + std::to_string(Expression::max_depth) + " parentheses, calls and operators within each other", {}}};
+        {column,
+         "more than " + std::to_string(Expression::max_depth) + " parentheses, calls and operators within each other",
+         {}}};
   }
 
   bool is_condition(std::size_t at) const noexcept {
@@ -351,7 +350,8 @@ class Parser {
     if (token_ == Token::quoted) return variable(std::string(word_.substr(1, word_.size() - 2)));
     if (token_ != Token::name) unexpected();
     for (const std::string_view word : {"and", "or", "not"})
-      if (word_ == word) fail("`" + std::string(word) + "` has no value on its left, or stands where a value is missing");
+      if (word_ == word)
+        fail("`" + std::string(word) + "` has no value on its left, or stands where a value is missing");
     const std::string word(word_);
     const std::size_t behind = text_.find_first_not_of(" \t\r\n", at_);
     if (behind != std::string_view::npos && text_[behind] == '(') return call(word);
@@ -421,9 +421,9 @@ class Parser {
     };
     if (function != functions.end()) {
       if (given < function->least || given > function->most)
-        refuse(function->most == any_number ? "1 argument or more, up to 64"
-                                            : std::to_string(function->least) +
-                                                  (function->least == 1 ? " argument" : " arguments"));
+        refuse(function->most == any_number
+                   ? "1 argument or more, up to 64"
+                   : std::to_string(function->least) + (function->least == 1 ? " argument" : " arguments"));
       node.text = std::string(function->in_library);
       return add(std::move(node));
     }
@@ -450,7 +450,8 @@ class Parser {
   bool has_name(std::size_t at) const noexcept {
     const Node& node = tree_.nodes[at];
     if (node.type == Type::name) return true;
-    return std::any_of(node.children.begin(), node.children.end(), [this](std::size_t child) { return has_name(child); });
+    return std::any_of(node.children.begin(), node.children.end(),
+                       [this](std::size_t child) { return has_name(child); });
   }
 
   std::string_view text_;

@@ -19,10 +19,10 @@ using State = ExpressionResult::State;
 constexpr Time start = from_nanoseconds(1'700'000'000'000'000'000);
 
 /// Without muParser there is nothing to test.
-#define NEEDS_EXPRESSIONS()                                            \
-  if (!Expression::available()) {                                      \
+#define NEEDS_EXPRESSIONS()                                             \
+  if (!Expression::available()) {                                       \
     MESSAGE("skipped: this library was built without libmuparser-dev"); \
-    return;                                                            \
+    return;                                                             \
   }
 
 double value_of(std::string_view text) {
@@ -45,7 +45,8 @@ class Series {
   Time time = start;
 };
 
-ExpressionMistake mistake_in(std::string_view text, const std::vector<std::string>& names = {"x", "imu.x", "altitude"}) {
+ExpressionMistake mistake_in(std::string_view text,
+                             const std::vector<std::string>& names = {"x", "imu.x", "altitude"}) {
   const auto mistake = Expression::check(text, names);
   REQUIRE_MESSAGE(mistake.has_value(), text, " has no mistake");
   return *mistake;
@@ -76,9 +77,9 @@ TEST_CASE("expressions compute as mathematics does") {
 
 TEST_CASE("conditions in a beginner's spelling and in that of programs") {
   NEEDS_EXPRESSIONS();
-  for (const char* text : {"1 < 2 and 2 < 3", "1 < 2 && 2 < 3", "false or true", "false || true", "not 1 > 2", "!(1 > 2)",
-                           "1 == 1", "1 != 2", "2 >= 2 and 2 <= 2", "not false and true", "true ? true : false",
-                           "not (1 > 2 or 2 > 3)", "1 < 2 ? 2 < 3 : 1 > 2"}) {
+  for (const char* text : {"1 < 2 and 2 < 3", "1 < 2 && 2 < 3", "false or true", "false || true", "not 1 > 2",
+                           "!(1 > 2)", "1 == 1", "1 != 2", "2 >= 2 and 2 <= 2", "not false and true",
+                           "true ? true : false", "not (1 > 2 or 2 > 3)", "1 < 2 ? 2 < 3 : 1 > 2"}) {
     CAPTURE(text);
     CHECK(value_of(text) == 1);
     CHECK(Expression(text, {}).is_condition());
@@ -112,9 +113,9 @@ TEST_CASE("names are those of topics and fields") {
   Expression hidden("e + pi", {"e"});
   hidden.set(0, 1);
   CHECK(hidden.evaluate(start).value == doctest::Approx(1 + 3.14159265358979));
-  CHECK_THROWS_WITH_AS(Expression("1", {"a/b", "a.b"}),
-                       "cannot make an expression: \"1\": two of its names are the same: a/b and a.b: give each name once",
-                       SetupError);
+  CHECK_THROWS_WITH_AS(
+      Expression("1", {"a/b", "a.b"}),
+      "cannot make an expression: \"1\": two of its names are the same: a/b and a.b: give each name once", SetupError);
   Expression functions_too("rate + rate(rate)", {"rate"});
   functions_too.set(0, 1);
   CHECK(functions_too.evaluate(start).state == State::waiting);
@@ -255,7 +256,7 @@ TEST_CASE("rate: the change a second since the value before, or over some second
   CHECK(over.take(0).state == State::waiting);
   CHECK(over.take(1).value == 1);
   CHECK(over.take(4).value == 2);
-  CHECK(over.take(5).value == 2);    // since the value of 2 s ago, 1
+  CHECK(over.take(5).value == 2);       // since the value of 2 s ago, 1
   CHECK(over.take(9, 10s).value == 2);  // the others are too old: as before
   CHECK(over.take(10).value == 1);
   Series many("rate(x, 1)");
