@@ -64,22 +64,29 @@ struct Got {
 
 constexpr int bad_flags = FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW;
 
+Failure failure_of(int flags, double value) noexcept {
+  if ((flags & FE_DIVBYZERO) != 0) return Failure::division_by_zero;
+  if ((flags & FE_INVALID) != 0 || std::isnan(value)) return Failure::undefined;
+  if ((flags & FE_OVERFLOW) != 0 || std::isinf(value)) return Failure::too_large;
+  return Failure::none;
+}
+
 /// Evaluates arithmetic, and says what went wrong on the way: the processor's flags tell of an infinity that a
-/// comparison or a quotient has hidden again.
+/// comparison or a quotient has hidden again. They stay set until they are cleared, which takes longer than looking, so
+/// that one that is set may be older: then it is evaluated once more, which gives the same.
 Failure evaluate_formula(const mu::Parser& formula, double& value) noexcept {
-  if (std::fetestexcept(bad_flags) != 0) [[unlikely]]
-    std::feclearexcept(bad_flags);
   try {
+    value = formula.Eval();
+    if (std::fetestexcept(bad_flags) == 0 && std::isfinite(value)) [[likely]]
+      return Failure::none;
+    std::feclearexcept(bad_flags);
     value = formula.Eval();
   } catch (...) {
     return Failure::undefined;
   }
   const int flags = std::fetestexcept(bad_flags);
-  if (flags == 0 && std::isfinite(value)) [[likely]]
-    return Failure::none;
-  if ((flags & FE_DIVBYZERO) != 0) return Failure::division_by_zero;
-  if ((flags & FE_INVALID) != 0 || std::isnan(value)) return Failure::undefined;
-  return Failure::too_large;
+  std::feclearexcept(bad_flags);
+  return failure_of(flags, value);
 }
 
 /// Values of the last so many nanoseconds. Those that come closer than a thousandth of that are one entry, so that it
@@ -343,8 +350,11 @@ struct Expression::Program {
   /// What has no name in it is computed once.
   double constant(const ExpressionTree& tree, std::size_t at) {
     Formula formula = formula_of(tree, at, Constants::as_they_are);
-    double value = 0;
-    switch (evaluate_formula(*formula.parser, value)) {
+    std::feclearexcept(bad_flags);
+    const double value = formula.parser->Eval();  // once: muParser computes it then, and keeps what comes of it
+    const int flags = std::fetestexcept(bad_flags);
+    std::feclearexcept(bad_flags);
+    switch (failure_of(flags, value)) {
       case Failure::none:
         return value;
       case Failure::division_by_zero:

@@ -24,6 +24,7 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -166,6 +167,20 @@ struct OfW1Sensor {
   }
   void provoke(Loop&, Type&) {}
 };
+#ifdef RTDATA_WITH_MUPARSER
+struct OfDerivedSensor {
+  using Type = DerivedSensor;  // it divides by the zero that it is given
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "d"}, {.on = "zeros", .expression = "1 / temperature"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
+};
+#define HANDLES_OF_EXPRESSIONS OfDerivedSensor,
+#else
+#define HANDLES_OF_EXPRESSIONS
+#endif
 struct OfIioSensor {
   using Type = IioSensor;
   Type make(Loop& loop, Probe& probe) {
@@ -293,10 +308,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                  \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
-      OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, \
-      OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
+#define HANDLES                                                                                                     \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,           \
+      HANDLES_OF_EXPRESSIONS OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
+      OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

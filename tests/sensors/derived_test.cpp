@@ -30,10 +30,10 @@ struct Room {
   RTDATA_FIELDS(Room, (temperature, "Cel"))
 };
 
-#define NEEDS_EXPRESSIONS()                                            \
-  if (!Expression::available()) {                                      \
+#define NEEDS_EXPRESSIONS()                                             \
+  if (!Expression::available()) {                                       \
     MESSAGE("skipped: this library was built without libmuparser-dev"); \
-    return;                                                            \
+    return;                                                             \
   }
 
 /// A derived sensor and what it brings.
@@ -197,7 +197,8 @@ TEST_CASE("making a derived sensor refuses what cannot work") {
 TEST_CASE("check finds each mistake of a derived topic, with its column in the file") {
   NEEDS_EXPRESSIONS();
   CHECK(problems_of(load + R"({"name": "d", "type": "derived", "on": "load", "expression": "running * 2"})").empty());
-  const auto shows = [](const std::string& item, std::string_view id, std::string_view why, std::string_view meant = "") {
+  const auto shows = [](const std::string& item, std::string_view id, std::string_view why,
+                        std::string_view meant = "") {
     const Problems problems = problems_of(load + item);
     CAPTURE(item);
     REQUIRE(problems.size() >= 1);
@@ -213,8 +214,10 @@ TEST_CASE("check finds each mistake of a derived topic, with its column in the f
   shows(R"({"name": "d", "type": "derived", "on": "load", "expression": "running ="})", "bad-value", "write `==`");
   shows(R"({"name": "d", "type": "derived", "on": "load", "expression": "load + 1"})", "bad-value",
         "there is no name `load`");
-  shows(R"({"name": "d", "type": "derived", "on": "laod", "expression": "x"})", "unknown-topic", "nothing of this", "load");
-  shows(R"({"name": "d", "type": "derived", "on": "load", "with": ["x"], "expression": "x"})", "unknown-topic", "\"x\"");
+  shows(R"({"name": "d", "type": "derived", "on": "laod", "expression": "x"})", "unknown-topic", "nothing of this",
+        "load");
+  shows(R"({"name": "d", "type": "derived", "on": "load", "with": ["x"], "expression": "x"})", "unknown-topic",
+        "\"x\"");
   shows(R"({"name": "d", "type": "derived", "on": "load"})", "bad-value", "no `expression`");
   shows(R"({"name": "d", "type": "derived", "expression": "x"})", "missing-key", "on");
   shows(R"({"name": "d", "type": "derived", "on": "load", "expression": ")" + std::string(1 << 20, '(') + "\"}",
@@ -230,7 +233,8 @@ TEST_CASE("derived topics that go round in a circle are a mistake") {
       {"name": "b", "type": "derived", "on": "a", "expression": "a"})");
   REQUIRE(circle.size() == 1);
   CHECK(circle[0].id == "uses-itself");
-  const Problems itself = problems_of(load + R"({"name": "a", "type": "derived", "on": "load", "with": ["a"], "expression": "a"})");
+  const Problems itself = problems_of(
+      load + R"({"name": "a", "type": "derived", "on": "load", "with": ["a"], "expression": "a"})");
   REQUIRE(itself.size() == 1);
   CHECK(itself[0].id == "uses-itself");
 }

@@ -14,8 +14,8 @@
 /// that is absent itself. What becomes of an event on the topic `on`:
 ///   - a topic `with` has brought nothing yet, or nothing in the last `age` before it: nothing is published, the sensor
 ///     is faulted, and the time until the next one that can be used is a gap (disconnected);
-///   - an expression fails (division by zero, a number that is not finite, a field that is not there): it is unreadable,
-///     told with the reason, and the sensor is degraded until the next good one;
+///   - an expression fails (division by zero, a number that is not finite, a field that is not there): it is
+///     unreadable, told with the reason, and the sensor is degraded until the next good one;
 ///   - else it is published, with the fields that have a value.
 /// Memories begin anew after `start`.
 ///
@@ -41,10 +41,9 @@ struct DerivedField {
   std::string unit = {};  ///< UCUM, of the result; nothing is converted
 
   friend constexpr auto parameters(type_tag<DerivedField>) {
-    return parameter_list(
-        parameter("name", &DerivedField::name, "name of the field", required, TextIs::field),
-        parameter("expression", &DerivedField::expression, "what it is", required, TextIs::recorded),
-        parameter("unit", &DerivedField::unit, "of the result; nothing is converted", TextIs::unit));
+    return parameter_list(parameter("name", &DerivedField::name, "name of the field", required, TextIs::field),
+                          parameter("expression", &DerivedField::expression, "what it is", required, TextIs::recorded),
+                          parameter("unit", &DerivedField::unit, "of the result; nothing is converted", TextIs::unit));
   }
 };
 

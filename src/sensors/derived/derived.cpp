@@ -6,6 +6,7 @@
 
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/value.hpp"
+#include "rtdata/loop/topic.hpp"
 #include "sensors/core/feed_node.hpp"
 
 namespace rtdata {
@@ -21,8 +22,13 @@ std::vector<DerivedField> fields_of(const DerivedConfig& config) {
 /// Why the configuration cannot work, its expressions apart; empty: it can.
 std::string refusal_of(const DerivedConfig& config) {
   if (config.expression.empty() == config.fields.empty())
-    return config.fields.empty() ? "it has no `expression`, and no `fields`" : "give `expression` or `fields`, not both";
-  if (!config.unit.empty() && config.expression.empty()) return "`unit` is that of `expression`; each of `fields` has one";
+    return config.fields.empty() ? "it has no `expression`, and no `fields`"
+                                 : "give `expression` or `fields`, not both";
+  if (!config.unit.empty() && config.expression.empty())
+    return "`unit` is that of `expression`; each of `fields` has one";
+  if (!is_topic_name(config.on)) return "\"" + config.on + "\" is no topic";
+  for (const std::string& topic : config.with)
+    if (!is_topic_name(topic)) return "\"" + topic + "\" is no topic";
   for (std::size_t i = 0; i < config.with.size(); ++i)
     if (config.with[i] == config.on || std::find(config.with.begin(), config.with.begin() + std::ptrdiff_t(i),
                                                  config.with[i]) != config.with.begin() + std::ptrdiff_t(i))
@@ -157,7 +163,8 @@ class DerivedNode final : public FeedNode {
   /// Apart, since a subscription may fail.
   void subscribe(Loop& loop) {
     for (std::size_t i = sources_.size(); i-- > 0;) {
-      subscriptions_.push_back(loop.subscribe(sources_[i].topic, [this, i](const EventView& event) { take(i, event); }));
+      subscriptions_.push_back(
+          loop.subscribe(sources_[i].topic, [this, i](const EventView& event) { take(i, event); }));
       subscriptions_.back().set_name("sensor " + origin_.name + " on " + sources_[i].topic);
     }
   }
@@ -229,7 +236,8 @@ class DerivedNode final : public FeedNode {
               "look at its fields, and at the expression"});
         return;
       }
-      if (source.inputs.empty() || (source.has_come && (&source == &sources_[0] || span_between(source.time, time) <= age_)))
+      if (source.inputs.empty() ||
+          (source.has_come && (&source == &sources_[0] || span_between(source.time, time) <= age_)))
         continue;
       // Told once, and again when it is another topic that is missing.
       if (health() == Health::faulted && absent_ == &source) return;
@@ -276,7 +284,8 @@ Result<std::shared_ptr<const Description>> derived_description(const DerivedConf
   DescriptionBuilder builder("derived");
   const std::vector<DerivedField> fields = fields_of(config);
   if (fields.empty())
-    return Error{Errc::bad_description, cannot_derive, "", "there is no expression", "give it `expression` or `fields`"};
+    return Error{Errc::bad_description, cannot_derive, "", "there is no expression",
+                 "give it `expression` or `fields`"};
   for (const DerivedField& field : fields)
     builder.field(field.name, Kind::f64, field.unit, DescriptionBuilder::Presence::optional);
   return builder.build();
@@ -304,7 +313,8 @@ void check_derived_names(const DerivedConfig& config,
     bool is_all_good = true;
     for (const std::string& name : names) {
       const Meaning meaning = meaning_of(config, name);
-      const Description* const description = payload_of(meaning.topic == 0 ? config.on : config.with[meaning.topic - 1]);
+      const Description* const description = payload_of(meaning.topic == 0 ? config.on
+                                                                           : config.with[meaning.topic - 1]);
       if (description == nullptr || leaf_of(*description, meaning, name) != nullptr)
         good.push_back(name);
       else
