@@ -17,6 +17,9 @@ target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rt
   $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${libmosquitto_FOUND}>:PkgConfig::libmosquitto>
   $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
 target_include_directories(rtdata_tests PRIVATE tests src)
+if(muparser_FOUND)
+  set_source_files_properties(tests/contract/handle_contract_test.cpp PROPERTIES COMPILE_DEFINITIONS RTDATA_WITH_MUPARSER)
+endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
   $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)

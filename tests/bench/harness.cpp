@@ -194,6 +194,7 @@ int run(int count, char** arguments) {
   settle_thread();
   Report report(std::move(options));
   bench_publish(report);
+  bench_expression(report);
   bench_filter(report);
   bench_encoding(report);
   bench_iio(report);

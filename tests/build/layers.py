@@ -27,7 +27,7 @@ below = {
 # upwards, since objects of a loop register with its runtime; elsewhere they may not either.
 rooms = {
     "loop": [{"support"}, {"core"}, {"events"}, {"runtime"}, {"tier"}],
-    "sensors": [{"core"}, {"analog", "gpio", "gps", "host", "kernel", "modbus", "serial"}, {"mqtt"}],
+    "sensors": [{"core"}, {"analog", "derived", "gpio", "gps", "host", "kernel", "modbus", "serial"}, {"mqtt"}],
     "sinks": [{"core"}, {"console", "file", "http", "mqtt", "net", "sqlite"}, {"postgresql"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
     "app": [{"core"}, {"machine"}, {"bench", "control", "inspect"}, {"run"}],

@@ -30,6 +30,7 @@ const std::map<std::string, std::string> right_sensors{
     {"accelerometer", R"({"name": "s", "type": "accelerometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"barometer", R"({"name": "s", "type": "barometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"bno055", R"({"name": "s", "type": "bno055", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"derived", R"({"name": "s", "type": "derived", "on": "other", "expression": "running + 1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
     {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},
@@ -125,6 +126,9 @@ std::string old_recording() {
   return path;
 }
 
+/// What a sensor that is derived from others needs.
+constexpr const char* other_sensor = R"(, {"name": "other", "type": "host", "quantity": "load", "rate": "10 Hz"})";
+
 /// A system of this one item in each of its odd kinds: what is not refused can be made.
 void try_all(const TypeRegistryBase& types, const char* list, const std::map<std::string, std::string>& right) {
   const std::vector<ConfigItem> values = odd_values();
@@ -142,7 +146,7 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
             "spi0": {"type": "spi", "device": "/no/such/controller"},)" +
                                  std::string(modbus_bus) +
                                  R"("tty": {"type": "serial", "device": "/no/such/line"}}, ")" + std::string(list) +
-                                 "\": [" + item.to_json() + "]}";
+                                 "\": [" + item.to_json() + (type.name == "derived" ? other_sensor : "") + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);
         ++(plan.good() ? made : refused);

@@ -24,6 +24,7 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/encoder.hpp"
@@ -176,6 +177,19 @@ struct OfW1Sensor {
   }
   void provoke(Loop&, Type&) {}
 };
+#ifdef RTDATA_WITH_MUPARSER
+struct OfDerivedSensor {
+  using Type = DerivedSensor;  // it divides by the zero that it is given
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "d"}, {.on = "zeros", .expression = "1 / temperature"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
+};
+#else
+using OfDerivedSensor = OfFeed;  // there is none
+#endif
 struct OfIioSensor {
   using Type = IioSensor;
   Type make(Loop& loop, Probe& probe) {
@@ -305,7 +319,7 @@ struct OfSink {
 
 #define HANDLES                                                                                               \
   OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
-      OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
+      OfDerivedSensor, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
       OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.

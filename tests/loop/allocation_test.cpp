@@ -22,6 +22,7 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sink.hpp"
 
@@ -136,6 +137,18 @@ const std::vector<Stage>& stages() {
       {"deliver to a handler of views",
        [](Loop& loop) {
          return std::function<std::uint64_t()>(count_events(loop.subscribe("#", [](const EventView&) {})));
+       }},
+      {"derive by expressions with memories",
+       [](Loop& loop) {
+         if (!Expression::available()) {
+           auto ticker = keep(Ticker(loop, 10ms, [](const Tick&) {}));
+           return std::function<std::uint64_t()>([ticker] { return ticker->fired(); });
+         }
+         auto derived = keep(DerivedSensor(loop, {.name = "derived"},
+                                           {.on = "sensor",
+                                            .fields = {{"a", "value > 0 ? highest(value) + mean(value, 0.05) : 0"},
+                                                       {"b", "since(value > 0) + rate(value) + rate(value, 1)"}}}));
+         return std::function<std::uint64_t()>([derived] { return derived->counts().published; });
        }},
       {"deliver with the fields mapped",
        [](Loop& loop) {

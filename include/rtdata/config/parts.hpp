@@ -129,6 +129,10 @@ struct PartPlan {
   std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known
   Duration holds_bus{0};                ///< of a sensor: so long at a time, and the time of its transfers
+  /// Compares the part with what the topics that it uses carry, once all parts are known. `payload_of`: null where that
+  /// is not known before their parts are made. Empty: there is nothing to compare.
+  using PayloadOf = std::function<const Description*(std::string_view topic)>;
+  std::function<void(const PartPlan& part, const PayloadOf& payload_of, Problems& problems)> check_topics = {};
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
 

@@ -8,6 +8,7 @@
 #include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
+#include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/encoder.hpp"
 #include "rtdata/sensors/gps.hpp"
@@ -251,6 +252,22 @@ Registry standard_registry() {
       "pps", "pulses per second, as the kernel times them; a source of the time of day",
       [](const PpsConfig&) { return Result(description_of<PpsPulse>()); },
       [](Loop& loop, const FeedConfig& common, const PpsConfig& config) { return PpsSensor(loop, common, config); });
+  if (Expression::available()) {
+    registry.add_sensor<DerivedConfig>(
+        "derived", "values computed by expressions from those of other topics",
+        [](const DerivedConfig& config) { return derived_description(config); },
+        [](Loop& loop, const FeedConfig& common, const DerivedConfig& config) {
+          return DerivedSensor(loop, common, config);
+        },
+        [](PartPlan& plan, const DerivedConfig& config) {
+          plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
+                                       Problems& problems) {
+            check_derived_names(config, payload_of, part.item, problems);
+          };
+        });
+  } else {
+    registry.leave_out("sensor", "derived", "this program was built without muParser");
+  }
   registry.add_sensor<W1Config>(
       "w1", "temperature of a DS18B20 or the like on 1-Wire",
       [](const W1Config&) { return Result(description_of<W1Temperature>()); },

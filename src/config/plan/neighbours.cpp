@@ -293,6 +293,13 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
 void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (!part.stored_by.empty()) check_stored_by(part, problems);
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
+  if (part.check_topics) {
+    const auto payload_of = [this](std::string_view topic) -> const Description* {
+      const auto known = topics_.find(topic);
+      return known != topics_.end() ? known->second->publishes->description.get() : nullptr;
+    };
+    part.check_topics(part, payload_of, problems);
+  }
   for (const PartUse& use : part.uses) {
     if (use.kind == "topic") {
       if (!publishers(use.name).empty()) continue;
