@@ -46,14 +46,29 @@ std::string mermaid_label(const std::string& text) {
   std::string result;
   for (const char c : text) {
     switch (c) {
-      case '\n': result += ' '; break;
-      case ':': result += "#58;"; break;
-      case ';': result += "#59;"; break;
-      case '#': result += "#35;"; break;
-      case '<': result += "#60;"; break;
-      case '>': result += "#62;"; break;
-      case '"': result += "#34;"; break;
-      default: result += c;
+      case '\n':
+        result += ' ';
+        break;
+      case ':':
+        result += "#58;";
+        break;
+      case ';':
+        result += "#59;";
+        break;
+      case '#':
+        result += "#35;";
+        break;
+      case '<':
+        result += "#60;";
+        break;
+      case '>':
+        result += "#62;";
+        break;
+      case '"':
+        result += "#34;";
+        break;
+      default:
+        result += c;
     }
   }
   return result;
@@ -77,20 +92,23 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
     const bool is_left = std::any_of(graph.edges.begin(), graph.edges.end(),
                                      [&](const Graph::Edge& edge) { return edge.from == i; });
     if (!reached[i])
-      faults.push_back({Kind::unreachable, i, Graph::none, "nothing leads from the start to state `" + state.name + "`"});
+      faults.push_back(
+          {Kind::unreachable, i, Graph::none, "nothing leads from the start to state `" + state.name + "`"});
     if (!is_left && !state.is_final) {
       faults.push_back({Kind::dead_end, i, Graph::none,
                         "nothing leads out of state `" + state.name + "`; if that is meant, say that it is final"});
     }
     if (is_left && state.is_final)
-      faults.push_back({Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, and something leads out of it"});
+      faults.push_back(
+          {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, and something leads out of it"});
   }
   for (std::size_t later = 0; later < graph.edges.size(); ++later) {
     const Graph::Edge& edge = graph.edges[later];
     for (std::size_t earlier = 0; earlier < later; ++earlier) {
       const Graph::Edge& before = graph.edges[earlier];
       if (before.from == edge.from && before.to == edge.to && before.on == edge.on && before.label == edge.label) {
-        faults.push_back({Kind::duplicate, Graph::none, later, "the transition " + of_edge(graph, edge) + " is there twice"});
+        faults.push_back(
+            {Kind::duplicate, Graph::none, later, "the transition " + of_edge(graph, edge) + " is there twice"});
         break;
       }
       if (hides(before, edge)) {

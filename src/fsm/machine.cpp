@@ -39,9 +39,9 @@ struct Entry;
 struct Way {
   Transition config;
   Entry& to;
-  std::uint16_t on;           // any_event: it waits for none
+  std::uint16_t on;  // any_event: it waits for none
   text<max_cause> cause;
-  bool is_removed = false;    // destroyed when no action runs
+  bool is_removed = false;      // destroyed when no action runs
   std::optional<Time> since{};  // its condition has been true
 };
 
@@ -114,12 +114,13 @@ class MachineNode final : public Node {
     Entry& to = entry(transition.to, "cannot add a transition to");
     const std::string name = transition.from + " to " + transition.to;
     if (transition.hold > Duration{0} && !transition.when)
-      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` without a condition", "give `when`, or use `after`");
+      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` without a condition",
+             "give `when`, or use `after`");
     if (transition.hold < Duration{0} || transition.after < Duration{0})
       refuse(Errc::bad_argument, "cannot add transition", name, "a time is negative", "give 0 or more");
     if (transition.hold > Duration{0} && !transition.on.empty()) {
-      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` with `on`: a condition is asked once with a named event",
-             "leave one of them out");
+      refuse(Errc::bad_argument, "cannot add transition", name,
+             "`hold` with `on`: a condition is asked once with a named event", "leave one of them out");
     }
     std::uint16_t on = any_event;
     if (!transition.on.empty()) {
@@ -193,7 +194,9 @@ class MachineNode final : public Node {
     take(any_event, time);
   }
 
-  std::string_view state() const noexcept { return current_ != nullptr ? std::string_view(current_->name) : std::string_view(); }
+  std::string_view state() const noexcept {
+    return current_ != nullptr ? std::string_view(current_->name) : std::string_view();
+  }
   Duration in_state() const { return current_ != nullptr ? loop()->now() - arrived_ : Duration{0}; }
   const MachineCounts& counts() const noexcept { return counts_; }
   const std::string& name() const noexcept { return config_.name; }
@@ -202,7 +205,8 @@ class MachineNode final : public Node {
     graph.name = config_.name;
     const auto index = [&](const Entry& state) {
       return static_cast<std::size_t>(
-          std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; }) - states_.begin());
+          std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; }) -
+          states_.begin());
     };
     for (const auto& state : states_) {
       if (state->name == config_.start) graph.start = graph.states.size();
@@ -212,8 +216,8 @@ class MachineNode final : public Node {
       for (const auto& way : state->ways) {
         if (way->is_removed) continue;
         const Transition& config = way->config;
-        graph.edges.push_back({index(*state), index(way->to), config.cause, config.on, !config.when && !has_check(way->to),
-                               config.after > Duration{0}});
+        graph.edges.push_back({index(*state), index(way->to), config.cause, config.on,
+                               !config.when && !has_check(way->to), config.after > Duration{0}});
       }
     }
     return graph;
@@ -225,14 +229,15 @@ class MachineNode final : public Node {
   std::string object() const { return "machine " + config_.name; }
   void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
 
-  [[noreturn]] void refuse(Errc code, const char* what, std::string_view of, std::string why, std::string advice) const {
+  [[noreturn]] void refuse(Errc code, const char* what, std::string_view of, std::string why,
+                           std::string advice) const {
     throw SetupError({code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
   }
   void check_name(const std::string& name, const char* what) const {
     if (name.empty()) refuse(Errc::bad_name, "cannot add", what, "its name is empty", "give it one");
     if (name.size() > max_name) {
-      refuse(Errc::bad_name, "cannot add", what + (" " + name), "its name is longer than " + std::to_string(max_name) + " bytes",
-             "give it a shorter one");
+      refuse(Errc::bad_name, "cannot add", what + (" " + name),
+             "its name is longer than " + std::to_string(max_name) + " bytes", "give it a shorter one");
     }
   }
   Entry* find(std::string_view name) const noexcept {
@@ -243,14 +248,17 @@ class MachineNode final : public Node {
     if (Entry* const found = find(name)) return *found;
     std::vector<std::string_view> names;
     for (const auto& state : states_) names.push_back(state->name);
-    refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name", rtdata::detail::suggestion(name, names));
+    refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name",
+           rtdata::detail::suggestion(name, names));
   }
   std::uint16_t event_number(std::string_view name) const noexcept {
     const auto found = std::find(events_.begin(), events_.end(), name);
     return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());
   }
   /// Whether the state decides itself when it may be gone to: of a class nobody can know.
-  static bool has_check(const Entry& state) { return dynamic_cast<const StateOfFunctions*>(state.code.get()) == nullptr; }
+  static bool has_check(const Entry& state) {
+    return dynamic_cast<const StateOfFunctions*>(state.code.get()) == nullptr;
+  }
 
   // Events
   void take(std::uint16_t event, Time time) {
@@ -292,8 +300,9 @@ class MachineNode final : public Node {
   void tidy() {
     if (is_busy_) return;
     for (const auto& state : states_)
-      state->ways.erase(std::remove_if(state->ways.begin(), state->ways.end(), [](const auto& way) { return way->is_removed; }),
-                        state->ways.end());
+      state->ways.erase(
+          std::remove_if(state->ways.begin(), state->ways.end(), [](const auto& way) { return way->is_removed; }),
+          state->ways.end());
     removed_.clear();
   }
 
@@ -304,7 +313,8 @@ class MachineNode final : public Node {
       return;
     }
     Entry& from = *current_;
-    const Moment moment{time, from.name, loop()->now() - arrived_, event == any_event ? std::string_view() : std::string_view(events_[event])};
+    const Moment moment{time, from.name, loop()->now() - arrived_,
+                        event == any_event ? std::string_view() : std::string_view(events_[event])};
     bool is_known = event == any_event;
     // By index: conditions may add ways.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
@@ -380,7 +390,8 @@ class MachineNode final : public Node {
     const Duration passed = in_state();
     Duration next = Duration::max();
     for (const auto& way : current_->ways)
-      if (!way->is_removed && way->on == any_event && way->config.after > passed) next = std::min(next, way->config.after);
+      if (!way->is_removed && way->on == any_event && way->config.after > passed)
+        next = std::min(next, way->config.after);
     if (next == Duration::max()) {
       if (waiting_ == 0) time_.stop();
     } else {
@@ -420,11 +431,13 @@ class MachineNode final : public Node {
     loop()->call_own("machine", [&] { report(Errc::handler_threw, "an exception left", name(), why, ""); });
   }
   void report(Errc code, const char* what, std::string_view of, std::string why, std::string advice) {
-    loop()->runtime.report(loop(), object(), {code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
+    loop()->runtime.report(loop(), object(),
+                           {code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
   }
   void unknown(std::string_view name) {
     ++counts_.ignored;
-    report(Errc::bad_name, "cannot raise event", name, "no transition waits for an event of that name", rtdata::detail::suggestion(name, {events_.begin(), events_.end()}));
+    report(Errc::bad_name, "cannot raise event", name, "no transition waits for an event of that name",
+           rtdata::detail::suggestion(name, {events_.begin(), events_.end()}));
   }
 
   void on_close() noexcept override {
@@ -447,8 +460,8 @@ class MachineNode final : public Node {
   Entry* current_ = nullptr;
   Entry* going_to_ = nullptr;  // while a change is under way
   MonotonicTime arrived_{};
-  std::optional<Time> last_time_;  // of an input's event
-  MonotonicTime last_came_{};      // when that came
+  std::optional<Time> last_time_;                            // of an input's event
+  MonotonicTime last_came_{};                                // when that came
   std::array<std::uint16_t, Machine::max_waiting> queue_{};  // a ring
   std::size_t first_ = 0;
   std::size_t waiting_ = 0;

@@ -17,6 +17,7 @@
 
 #include "data/payloads.hpp"
 #include "loop/core/loop_core.hpp"
+#include "rtdata/fsm/machine.hpp"
 #include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -190,6 +191,23 @@ struct OfDerivedSensor {
 #else
 using OfDerivedSensor = OfFeed;  // there is none
 #endif
+struct OfMachine {
+  using Type = fsm::Machine;  // its callback is a condition
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "machine", .start = "a"});
+    made.add_state("a");
+    made.add_transition({.from = "a", .to = "a", .when = [f = probe.callback()]() mutable {
+                           f();
+                           return false;
+                         }});
+    made.start();
+    return made;
+  }
+  void provoke(Loop& loop, Type& handle) {
+    timer = Timer(loop, 0ns, [&handle] { handle.look(); });
+  }
+  Timer timer;
+};
 struct OfIioSensor {
   using Type = IioSensor;
   Type make(Loop& loop, Probe& probe) {
@@ -317,10 +335,11 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                               \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
-      OfDerivedSensor, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
-      OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
+#define HANDLES                                                                                                  \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
+      OfDerivedSensor, OfMachine, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor,      \
+      OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, \
+      OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

@@ -116,7 +116,8 @@ TEST_SUITE("fsm") {
     coast.ready = true;
     b.machine.look();
     b.machine.raise("go");
-    CHECK(b.done == Lines{"arrive a", "check in a", "check in a", "leave a", "arrive coast", "leave coast", "arrive b"});
+    CHECK(b.done ==
+          Lines{"arrive a", "check in a", "check in a", "leave a", "arrive coast", "leave coast", "arrive b"});
   }
 
   TEST_CASE("US-41 a way is taken after a time in the state, and not before") {
@@ -144,7 +145,8 @@ TEST_SUITE("fsm") {
     Feed<Climate> two(b.loop, {.name = "two"});
     fsm::Input<Climate> first(b.machine, "one", 500ms);
     fsm::Input<Climate> second(b.machine, "two");
-    b.machine.add_transition({.from = "a", .to = "b",
+    b.machine.add_transition({.from = "a",
+                              .to = "b",
                               .when = [&] { return first && second && first->temperature > second->temperature; },
                               .hold = 300ms});
     b.machine.start();
@@ -183,7 +185,8 @@ TEST_SUITE("fsm") {
     b.machine.add_transition({.from = "a", .to = "b", .when = [&] { return input->temperature > 1; }, .hold = 10s});
     b.machine.start();
     std::vector<Time> times;
-    auto s = b.loop.subscribe<fsm::StateChange>("m", [&](const Event<fsm::StateChange>& e) { times.push_back(e.time); });
+    auto s = b.loop.subscribe<fsm::StateChange>("m",
+                                                [&](const Event<fsm::StateChange>& e) { times.push_back(e.time); });
     const Time then = b.loop.time() + 100h;
     feed.publish({.temperature = 2}, then);
     feed.publish({.temperature = 2}, then + 10s);
@@ -196,9 +199,9 @@ TEST_SUITE("fsm") {
   TEST_CASE("US-41 an event that an action raises waits its turn; ten thousand are bounded, and counted") {
     Bench b;
     b.machine.add_state("busy", {.arrive = [&] {
-                                   for (int i = 0; i < 10'000; ++i) b.machine.raise("again");
-                                   b.done.push_back("in " + std::string(b.machine.state()));
-                                 }});
+                          for (int i = 0; i < 10'000; ++i) b.machine.raise("again");
+                          b.done.push_back("in " + std::string(b.machine.state()));
+                        }});
     b.machine.add_transition({.from = "a", .to = "busy", .on = "go"});
     b.machine.add_transition({.from = "busy", .to = "b", .on = "again"});
     b.machine.start();
@@ -308,7 +311,8 @@ TEST_SUITE("fsm") {
     b.machine.remove_state("c");
     for (const auto& edge : b.machine.graph().edges) CHECK(edge.on != "go");
     // A condition that removes its own way.
-    b.machine.add_transition({.from = "z", .to = "a", .when = [&] { return b.machine.remove_transitions("z", "a"), true; }});
+    b.machine.add_transition(
+        {.from = "z", .to = "a", .when = [&] { return b.machine.remove_transitions("z", "a"), true; }});
     b.machine.look();
     CHECK(b.machine.state() == "z");
   }
@@ -329,9 +333,12 @@ TEST_SUITE("fsm") {
     CHECK(refusal([&] { m.add_state(std::string(49, 'x')); }).find("longer than 48") != std::string::npos);
     CHECK(refusal([&] { m.add_state("n", nullptr); }).find("there is no state") != std::string::npos);
     m.add_state("boost");
-    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "bost"}); }).find("did you mean boost?") != std::string::npos);
-    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "b", .hold = 1s}); }).find("`hold` without") != std::string::npos);
-    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "b", .after = -1s}); }).find("negative") != std::string::npos);
+    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "bost"}); }).find("did you mean boost?") !=
+          std::string::npos);
+    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "b", .hold = 1s}); }).find("`hold` without") !=
+          std::string::npos);
+    CHECK(refusal([&] { m.add_transition({.from = "a", .to = "b", .after = -1s}); }).find("negative") !=
+          std::string::npos);
     CHECK(refusal([&] { m.start_in("d"); }).find("no state of that name") != std::string::npos);
     fsm::Machine other(b.loop, {.name = "other", .start = "on"});
     CHECK(refusal([&] { other.start(); }).find("no state of that name") != std::string::npos);

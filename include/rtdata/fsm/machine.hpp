@@ -17,10 +17,10 @@
 /// with each event. A change runs `leave` of the old state, then `arrive` of the new one. An event that is raised in
 /// one of these, or in a condition, waits until the change is done.
 ///
-/// What throws is reported with its name, and counted. A condition that throws counts as false. When `leave` throws, the
-/// change goes on all the same; when `arrive` throws, the machine is in the new state. With `Config::failure` it then
-/// goes to that state: instead of to the new one when `leave` threw, or from the new one when `arrive` did. What the
-/// failure state itself throws changes nothing more.
+/// What throws is reported with its name, and counted. A condition that throws counts as false. When `leave` throws,
+/// the change goes on all the same; when `arrive` throws, the machine is in the new state. With `Config::failure` it
+/// then goes to that state: instead of to the new one when `leave` threw, or from the new one when `arrive` did. What
+/// the failure state itself throws changes nothing more.
 ///
 /// States and transitions may be added and removed at any time, also in actions and conditions; a state that the
 /// machine is in, or is going to, cannot be removed.
@@ -66,10 +66,10 @@ struct StateChange {
 
 /// When an action or a condition is called.
 struct Moment {
-  Time time{};                ///< that of the event; of what time causes, the loop's on the line of the last event
-  std::string_view state;     ///< the one that the machine is in; in `leave` the one it leaves
-  Duration in_state{0};       ///< for how long
-  std::string_view event{};   ///< the named event; empty: it was none
+  Time time{};               ///< that of the event; of what time causes, the loop's on the line of the last event
+  std::string_view state;    ///< the one that the machine is in; in `leave` the one it leaves
+  Duration in_state{0};      ///< for how long
+  std::string_view event{};  ///< the named event; empty: it was none
 };
 
 /// A function with or without a Moment.
@@ -78,21 +78,23 @@ class Action : public Callback<void(const Moment&)> {
   Action() noexcept = default;
   template <class F>
   requires(!std::is_base_of_v<Action, std::remove_cvref_t<F>> && std::invocable<std::decay_t<F>&, const Moment&>)
-  Action(F&& function) : Callback(std::forward<F>(function)) {}
+      Action(F&& function)
+      : Callback(std::forward<F>(function)) {}
   template <class F>
-  requires(!std::is_base_of_v<Action, std::remove_cvref_t<F>> && std::invocable<std::decay_t<F>&>)
-  Action(F&& function) : Callback([f = std::forward<F>(function)](const Moment&) mutable { f(); }) {}
+  requires(!std::is_base_of_v<Action, std::remove_cvref_t<F>> && std::invocable<std::decay_t<F>&>) Action(F&& function)
+      : Callback([f = std::forward<F>(function)](const Moment&) mutable { f(); }) {}
 };
 class Condition : public Callback<bool(const Moment&)> {
  public:
   Condition() noexcept = default;
   template <class F>
   requires(!std::is_base_of_v<Condition, std::remove_cvref_t<F>> &&
-           std::is_invocable_r_v<bool, std::decay_t<F>&, const Moment&>)
-  Condition(F&& function) : Callback(std::forward<F>(function)) {}
+           std::is_invocable_r_v<bool, std::decay_t<F>&, const Moment&>) Condition(F&& function)
+      : Callback(std::forward<F>(function)) {}
   template <class F>
   requires(!std::is_base_of_v<Condition, std::remove_cvref_t<F>> && std::is_invocable_r_v<bool, std::decay_t<F>&>)
-  Condition(F&& function) : Callback([f = std::forward<F>(function)](const Moment&) mutable { return bool(f()); }) {}
+      Condition(F&& function)
+      : Callback([f = std::forward<F>(function)](const Moment&) mutable { return bool(f()); }) {}
 };
 
 /// A state as a class. Owner: the machine.
@@ -203,8 +205,8 @@ class Input {
       : latest_(new Latest(detail::node_of_open(machine, topic), max_age)) {
     Latest* const latest = latest_.get();
     Loop& loop = detail::loop_of(latest->machine);
-    latest->subscription =
-        loop.topic<T>(topic).subscribe(loop, [latest](const Event<T>& event) { latest->take(event); });
+    latest->subscription = loop.topic<T>(topic).subscribe(loop,
+                                                          [latest](const Event<T>& event) { latest->take(event); });
     latest->subscription.set_name("machine " + detail::name_of(latest->machine));
   }
 
@@ -226,9 +228,7 @@ class Input {
     Latest(const Latest&) = delete;
     Latest& operator=(const Latest&) = delete;
     ~Latest() { machine.release(); }
-    Duration age() const {
-      return machine.is_open() ? detail::now_of(machine) - came : Duration::max();
-    }
+    Duration age() const { return machine.is_open() ? detail::now_of(machine) - came : Duration::max(); }
     void take(const Event<T>& event) {
       if (!machine.is_open()) return;
       const bool was_stale = time && age() > max_age;

@@ -66,7 +66,8 @@ std::string input_of(const std::string& file, std::string_view prefix, const std
     const std::string input = file.substr(0, file.size() - end.size());
     if (input.size() <= prefix.size() || input.find_first_not_of("0123456789", prefix.size()) != std::string::npos)
       continue;
-    if (end == "_average" && (prefix != "power" || std::find(files.begin(), files.end(), input + "_input") != files.end()))
+    if (end == "_average" &&
+        (prefix != "power" || std::find(files.begin(), files.end(), input + "_input") != files.end()))
       continue;
     return input;
   }
@@ -89,9 +90,7 @@ std::vector<Candidate> candidates(const std::string& root, std::string_view pref
              std::count_if(all.begin(), all.end(), [&](const Chip& other) { return other.*name == chip.*name; }) == 1;
     };
     // The number changes from start to start.
-    const std::string& stable = is_alone(&Chip::name)     ? chip.name
-                                : is_alone(&Chip::parent) ? chip.parent
-                                                          : chip.number;
+    const std::string& stable = is_alone(&Chip::name) ? chip.name : is_alone(&Chip::parent) ? chip.parent : chip.number;
     const std::vector<std::string> files = sorted_names(chip.folder);
     for (const std::string& file : files) {
       const std::string input = input_of(file, prefix, files);
