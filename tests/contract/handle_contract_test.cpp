@@ -177,9 +177,8 @@ struct OfDerivedSensor {
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
-#define HANDLES_OF_EXPRESSIONS OfDerivedSensor,
 #else
-#define HANDLES_OF_EXPRESSIONS
+using OfDerivedSensor = OfFeed;  // there is none
 #endif
 struct OfIioSensor {
   using Type = IioSensor;
@@ -308,9 +307,9 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                     \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,           \
-      HANDLES_OF_EXPRESSIONS OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
+#define HANDLES                                                                                               \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
+      OfDerivedSensor, OfAnalogSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, \
       OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
