@@ -472,12 +472,9 @@ class MachineNode final : public Node {
 
 namespace {
 
-MachineNode& open_node(rtdata::detail::Node* node, const char* what) {
-  if (node != nullptr && node->is_open()) return *static_cast<MachineNode*>(node);
-  throw SetupError({Errc::closed, what, "machine", "it is closed", ""});
-}
-const MachineNode* node_or_null(const rtdata::detail::Node* node) noexcept {
-  return node != nullptr && node->is_open() ? static_cast<const MachineNode*>(node) : nullptr;
+/// Null when it is closed: then every verb does nothing.
+MachineNode* open_node(rtdata::detail::Node* node) noexcept {
+  return node != nullptr && node->is_open() ? static_cast<MachineNode*>(node) : nullptr;
 }
 
 }  // namespace
@@ -488,38 +485,43 @@ void Machine::add_state(std::string name, StateConfig config) {
   add_state(std::move(name), std::make_unique<StateOfFunctions>(std::move(config)), is_final);
 }
 void Machine::add_state(std::string name, std::unique_ptr<State> state, bool is_final) {
-  open_node(node(), "cannot add a state").add_state(std::move(name), std::move(state), is_final);
+  if (auto* m = open_node(node())) m->add_state(std::move(name), std::move(state), is_final);
 }
-void Machine::remove_state(std::string_view name) { open_node(node(), "cannot remove a state").remove_state(name); }
+void Machine::remove_state(std::string_view name) {
+  if (auto* m = open_node(node())) m->remove_state(name);
+}
 void Machine::add_transition(Transition transition) {
-  open_node(node(), "cannot add a transition").add_transition(std::move(transition));
+  if (auto* m = open_node(node())) m->add_transition(std::move(transition));
 }
 std::size_t Machine::remove_transitions(std::string_view from, std::string_view to) {
-  return open_node(node(), "cannot remove transitions").remove_transitions(from, to);
+  auto* m = open_node(node());
+  return m != nullptr ? m->remove_transitions(from, to) : 0;
 }
-void Machine::start() { open_node(node(), "cannot start").start({}); }
-void Machine::start_in(std::string_view state) { open_node(node(), "cannot start").start(state); }
+void Machine::start() { start_in({}); }
+void Machine::start_in(std::string_view state) {
+  if (auto* m = open_node(node())) m->start(state);
+}
 void Machine::raise(std::string_view event) {
-  if (is_open()) open_node(node(), "cannot raise an event").raise(event);
+  if (auto* m = open_node(node())) m->raise(event);
 }
 void Machine::look() {
-  if (is_open()) open_node(node(), "cannot look").look();
+  if (auto* m = open_node(node())) m->look();
 }
 std::string_view Machine::state() const noexcept {
-  const MachineNode* const machine = node_or_null(node());
-  return machine != nullptr ? machine->state() : std::string_view();
+  auto* m = open_node(node());
+  return m != nullptr ? m->state() : std::string_view();
 }
 Duration Machine::in_state() const {
-  const MachineNode* const machine = node_or_null(node());
-  return machine != nullptr ? machine->in_state() : Duration{0};
+  auto* m = open_node(node());
+  return m != nullptr ? m->in_state() : Duration{0};
 }
 MachineCounts Machine::counts() const noexcept {
-  const MachineNode* const machine = node_or_null(node());
-  return machine != nullptr ? machine->counts() : MachineCounts{};
+  auto* m = open_node(node());
+  return m != nullptr ? m->counts() : MachineCounts{};
 }
 Graph Machine::graph() const {
-  const MachineNode* const machine = node_or_null(node());
-  return machine != nullptr ? machine->graph() : Graph{};
+  auto* m = open_node(node());
+  return m != nullptr ? m->graph() : Graph{};
 }
 
 namespace detail {

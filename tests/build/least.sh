@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")/../.."
 cmake -G Ninja -B build/least -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DRTDATA_WERROR=ON \
-    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF
+    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_MUPARSER=OFF
 cmake --build build/least -j "$(nproc)" --target rtdata_main
 program=$PWD/build/least/rtdata
 
@@ -20,7 +20,7 @@ END
 "$program" run least.json --for 500ms
 [ "$(grep -c '"topic": *"cpu"' cpu.jsonl)" -ge 1 ] || refused "nothing was recorded: $(head -c 300 cpu.jsonl)"
 
-for type in sqlite edge counter gpio modbus; do
+for type in sqlite edge counter gpio modbus derived; do
     ! "$program" types $type 2>said || refused "it says that it has the type $type"
     grep -q "no type \"$type\": this program was built without " said || refused "of the type $type it says $(cat said)"
 done

@@ -387,6 +387,14 @@ void use_verbs(Type& handle) {
     CHECK(handle.read().has_value());
     CHECK_FALSE(handle.failure());
     CHECK(handle.counts().edges > 0);
+  } else if constexpr (std::is_same_v<Type, fsm::Machine>) {
+    handle.add_state("b");
+    handle.raise("nothing");
+    handle.look();
+    CHECK(handle.remove_transitions("a", "b") == 0);
+    handle.remove_state("b");
+    CHECK(handle.counts().events > 0);
+    CHECK(handle.state() == "a");
   } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
     handle.stop();
     CHECK_FALSE(handle.is_running());
@@ -566,6 +574,18 @@ TEST_SUITE("contract") {
         CHECK(closed->read().error().code == Errc::closed);
         CHECK_FALSE(closed->failure());
         CHECK(closed->counts().edges == 0);
+      } else if constexpr (std::is_same_v<Type, fsm::Machine>) {
+        closed->start();
+        closed->start_in("a");
+        closed->raise("nothing");
+        closed->look();
+        closed->add_state("a");
+        closed->add_transition({.from = "a", .to = "a"});
+        CHECK(closed->remove_transitions("a", "a") == 0);
+        closed->remove_state("a");
+        CHECK(closed->state().empty());
+        CHECK(closed->counts().events == 0);
+        CHECK(closed->graph().states.empty());
       } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
         closed->start();
         closed->stop();

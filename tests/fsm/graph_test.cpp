@@ -8,12 +8,12 @@
 
 using namespace rtdata;
 using fsm::Graph;
-using Kind = fsm::GraphFault::Kind;
+using FaultKind = fsm::GraphFault::Kind;
 
 namespace {
 
-std::vector<Kind> kinds(const Graph& graph) {
-  std::vector<Kind> found;
+std::vector<FaultKind> kinds(const Graph& graph) {
+  std::vector<FaultKind> found;
   for (const fsm::GraphFault& fault : fsm::find_faults(graph)) found.push_back(fault.kind);
   return found;
 }
@@ -32,27 +32,27 @@ TEST_SUITE("fsm") {
   TEST_CASE("US-41 each kind of mistake in a table is found") {
     Graph graph = flight();
     graph.start = Graph::none;
-    CHECK(kinds(graph) == std::vector{Kind::no_start});
+    CHECK(kinds(graph) == std::vector{FaultKind::no_start});
 
     graph = flight();
     graph.states.push_back({"abort", true});
-    CHECK(kinds(graph) == std::vector{Kind::unreachable});
+    CHECK(kinds(graph) == std::vector{FaultKind::unreachable});
 
     graph = flight();
     graph.states[2].is_final = false;
-    CHECK(kinds(graph) == std::vector{Kind::dead_end});
+    CHECK(kinds(graph) == std::vector{FaultKind::dead_end});
 
     graph = flight();
     graph.states[1].is_final = true;
-    CHECK(kinds(graph) == std::vector{Kind::left_final});
+    CHECK(kinds(graph) == std::vector{FaultKind::left_final});
 
     graph = flight();
     graph.edges.push_back(graph.edges[0]);
-    CHECK(kinds(graph) == std::vector{Kind::duplicate});
+    CHECK(kinds(graph) == std::vector{FaultKind::duplicate});
 
     graph = flight();
     graph.edges.insert(graph.edges.begin(), {0, 2, "", "", true, false});
-    CHECK(kinds(graph) == std::vector{Kind::never_taken});
+    CHECK(kinds(graph) == std::vector{FaultKind::never_taken});
     graph.edges[0].on = "abort";  // another event
     CHECK(kinds(graph).empty());
     graph.edges[0].on = "";

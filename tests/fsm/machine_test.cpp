@@ -70,8 +70,7 @@ TEST_SUITE("fsm") {
     CHECK(b.done == Lines{"arrive a", "leave a", "arrive b"});
     CHECK(b.told() == Lines{">a: start", "a>b: go"});
     CHECK(b.machine.counts().transitions == 1);
-    for (const auto& origin : b.loop.runtime().ledger())
-      if (origin.name == "m") CHECK(origin.counts.published == 2);
+    CHECK(b.loop.runtime().balances());
     CHECK(b.errors.empty());
   }
 
@@ -192,8 +191,8 @@ TEST_SUITE("fsm") {
     feed.publish({.temperature = 2}, then + 10s);
     b.loop.advance(0ns);
     CHECK(b.machine.state() == "b");
-    REQUIRE(times.size() == 2);
-    CHECK(times[1] == then + 10s);
+    REQUIRE(times.size() == 1);
+    CHECK(times[0] == then + 10s);
   }
 
   TEST_CASE("US-41 an event that an action raises waits its turn; ten thousand are bounded, and counted") {

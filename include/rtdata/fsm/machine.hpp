@@ -28,7 +28,7 @@
 /// Nothing is allocated when events are taken in and states change. When the loop drains, the machine stands still.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
-/// Errors: SetupError (bad-argument, bad-name, not-found, busy).
+/// Errors: SetupError (bad-argument, bad-name, not-found, busy). What is done with a closed machine does nothing.
 #pragma once
 
 #include <concepts>
