@@ -250,7 +250,7 @@ def check_handles(source):
     listed = re.findall(r"\bOf\w+", re.search(r"#define HANDLES((?:.*\\\n)*.*)", text)[1])
     tried = set()
     for entry in listed:
-        found = re.search(rf"struct {entry}\b[^{{]*{{\n(?:.*\n)*?  using Type = (\w+)", text)
+        found = re.search(rf"struct {entry}\b[^{{]*{{\n(?:.*\n)*?  using Type = (?:\w+::)*(\w+)", text)
         tried.add(found[1] if found else entry)
     types = set()
     for header in sorted((source / "include").rglob("*.hpp")):

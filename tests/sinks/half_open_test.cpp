@@ -248,7 +248,7 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("sinks") {
-  TEST_CASE("US-32 a connection whose packets are dropped is given up after `timeout`, and all is sent by another") {
+  TEST_CASE("US-32 a connection whose packets are dropped is given up after timeout, and all is sent by another") {
     for (const SenderKind& kind : kinds()) {
       CAPTURE(kind.name);
       Bench bench(kind);
