@@ -21,8 +21,8 @@
 /// - QoS 0: what comes while the connection is lost is gone. QoS 1: the broker sends again what it had no answer to, so
 ///   that a message may come twice, as two events. QoS 2: once within a connection. What the broker keeps while this
 ///   sensor is away depends on `session`.
-/// - With `stored_by` the broker gets its answer once that sink has stored the events: what it had no answer
-///   to comes again (QoS 1). Known fault: after a kill -9 one message of those kept meanwhile has been seen missing.
+/// - With `stored_by` the broker gets its answer once that sink has stored the events: a program that is killed, or a
+///   machine that loses power, then loses nothing that came (QoS 1).
 ///
 /// The library `rtdata::mqtt`, which needs libmosquitto. Connecting and looking up names happen on a lane, all else on
 /// the loop, at most 256 messages in a turn of it.
