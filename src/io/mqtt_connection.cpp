@@ -246,9 +246,9 @@ int MqttConnection::call_library(std::size_t& left) {
   if (broker_.tls) guard.emplace();  // without TLS the library writes without the signal
   errno = 0;
   int status = MOSQ_ERR_SUCCESS;
-  if (is_readable_ && may_read()) status = read_some(left);
-  if (status == MOSQ_ERR_SUCCESS && may_write() && ::mosquitto_want_write(client_->handle))
-    status = ::mosquitto_loop_write(client_->handle, 1);
+  // Writing comes first: what is read now may have to wait for its answers (`holds_answers`), which `take` says.
+  if (may_write() && ::mosquitto_want_write(client_->handle)) status = ::mosquitto_loop_write(client_->handle, 1);
+  if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) status = read_some(left);
   if (status == MOSQ_ERR_SUCCESS) status = ::mosquitto_loop_misc(client_->handle);
   if (status == MOSQ_ERR_SUCCESS && is_connected_) status = give(left);
   return status;

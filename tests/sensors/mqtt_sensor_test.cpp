@@ -332,6 +332,41 @@ TEST_SUITE("sensors") {
     CHECK(bench.loop.close(2s) == 0);
   }
 
+  TEST_CASE("the broker hears of no message before the sink has stored it") {
+    NEEDS_BROKER();
+    Broker broker("allow_anonymous true\nmax_queued_messages 0\nlog_type all\n");
+    Publisher publisher(broker.port());
+    const Directory directory;
+    const auto said = [&](const char* what) {
+      const std::string log = broker.log();
+      std::size_t count = 0;
+      for (std::size_t at = 0; (at = log.find(what, at)) != std::string::npos; ++at) ++count;
+      return count;
+    };
+    Hearing bench;
+    SqliteSink store(bench.loop, {.path = directory / "run.db", .sink = {.name = "store", .batch_time = 1h}});
+    MqttSensor sensor(
+        bench.loop, {.name = "phone"},
+        bench.from(broker.port(),
+                   {.broker = {.client_id = "collector"}, .topics = {"a/#"}, .session = 1h, .stored_by = "store"}));
+    REQUIRE(bench.wait_for([&] { return said("Sending SUBACK to collector") == 1; }));
+    std::size_t sent = 0;
+    // One alone, which finds an idle connection, then several at once, which wait behind it.
+    for (const std::size_t count : {std::size_t{1}, std::size_t{5}}) {
+      for (std::size_t i = 0; i < count; ++i) publisher.publish("a/b", R"({"level": )" + std::to_string(++sent) + "}");
+      REQUIRE(bench.wait_for([&] { return said("Sending PUBLISH to collector") == sent; }));
+      CHECK(bench.wait_for([&, turns = 0]() mutable { return ++turns > 20; }));
+      CHECK(said("Received PUBACK from collector") == 0);
+    }
+    CHECK(bench.wait_for([&] {
+      store.flush();
+      return said("Received PUBACK from collector") == sent;
+    }));
+    CHECK(store.counts().stored == sent);
+    sensor.close();
+    CHECK(bench.loop.close(2s) == 0);
+  }
+
   TEST_CASE("two sensors of one group share the messages") {
     NEEDS_BROKER();
     Broker broker;
