@@ -50,6 +50,7 @@ struct Entry {
   std::string name;
   std::unique_ptr<State> code;
   bool is_final;
+  bool has_check;  // it decides itself whether it may be gone to
   std::vector<std::unique_ptr<Way>> ways{};
 };
 
@@ -81,10 +82,11 @@ class MachineNode final : public Node {
       : Node(loop.core()),
         config_(std::move(config)),
         feed_(loop, {.name = config_.name, .topic = config_.topic}),
-        time_(loop, {.name = object()}, [this] { time_passed(); }) {}
+        time_(loop, {.name = object()}, [this] { time_passed(); }),
+        go_on_(loop, {.name = object()}, [this] { take_waiting(); }) {}
 
   // Its table
-  void add_state(std::string name, std::unique_ptr<State> code, bool is_final) {
+  void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check) {
     check_use("cannot add a state");
     check_name(name, "state");
     if (code == nullptr) refuse(Errc::bad_argument, "cannot add state", name, "there is no state", "give it one");
@@ -92,14 +94,15 @@ class MachineNode final : public Node {
       refuse(Errc::bad_name, "cannot add state", name, "there is one of that name already",
              "remove it first, or give it another name");
     }
-    states_.push_back(std::make_unique<Entry>(Entry{std::move(name), std::move(code), is_final}));
+    states_.push_back(std::make_unique<Entry>(Entry{std::move(name), std::move(code), is_final, has_check}));
   }
   void remove_state(std::string_view name) {
     check_use("cannot remove a state");
     Entry& state = entry(name, "cannot remove state");
-    if (&state == current_ || &state == going_to_) {
+    if (&state == current_ || &state == going_to_)
       refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
-    }
+    if (state.name == config_.failure && current_ != nullptr)
+      refuse(Errc::busy, "cannot remove state", state.name, "the machine goes to it when an action throws", "keep it");
     for (const auto& other : states_)
       for (const auto& way : other->ways)
         if (&way->to == &state) way->is_removed = true;
@@ -161,29 +164,16 @@ class MachineNode final : public Node {
     is_busy_ = true;
     go(state, "start", loop()->face.time());
     ended();
+    take_waiting();
   }
   void raise(std::string_view name) {
     check_use("cannot raise an event");
     const std::uint16_t number = event_number(name);
     if (number == any_event) return unknown(name);
-    if (waiting_ == queue_.size()) {
-      ++counts_.dropped;
-      return report(Errc::backlog, "an event was dropped", name,
-                    std::to_string(queue_.size()) + " wait for the end of a change already",
-                    "raise fewer in one action");
-    }
-    queue_[(first_ + waiting_++) % queue_.size()] = number;
-    if (!is_busy_) {
-      const rtdata::detail::Call call(*this);
-      take_waiting();
-    }
+    take(number, now_on_line());
   }
   void look() {
     check_use("cannot look");
-    if (is_busy_) {
-      looks_again_ = true;
-      return;
-    }
     take(any_event, now_on_line());
   }
   void input(Time time, detail::Before before) {
@@ -217,7 +207,7 @@ class MachineNode final : public Node {
         if (way->is_removed) continue;
         const Transition& config = way->config;
         graph.edges.push_back({index(*state), index(way->to), config.cause, config.on,
-                               !config.when && !has_check(way->to), config.after > Duration{0}});
+                               !config.when && !way->to.has_check, config.after > Duration{0}});
       }
     }
     return graph;
@@ -255,36 +245,37 @@ class MachineNode final : public Node {
     const auto found = std::find(events_.begin(), events_.end(), name);
     return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());
   }
-  /// Whether the state decides itself when it may be gone to: of a class nobody can know.
-  static bool has_check(const Entry& state) {
-    return dynamic_cast<const StateOfFunctions*>(state.code.get()) == nullptr;
-  }
 
   // Events
+  /// Now, or after those that wait for the end of a change.
   void take(std::uint16_t event, Time time) {
-    const rtdata::detail::Call call(*this);
-    is_busy_ = true;
-    try_ways(event, time);
-    ended();
-    if (is_open()) take_waiting();
+    if (waiting_ == queue_.size()) {
+      ++counts_.dropped;
+      return report(Errc::backlog, "an event was dropped", event == any_event ? "of an input" : events_[event],
+                    std::to_string(queue_.size()) + " wait for the end of a change already",
+                    "raise fewer in one action");
+    }
+    queue_[(first_ + waiting_++) % queue_.size()] = {event, time};
+    if (!is_busy_) take_waiting();
   }
-  /// Those that were raised meanwhile, and in turn by what they cause; at most as many as may wait at once, then the
-  /// loop has a turn in between.
+  /// What waits, and in turn what that causes: at most as many as may wait at once, then the loop has a turn in
+  /// between.
   void take_waiting() {
-    for (std::size_t i = 0; waiting_ > 0 && is_open(); ++i) {
-      if (i == queue_.size()) return time_.start(Duration{0});
-      const std::uint16_t event = queue_[first_];
+    const rtdata::detail::Call call(*this);
+    for (std::size_t i = 0; waiting_ > 0; ++i) {
+      if (i == queue_.size()) return go_on_.start(Duration{0});
+      const Waiting next = queue_[first_];
       first_ = (first_ + 1) % queue_.size();
       --waiting_;
       is_busy_ = true;
-      try_ways(event, now_on_line());
+      try_ways(next.event, next.time);
       ended();
     }
-    if (is_open() && std::exchange(looks_again_, false)) time_.start(Duration{0});
   }
   void time_passed() {
+    const rtdata::detail::Call call(*this);
     take(any_event, now_on_line());
-    if (is_open() && waiting_ == 0) arm();
+    if (is_open()) arm();
   }
   /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
   Time now_on_line() {
@@ -392,11 +383,8 @@ class MachineNode final : public Node {
     for (const auto& way : current_->ways)
       if (!way->is_removed && way->on == any_event && way->config.after > passed)
         next = std::min(next, way->config.after);
-    if (next == Duration::max()) {
-      if (waiting_ == 0) time_.stop();
-    } else {
-      time_.start_at(rtdata::detail::later(arrived_, next));
-    }
+    if (next == Duration::max()) return time_.stop();
+    time_.start_at(rtdata::detail::later(arrived_, next));
   }
 
   // Users' functions
@@ -442,6 +430,7 @@ class MachineNode final : public Node {
 
   void on_close() noexcept override {
     time_.close();
+    go_on_.close();
     feed_.close();
     current_ = going_to_ = nullptr;
     waiting_ = 0;
@@ -453,20 +442,24 @@ class MachineNode final : public Node {
 
   const Machine::Config config_;
   Feed<StateChange> feed_;
-  Timer time_;  // for the next `after`, and to go on with events that wait
+  Timer time_;   // for the next `after`
+  Timer go_on_;  // with events that wait, after a turn of the loop
   std::vector<std::unique_ptr<Entry>> states_;
   std::vector<std::unique_ptr<Entry>> removed_;  // while an action runs
   std::vector<std::string> events_;              // by their number
   Entry* current_ = nullptr;
   Entry* going_to_ = nullptr;  // while a change is under way
   MonotonicTime arrived_{};
-  std::optional<Time> last_time_;                            // of an input's event
-  MonotonicTime last_came_{};                                // when that came
-  std::array<std::uint16_t, Machine::max_waiting> queue_{};  // a ring
+  std::optional<Time> last_time_;  // of an input's event
+  MonotonicTime last_came_{};      // when that came
+  struct Waiting {
+    std::uint16_t event;
+    Time time;
+  };
+  std::array<Waiting, Machine::max_waiting> queue_{};  // a ring
   std::size_t first_ = 0;
   std::size_t waiting_ = 0;
   bool is_busy_ = false;  // an action or a condition may be on the stack
-  bool looks_again_ = false;
   MachineCounts counts_;
 };
 
@@ -481,11 +474,13 @@ MachineNode* open_node(rtdata::detail::Node* node) noexcept {
 
 Machine::Machine(Loop& loop, Config config) : Handle(new MachineNode(loop, std::move(config))) {}
 void Machine::add_state(std::string name, StateConfig config) {
-  const bool is_final = config.is_final;
-  add_state(std::move(name), std::make_unique<StateOfFunctions>(std::move(config)), is_final);
+  auto* m = open_node(node());
+  if (m == nullptr) return;
+  const bool is_final = config.is_final, has_check = static_cast<bool>(config.check);
+  m->add_state(std::move(name), std::make_unique<StateOfFunctions>(std::move(config)), is_final, has_check);
 }
 void Machine::add_state(std::string name, std::unique_ptr<State> state, bool is_final) {
-  if (auto* m = open_node(node())) m->add_state(std::move(name), std::move(state), is_final);
+  if (auto* m = open_node(node())) m->add_state(std::move(name), std::move(state), is_final, true);
 }
 void Machine::remove_state(std::string_view name) {
   if (auto* m = open_node(node())) m->remove_state(name);

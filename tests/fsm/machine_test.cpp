@@ -213,6 +213,30 @@ TEST_SUITE("fsm") {
     CHECK(b.errors.size() >= 1);
   }
 
+  TEST_CASE("US-41 what is raised in the first arrival is taken; a look in an action comes after it") {
+    Bench b;
+    b.machine.add_state("first", {.arrive = [&] {
+                          b.machine.raise("go");
+                          b.machine.look();
+                        }});
+    b.machine.add_transition({.from = "first", .to = "b", .on = "go"});
+    b.machine.add_transition({.from = "b", .to = "c", .cause = "seen"});
+    b.machine.start_in("first");
+    CHECK(b.told() == Lines{">first: start", "first>b: go", "b>c: seen"});
+  }
+
+  TEST_CASE("a way whose target may refuse it does not hide those behind it") {
+    Bench b;
+    b.machine.add_state("d", {.check = [] { return false; }});
+    b.machine.add_transition({.from = "a", .to = "d"});
+    b.machine.add_transition({.from = "a", .to = "b"});
+    for (const fsm::GraphFault& fault : fsm::find_faults(b.machine.graph()))
+      CHECK(fault.kind != fsm::GraphFault::Kind::never_taken);
+    b.machine.start();
+    b.machine.look();
+    CHECK(b.machine.state() == "b");
+  }
+
   TEST_CASE("US-41 a machine that raises events for ever does not hold its loop") {
     Bench b;
     std::size_t changes = 0;
@@ -276,6 +300,11 @@ TEST_SUITE("fsm") {
       l.machine.raise("go");
       CHECK(l.told() == Lines{">x: start", "x>c: failure of leave"});
       CHECK(l.done == Lines{"arrive c"});
+    }
+    SUBCASE("the failure state stays") {
+      Bench b("c");
+      b.machine.start();
+      CHECK_THROWS_AS(b.machine.remove_state("c"), SetupError);
     }
     SUBCASE("a condition: it is false") {
       Bench b;

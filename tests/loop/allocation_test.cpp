@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "loop/observed.hpp"
+#include "rtdata/fsm/machine.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -149,6 +150,19 @@ const std::vector<Stage>& stages() {
                                             .fields = {{"a", "value > 0 ? highest(value) + mean(value, 0.05) : 0"},
                                                        {"b", "since(value > 0) + rate(value) + rate(value, 1)"}}}));
          return std::function<std::uint64_t()>([derived] { return derived->counts().published; });
+       }},
+      {"change the states of a machine",
+       [](Loop& loop) {
+         auto machine = keep(fsm::Machine(loop, {.name = "machine", .start = "a"}));
+         auto input = keep(fsm::Input<Number>(*machine, "sensor", 1s));
+         for (const char* state : {"a", "b"}) machine->add_state(state, {.arrive = [] {}, .leave = [] {}});
+         machine->add_transition(
+             {.from = "a", .to = "b", .when = [input] { return *input && (*input)->value > 0; }, .hold = 10ms});
+         machine->add_transition({.from = "b", .to = "a", .after = 15ms});
+         machine->add_transition({.from = "b", .to = "a", .on = "back"});
+         machine->start();
+         auto ticker = keep(Ticker(loop, 70ms, [machine](const Tick&) { machine->raise("back"); }));
+         return std::function<std::uint64_t()>([machine, ticker] { return machine->counts().transitions; });
        }},
       {"deliver with the fields mapped",
        [](Loop& loop) {

@@ -23,7 +23,7 @@
 /// the failure state itself throws changes nothing more.
 ///
 /// States and transitions may be added and removed at any time, also in actions and conditions; a state that the
-/// machine is in, or is going to, cannot be removed.
+/// machine is in, or is going to, or goes to after failures, cannot be removed.
 ///
 /// Nothing is allocated when events are taken in and states change. When the loop drains, the machine stands still.
 ///

@@ -75,14 +75,12 @@ ClockPair ClockLog::read(const std::pair<MonotonicTime, Time>& both, const char*
 
 bool ClockLog::look(const char* occasion) {
   const auto both = both_times(*clock_);
-  if (occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval &&
-      difference(both.first.time_since_epoch(), both.second.time_since_epoch()) == last_offset_)
-    return false;  // as in nearly every instant of virtual time
-  ClockPair pair = read(both, occasion);
-  const Duration offset = difference(pair.monotonic.time_since_epoch(), pair.realtime.time_since_epoch());
-  const bool was_set = offset != last_offset_;
-  if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, pair.monotonic) < clock_look_interval)
+  const Duration offset = difference(both.first.time_since_epoch(), both.second.time_since_epoch());
+  const bool was_set = is_step(difference(last_offset_, offset));
+  // Nearly always, and in virtual time at every instant: before anything else is asked for.
+  if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval)
     return false;
+  ClockPair pair = read(both, occasion);
   if (was_set) {
     runtime_.log(LogLevel::warning, "clock",
                  "the time of day was set by " + to_string(difference(last_offset_, offset)) +
