@@ -156,9 +156,8 @@ const std::vector<Stage>& stages() {
          auto machine = keep(fsm::Machine(loop, {.name = "machine", .start = "a"}));
          auto input = keep(fsm::Input<Number>(*machine, "sensor", 1s));
          for (const char* state : {"a", "b"}) machine->add_state(state, {.arrive = [] {}, .leave = [] {}});
-         machine->add_transition(
-             {.from = "a", .to = "b", .when = [input] { return *input && (*input)->value > 0; }, .hold = 10ms});
-         machine->add_transition({.from = "b", .to = "a", .after = 15ms});
+         machine->add_transition({.from = "a", .to = "b", .when = [input] { return *input && (*input)->value > 0; }});
+         machine->add_transition({.from = "b", .to = "a", .after = 5ms});
          machine->add_transition({.from = "b", .to = "a", .on = "back"});
          machine->start();
          auto ticker = keep(Ticker(loop, 70ms, [machine](const Tick&) { machine->raise("back"); }));
