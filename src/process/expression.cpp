@@ -684,9 +684,9 @@ std::optional<ExpressionMistake> Expression::check(std::string_view text, const 
   }
 }
 
-Result<std::vector<std::string>> Expression::names_in(std::string_view text) {
+Result<std::vector<std::string>> Expression::names_in(std::string_view text, const std::vector<std::string>& known) {
   try {
-    return detail::parse_expression(text, {}).names;
+    return detail::parse_expression(text, known).names;
   } catch (detail::ExpressionMistakeFound& found) {
     return ExpressionError(text, std::move(found.mistake)).error();
   }

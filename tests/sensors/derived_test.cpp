@@ -227,6 +227,20 @@ TEST_CASE("check finds each mistake of a derived topic, with its column in the f
         "bad-value", "takes 1 argument");
 }
 
+TEST_CASE("a field that is called as a constant is not taken for that in silence") {
+  NEEDS_EXPRESSIONS();
+  const std::string line = R"({"name": "line", "type": "serial", "device": "/dev/null", "fields": [{"name": "e"}]},)";
+  const auto with = [&](const std::string& expression) {
+    return problems_of(line + R"({"name": "d", "type": "derived", "on": "line", "expression": ")" + expression + "\"}");
+  };
+  const Problems bare = with("2 * e");
+  REQUIRE(bare.size() == 1);
+  CHECK(bare[0].message.find("`e` is the constant, and a field of the topic \"line\"") != std::string::npos);
+  CHECK(with("2 * 'e'").size() == 0);
+  CHECK(with("2 * line.e").size() == 0);
+  CHECK(with("2 * line.e + pi").size() == 0);
+}
+
 TEST_CASE("derived topics that go round in a circle are a mistake") {
   NEEDS_EXPRESSIONS();
   const Problems circle = problems_of(R"({"name": "a", "type": "derived", "on": "b", "expression": "b"},

@@ -100,8 +100,8 @@ class Expression {
   static std::optional<ExpressionMistake> check(std::string_view text, const std::vector<std::string>& names);
   /// The names that a text uses, each once, in order, as they are written but with "." for "/" and without quotes; for
   /// who looks up what they are before making it. Of a text with a mistake in its grammar: bad-argument, with the
-  /// mistake's column.
-  static Result<std::vector<std::string>> names_in(std::string_view text);
+  /// mistake's column. `known`: words that are names also where they would be constants (`e`).
+  static Result<std::vector<std::string>> names_in(std::string_view text, const std::vector<std::string>& known = {});
   /// As `names_in` writes it: two names that become the same are the same.
   static std::string normal_name(std::string_view name);
 

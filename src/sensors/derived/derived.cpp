@@ -309,6 +309,18 @@ void check_derived_names(const DerivedConfig& config,
   const std::vector<DerivedField> fields = fields_of(config);
   for (std::size_t i = 0; i < fields.size(); ++i) {
     std::vector<std::string> names = names_of({fields[i]});
+    // A constant where there is a field of that name: nobody would see that the field is not looked at.
+    const Description* const payload = payload_of(config.on);
+    for (const char* constant : {"e", "pi", "true", "false"}) {
+      if (payload == nullptr || payload->find(constant) == nullptr) continue;
+      const auto with_it = Expression::names_in(fields[i].expression, {constant});
+      if (!with_it || with_it->size() == names.size()) continue;
+      problems.add(
+          expression_item(config, item, i)
+              .problem("bad-value", "`" + std::string(constant) + "` is the constant, and a field of the topic \"" +
+                                        config.on + "\": the field is written '" + constant + "', in quotes; `" +
+                                        Expression::normal_name(config.on) + "." + constant + "` is the same"));
+    }
     std::vector<std::string> good;
     bool is_all_good = true;
     for (const std::string& name : names) {
