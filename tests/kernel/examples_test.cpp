@@ -29,6 +29,7 @@ void run_example(const std::string& name, const std::string& recording, const st
   I2cBus bus({.device = "/dev/i2c-1"});
   for (const Topic& topic : topics) {
     CAPTURE(topic.name);
+    CAPTURE(run.err);
     std::array<std::uint8_t, 1> byte{};
     if (topic.address != 0 && !bus.device({topic.address}).read(byte)) {
       MESSAGE("the bench has no chip for " << topic.name);
