@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -64,27 +65,35 @@ struct Stuck {
 }  // namespace
 
 TEST_SUITE("loop") {
-  TEST_CASE("a lane runs its jobs on one thread, not the loop's, in order, and tells of each on the loop") {
+  TEST_CASE("a lane runs its jobs one at a time, not on the loop's thread, in order, and tells of each on the loop") {
     Loop loop;
     Lane& lane = loop.core().lanes.of("device", 10s);
     CHECK(&loop.core().lanes.of("device", 10s) == &lane);
     std::vector<int> ran;
     std::vector<int> told;
     std::vector<std::shared_ptr<Job>> jobs;
+    std::atomic<int> running{0};
+    std::atomic<bool> overlapped{false};
     for (int i = 0; i < 20; ++i) {
-      jobs.push_back(job([&ran, i] { ran.push_back(i); },
-                         [&told, i](Outcome outcome) {
-                           CHECK(outcome == Outcome::finished);
-                           told.push_back(i);
-                         }));
+      jobs.push_back(job(
+          [&, i] {
+            if (running.fetch_add(1) != 0) overlapped = true;
+            ran.push_back(i);
+            running.fetch_sub(1);
+          },
+          [&told, i](Outcome outcome) {
+            CHECK(outcome == Outcome::finished);
+            told.push_back(i);
+          }));
       CHECK(lane.submit(jobs.back()));
     }
     CHECK(told.empty());
     loop.run();  // returns when the last one is told of
     CHECK(told.size() == 20);
     CHECK(ran == told);
-    CHECK(jobs[0]->ran_on != std::this_thread::get_id());
-    for (const auto& j : jobs) CHECK(j->ran_on == jobs[0]->ran_on);
+    CHECK_FALSE(overlapped);
+    // Which thread of the pool runs a job is not promised: another one leads when the first is slow to come back.
+    for (const auto& j : jobs) CHECK(j->ran_on != std::this_thread::get_id());
     CHECK(lane.submit(jobs[0]));  // a job may be used again
     loop.run();
     CHECK(told.size() == 21);

@@ -96,6 +96,7 @@ struct Hearing {
   }
   /// The gap before the first subscription has ended.
   bool is_subscribed(const AnySensor& sensor) const { return sensor.health() == Health::ok && sensor.is_running(); }
+  std::string first_error() const { return errors.empty() ? "" : errors.front(); }
   bool has_error(const std::string& part) const {
     return std::any_of(errors.begin(), errors.end(),
                        [&](const std::string& one) { return one.find(part) != std::string::npos; });
@@ -147,7 +148,7 @@ TEST_SUITE("sensors") {
         }
         CHECK(sensor.health() == Health::ok);
         CHECK(sensor.counts().published == before + 300);
-        CHECK(bench.errors.empty());
+        CHECK_MESSAGE(bench.errors.empty(), bench.first_error());
       }
     }
   }
@@ -198,7 +199,7 @@ TEST_SUITE("sensors") {
     }));
     CHECK(bench.heard.at(0).level == 21.5);
     CHECK(bench.heard.at(1).from == "a/b");
-    CHECK(bench.errors.empty());
+    CHECK_MESSAGE(bench.errors.empty(), bench.first_error());
   }
 
   TEST_CASE("retained messages make no event, or are told apart when they are asked for") {
@@ -327,7 +328,7 @@ TEST_SUITE("sensors") {
     CHECK(bench.wait_for([&] { return store.counts().queued == 0; }));
     publisher.publish("a/b", R"({"level": 99})");
     CHECK(bench.wait_for([&] { return bench.heard.back().level == 99; }));
-    CHECK(bench.errors.empty());
+    CHECK_MESSAGE(bench.errors.empty(), bench.first_error());
     sensor.close();
     CHECK(bench.loop.close(2s) == 0);
   }
