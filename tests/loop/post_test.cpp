@@ -72,7 +72,9 @@ TEST_SUITE("loop") {
       CAPTURE(takes);
       Loop loop(Loop::Manual{}, {.delivery_budget = 2ms, .hold_limit = 1s});
       std::vector<std::string> errors;
-      loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+      loop.on_error([&](const ErrorReport& report) {
+        if (report.error.code != Errc::held_too_long) errors.push_back(report.error.text());
+      });
       int run = 0;
       for (int i = 0; i < 100; ++i) {
         loop.post([&] {

@@ -70,7 +70,9 @@ struct Hearing {
   Subscription subscription;
 
   Hearing() {
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    loop.on_error([this](const ErrorReport& report) {
+      if (report.error.code != Errc::held_too_long) errors.push_back(report.error.text());
+    });
     subscription = loop.subscribe<Charge>("phone", [this](const Event<Charge>& event) { heard.push_back(*event); });
   }
   MqttSensorConfig from(std::uint16_t port, MqttSensorConfig config) {
