@@ -34,6 +34,7 @@
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/w1.hpp"
@@ -191,6 +192,15 @@ struct OfDerivedSensor {
 #else
 using OfDerivedSensor = OfFeed;  // there is none
 #endif
+struct OfLimitSensor {
+  using Type = LimitSensor;  // the topic has no such number
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "l"}, {.on = "zeros", .field = "none", .high = 1});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
+};
 struct OfMachine {
   using Type = fsm::Machine;  // its callback is a condition
   Type make(Loop& loop, Probe& probe) {
@@ -335,11 +345,11 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                  \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,        \
-      OfDerivedSensor, OfMachine, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor,      \
-      OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, \
-      OfSink
+#define HANDLES                                                                                                 \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,       \
+      OfDerivedSensor, OfLimitSensor, OfMachine, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor,      \
+      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, \
+      OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

@@ -25,6 +25,7 @@
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace {
@@ -150,6 +151,11 @@ const std::vector<Stage>& stages() {
                                             .fields = {{"a", "value > 0 ? highest(value) + mean(value, 0.05) : 0"},
                                                        {"b", "since(value > 0) + rate(value) + rate(value, 1)"}}}));
          return std::function<std::uint64_t()>([derived] { return derived->counts().published; });
+       }},
+      {"watch limits",
+       [](Loop& loop) {
+         auto limit = keep(LimitSensor(loop, {.name = "limit"}, {.on = "sensor", .high = 0.5, .join = Duration{0}}));
+         return std::function<std::uint64_t()>([limit] { return limit->counts().published; });
        }},
       {"change the states of a machine",
        [](Loop& loop) {

@@ -79,6 +79,17 @@ const std::string load = R"({"name": "load", "type": "host", "quantity": "load",
 
 TEST_SUITE_BEGIN("sensors");
 
+TEST_CASE("a derived sensor that is refused leaves nothing behind") {
+  NEEDS_EXPRESSIONS();
+  Loop loop(Loop::Manual{});
+  be_quiet(loop);
+  for (int i = 0; i < 3; ++i)
+    CHECK_THROWS_AS(DerivedSensor(loop, {.name = "out"}, {.on = "imu", .expression = "x +"}), SetupError);
+  CHECK(loop.runtime().sensors().empty());
+  const DerivedSensor right(loop, {.name = "out"}, {.on = "imu", .expression = "x"});
+  CHECK(loop.runtime().sensors().size() == 1);
+}
+
 TEST_CASE("a derived topic has the time of what it is derived from, and several fields") {
   NEEDS_EXPRESSIONS();
   Bench bench({.on = "imu",

@@ -15,6 +15,7 @@
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/w1.hpp"
@@ -268,6 +269,15 @@ Registry standard_registry() {
   } else {
     registry.leave_out("sensor", "derived", "this program was built without muParser");
   }
+  registry.add_sensor<LimitConfig>(
+      "limit", "alarms of a number of another topic: limits with hysteresis, delay, and a latch",
+      [](const LimitConfig&) { return Result(description_of<Alarm>()); },
+      [](Loop& loop, const FeedConfig& common, const LimitConfig& config) { return LimitSensor(loop, common, config); },
+      [](PartPlan& plan, const LimitConfig& config) {
+        plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
+          check_limit_field(config, payload_of, part.item, problems);
+        };
+      });
   registry.add_sensor<W1Config>(
       "w1", "temperature of a DS18B20 or the like on 1-Wire",
       [](const W1Config&) { return Result(description_of<W1Temperature>()); },

@@ -54,6 +54,10 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
   origin_.sensor = this;
 }
 
+SourceNode::~SourceNode() {
+  if (is_open()) leave();  // a constructor of a derived class threw
+}
+
 void SourceNode::note_processing(const Processing& processing) {
   loop()->runtime.configurations.set_process(
       origin_.name, processing.empty() ? std::string() : text_of(processing, origin_.topic.name));

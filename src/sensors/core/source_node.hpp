@@ -36,7 +36,7 @@ class SourceNode : public SensorEntry {
   void set_on_error(Callback<void(const ErrorReport&)> handler) { on_demand().on_error.set(std::move(handler)); }
 
  protected:
-  ~SourceNode() override = default;
+  ~SourceNode() override;
   std::string object_name() const { return "sensor " + origin_.name; }
   using Fate = Processor::Fate;
   /// A sample that came: counts it as received and as what becomes of it, and publishes it, processed, if that is to

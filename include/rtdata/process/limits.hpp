@@ -1,0 +1,97 @@
+/// LimitWatch: whether a value is beyond its limits, with hysteresis, delay, and a latch.
+///
+///     rtdata::LimitWatch watch({.high = 5e5, .high_high = 6e5, .hysteresis = 1e4, .delay = 200ms, .latched = true});
+///     if (watch.take(pressure, loop.now())) show(watch.state());
+///     watch.acknowledge();
+///
+/// A value is beyond `high` or `high_high` when it is greater, and beyond `low` or `low_low` when it is less. It is at
+/// a level once it has been beyond that limit, with every value that came, for `delay`; and no more with the first
+/// value that is back by `hysteresis`. Values come with their times, and time alone changes nothing, so that a replay
+/// finds the same.
+///
+/// The alarm is what is to be signalled: the level, but, when `latched`, the worst level until somebody has acknowledged
+/// it, also when the value is back. A level that is worse than the alarm, or on the other side, is a new alarm, and not
+/// acknowledged. Levels `low_low` and `high_high` are worse than `low` and `high`.
+///
+/// A value that is unknown (absent, not finite, or because nothing comes) has the level `unknown`. The alarm then stays
+/// what it was, or is `unknown` where there was none: somebody is to look.
+///
+/// No function allocates, locks or throws, but for the constructor. Values; one thread at a time.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata {
+
+enum class LimitLevel : std::int8_t { low_low = -2, low = -1, normal = 0, high = 1, high_high = 2, unknown = 3 };
+
+constexpr auto describe(type_tag<LimitLevel>) {
+  return enumeration("limit_level", value("low_low", LimitLevel::low_low), value("low", LimitLevel::low),
+                     value("normal", LimitLevel::normal), value("high", LimitLevel::high),
+                     value("high_high", LimitLevel::high_high), value("unknown", LimitLevel::unknown));
+}
+
+struct LimitSettings {
+  std::optional<double> low_low = {}, low = {}, high = {}, high_high = {};  ///< at least one, in ascending order
+  double hysteresis = 0;  ///< not negative; less than what is between `low` and `high`
+  Duration delay{0};
+  bool latched = false;
+};
+
+/// Errors (bad-argument): no limit, not in ascending order, not finite, a hysteresis or delay that cannot be.
+Result<void> check_limits(const LimitSettings& settings);
+
+struct LimitState {
+  LimitLevel level = LimitLevel::normal;  ///< of the value
+  LimitLevel alarm = LimitLevel::normal;  ///< to be signalled
+  bool acknowledged = true;               ///< or there is no alarm
+  std::optional<double> value = {};       ///< the last one; none: it is unknown
+  std::optional<double> limit = {};       ///< that of the alarm's level
+  bool operator==(const LimitState&) const = default;
+};
+
+class LimitWatch {
+ public:
+  /// SetupError: as `check_limits`.
+  explicit LimitWatch(const LimitSettings& settings);
+
+  /// Whether level, alarm or acknowledgement have changed.
+  bool take(double value, Time time) noexcept;
+  bool take_unknown() noexcept;
+  /// Somebody has seen the alarm. False: there was nothing to acknowledge.
+  bool acknowledge() noexcept;
+  const LimitState& state() const noexcept { return state_; }
+  /// As it was made.
+  void reset() noexcept;
+
+ private:
+  struct Limit {
+    std::optional<double> at;
+    int side;  // 1: greater values are beyond it, -1: lesser ones
+    LimitLevel level;
+    bool is_passed = false;
+    std::optional<Time> beyond_since = {};
+  };
+  bool change_to(LimitLevel level) noexcept;
+  std::optional<double> limit_of(LimitLevel level) const noexcept;
+
+  std::array<Limit, 4> limits_;  // the worst of each side first
+  double hysteresis_;
+  Duration delay_;
+  bool is_latched_;
+  LimitState state_;
+};
+
+/// 0: normal, 1: a warning (low, high, unknown), 2: critical (low_low, high_high).
+constexpr int severity(LimitLevel level) noexcept {
+  if (level == LimitLevel::normal) return 0;
+  return level == LimitLevel::low_low || level == LimitLevel::high_high ? 2 : 1;
+}
+
+}  // namespace rtdata

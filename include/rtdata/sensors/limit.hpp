@@ -1,0 +1,102 @@
+/// LimitSensor: alarms of one number of a topic, as a topic of their own.
+///
+///     rtdata::LimitSensor alarm(loop, {.name = "tank_alarm"},
+///                               {.on = "tank", .field = "pressure", .high = 5e5, .hysteresis = 1e4, .latched = true});
+///     alarm.acknowledge();
+///
+/// What levels, alarms and acknowledging are: process/limits.hpp. It publishes an event with the first value, and with
+/// each change. An unknown value (the field is absent, the topic has no such number, nothing has come for `silence`) is
+/// a level too; where nothing comes the sensor is also faulted, and has a gap.
+///
+/// A flood is joined: after an event, changes within `join` are held back and counted, unless the alarm is worse than
+/// what was published since; what has become of them is published once `join` is over. So a value that swings about a
+/// limit makes few events, and an alarm is never late.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/process/limits.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata {
+
+struct LimitConfig {
+  std::string on = {};
+  std::string field = {};  ///< its path; empty: `value`, or the only number
+  std::optional<double> low_low = {}, low = {}, high = {}, high_high = {};
+  double hysteresis = 0;
+  Duration delay{0};
+  bool latched = false;
+  Duration silence = std::chrono::seconds{10};  ///< 0: the topic may be silent
+  Duration join = std::chrono::seconds{1};      ///< 0: each change is an event
+
+  LimitSettings settings() const { return {low_low, low, high, high_high, hysteresis, delay, latched}; }
+
+  friend constexpr auto parameters(type_tag<LimitConfig>) {
+    using namespace std::chrono_literals;
+    using C = LimitConfig;
+    constexpr Duration longest{24h * 365};
+    return parameter_list(
+        parameter("on", &C::on, "the topic", required, names_part("topic")),
+        parameter("field", &C::field, "path of the field; default: `value`, or the only number", TextIs::recorded),
+        parameter("low_low", &C::low_low, "lesser values are critical"),
+        parameter("low", &C::low, "lesser values are a warning"),
+        parameter("high", &C::high, "greater values are a warning"),
+        parameter("high_high", &C::high_high, "greater values are critical"),
+        parameter("hysteresis", &C::hysteresis, "a level ends when the value is back by this much", range(0.0, 1e300)),
+        parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for so long",
+                  range(Duration{0}, longest)),
+        parameter("latched", &C::latched, "the alarm stays until it is acknowledged"),
+        parameter("silence", &C::silence, "without an event for longer, the value is unknown; 0: never",
+                  range(Duration{0}, longest)),
+        parameter("join", &C::join, "further changes within this time are joined, unless the alarm is worse",
+                  range(Duration{0}, Duration{1h})));
+  }
+};
+
+/// What no parameter says by itself.
+void check_config(const LimitConfig& config, const ConfigItem& item, Problems& problems);
+/// Whether the topic has such a number. `payload_of`: what a topic carries; null: not known, nothing is said.
+void check_limit_field(const LimitConfig& config,
+                       const std::function<const Description*(std::string_view topic)>& payload_of,
+                       const ConfigItem& item, Problems& problems);
+
+/// The payload: what has changed.
+struct Alarm {
+  LimitLevel level = LimitLevel::normal;  ///< of the value
+  LimitLevel alarm = LimitLevel::normal;  ///< to be signalled
+  bool is_active = false;                 ///< the alarm is not normal
+  bool acknowledged = true;               ///< or there is none
+  std::optional<double> value{};          ///< unit of the field; none: unknown
+  std::optional<double> limit{};          ///< that of the alarm, unit of the field
+  std::uint32_t joined = 0;               ///< changes since the event before that had none of their own
+
+  friend constexpr auto describe(type_tag<Alarm>) {
+    return record("alarm", field("level", &Alarm::level), field("alarm", &Alarm::alarm),
+                  field("is_active", &Alarm::is_active), field("acknowledged", &Alarm::acknowledged),
+                  field("value", &Alarm::value), field("limit", &Alarm::limit), field("joined", &Alarm::joined));
+  }
+};
+
+class LimitSensor : public AnySensor {
+ public:
+  LimitSensor() noexcept = default;
+  /// SetupError: as `Feed`; bad-argument for limits that cannot work.
+  LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config);
+
+  /// Somebody has seen the alarm, which is published. False: there is nothing to acknowledge.
+  bool acknowledge();
+  /// As it is now; normal when it is closed.
+  LimitState state() const;
+
+ private:
+  explicit LimitSensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

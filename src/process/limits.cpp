@@ -1,0 +1,135 @@
+#include "rtdata/process/limits.hpp"
+
+#include <cmath>
+#include <string>
+
+#include "loop/support/deadline.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_watch = "cannot watch limits";
+
+/// Above or below; 0: neither.
+int side_of(LimitLevel level) noexcept {
+  if (level == LimitLevel::unknown) return 0;
+  return static_cast<int>(level) > 0 ? 1 : static_cast<int>(level) < 0 ? -1 : 0;
+}
+
+}  // namespace
+
+Result<void> check_limits(const LimitSettings& settings) {
+  const auto refuse = [](std::string why, std::string advice) {
+    return Error{Errc::bad_argument, cannot_watch, "", std::move(why), std::move(advice)};
+  };
+  const std::array<std::pair<const char*, std::optional<double>>, 4> all{{{"low_low", settings.low_low},
+                                                                          {"low", settings.low},
+                                                                          {"high", settings.high},
+                                                                          {"high_high", settings.high_high}}};
+  const std::pair<const char*, std::optional<double>>* before = nullptr;
+  for (const auto& one : all) {
+    if (!one.second) continue;
+    if (!std::isfinite(*one.second)) return refuse(std::string("`") + one.first + "` is not finite", "give a number");
+    if (before != nullptr && !(*before->second < *one.second))
+      return refuse(std::string("`") + before->first + "` is not less than `" + one.first + "`",
+                    "low_low < low < high < high_high");
+    before = &one;
+  }
+  if (before == nullptr) return refuse("there is no limit", "give `low_low`, `low`, `high` or `high_high`");
+  if (!(settings.hysteresis >= 0) || !std::isfinite(settings.hysteresis))
+    return refuse("`hysteresis` is not a number from 0 on", "a little more than the noise of the value");
+  const auto lower = settings.low ? settings.low : settings.low_low;
+  const auto upper = settings.high ? settings.high : settings.high_high;
+  if (lower && upper && settings.hysteresis >= *upper - *lower)
+    return refuse("`hysteresis` is as large as what is between the limits: the value could never be normal again",
+                  "a little more than the noise of the value");
+  if (settings.delay < Duration{0}) return refuse("`delay` is negative", "0 for none");
+  return {};
+}
+
+LimitWatch::LimitWatch(const LimitSettings& settings)
+    : limits_{{{settings.high_high, 1, LimitLevel::high_high},
+               {settings.high, 1, LimitLevel::high},
+               {settings.low_low, -1, LimitLevel::low_low},
+               {settings.low, -1, LimitLevel::low}}},
+      hysteresis_(settings.hysteresis),
+      delay_(settings.delay),
+      is_latched_(settings.latched) {
+  check_limits(settings).or_throw();
+}
+
+bool LimitWatch::take(double value, Time time) noexcept {
+  if (!std::isfinite(value)) return take_unknown();
+  state_.value = value;
+  LimitLevel level = LimitLevel::normal;
+  for (Limit& limit : limits_) {
+    if (!limit.at) continue;
+    const double beyond = (value - *limit.at) * limit.side;
+    if (limit.is_passed) {
+      if (beyond <= -hysteresis_) limit.is_passed = false;
+    }
+    if (!limit.is_passed) {
+      if (!(beyond > 0)) {
+        limit.beyond_since.reset();
+      } else {
+        if (!limit.beyond_since) limit.beyond_since = time;
+        limit.is_passed = detail::span_between(*limit.beyond_since, time) >= delay_;
+      }
+    }
+    if (limit.is_passed && level == LimitLevel::normal) level = limit.level;
+  }
+  return change_to(level);
+}
+
+bool LimitWatch::take_unknown() noexcept {
+  state_.value.reset();
+  for (Limit& limit : limits_) limit.beyond_since.reset();  // what is not seen confirms nothing
+  return change_to(LimitLevel::unknown);
+}
+
+bool LimitWatch::change_to(LimitLevel level) noexcept {
+  const LimitState before = state_;
+  state_.level = level;
+  const bool is_new = severity(level) > severity(state_.alarm) ||
+                      (side_of(level) != 0 && side_of(level) != side_of(state_.alarm) &&
+                       severity(level) == severity(state_.alarm)) ||
+                      (state_.alarm == LimitLevel::unknown && side_of(level) != 0);
+  if (is_new) {
+    state_.alarm = level;
+    state_.acknowledged = false;
+  } else if (level != LimitLevel::unknown && (!is_latched_ || state_.acknowledged)) {
+    state_.alarm = level;
+    state_.acknowledged = state_.acknowledged || level == LimitLevel::normal;
+  } else if (level == LimitLevel::normal && state_.alarm == LimitLevel::unknown) {
+    state_.alarm = level;
+    state_.acknowledged = true;
+  }
+  state_.limit = limit_of(state_.alarm);
+  return state_.level != before.level || state_.alarm != before.alarm || state_.acknowledged != before.acknowledged;
+}
+
+bool LimitWatch::acknowledge() noexcept {
+  if (state_.acknowledged) return false;
+  state_.acknowledged = true;
+  if (state_.level != LimitLevel::unknown) {
+    state_.alarm = state_.level;
+    state_.limit = limit_of(state_.alarm);
+  }
+  return true;
+}
+
+void LimitWatch::reset() noexcept {
+  state_ = {};
+  for (Limit& limit : limits_) {
+    limit.is_passed = false;
+    limit.beyond_since.reset();
+  }
+}
+
+std::optional<double> LimitWatch::limit_of(LimitLevel level) const noexcept {
+  for (const Limit& limit : limits_)
+    if (limit.level == level) return limit.at;
+  return std::nullopt;
+}
+
+}  // namespace rtdata

@@ -1,0 +1,200 @@
+#include "rtdata/sensors/limit.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "loop/support/deadline.hpp"
+#include "process/number_field.hpp"
+#include "rtdata/data/config_value.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "sensors/core/feed_node.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_watch = "cannot watch limits";
+
+const ConfigItem& item_at(const ConfigItem& item, const char* key) {
+  const ConfigItem* const at = item.find(key);
+  return at != nullptr ? *at : item;
+}
+
+std::string no_such_number(const LimitConfig& config) {
+  return "the topic \"" + config.on + "\" has no number `" + (config.field.empty() ? "value" : config.field) + "`";
+}
+
+}  // namespace
+
+namespace detail {
+
+class LimitNode final : public FeedNode {
+ public:
+  LimitNode(Loop& loop, const FeedConfig& feed, const LimitConfig& config)
+      : FeedNode(loop.core(), feed, payload_type<Alarm>()),
+        config_(config),
+        watch_(config.settings()),
+        silence_(loop, [this] { look_for_silence(); }) {}
+
+  /// Apart, since a subscription may fail.
+  void subscribe(Loop& loop) {
+    subscription_ = loop.subscribe(config_.on, [this](const EventView& event) { take(event); });
+    subscription_.set_name("sensor " + origin_.name + " on " + config_.on);
+    begin();
+  }
+
+  void start() override {
+    if (is_running() || !is_open()) return;
+    FeedNode::start();
+    begin();
+  }
+  void stop() override {
+    silence_.stop();
+    FeedNode::stop();
+  }
+  void stop_schedule(MonotonicTime end) override {
+    silence_.stop();
+    FeedNode::stop_schedule(end);
+  }
+
+  bool acknowledge() {
+    if (!is_running() || !watch_.acknowledge()) return false;
+    tell(loop()->runtime.event_time(loop()->now()));
+    return true;
+  }
+  const LimitState& state() const noexcept { return watch_.state(); }
+
+ private:
+  void begin() {
+    watch_.reset();
+    has_published_ = false;
+    heard_ = loop()->now();
+    if (config_.silence > Duration{0}) silence_.start(config_.silence);
+  }
+
+  void take(const EventView& event) {
+    if (!is_running()) return;
+    Call call(*this);
+    heard_ = loop()->now();
+    if (description_ != event.description().serial()) {
+      description_ = event.description().serial();
+      field_ = number_field(event.description(), config_.field);
+    }
+    const std::optional<double> value =
+        field_ == nullptr ? std::nullopt : number_in(*field_, event.payload().data());
+    const bool has_changed = value ? watch_.take(*value, event.time()) : watch_.take_unknown();
+    if (field_ == nullptr) {
+      if (has_changed || !has_published_) tell(event.time());
+      fail({Errc::not_found, cannot_watch, object_name(), no_such_number(config_), "look at the fields of the topic"});
+      return;
+    }
+    consider(has_changed, event.time());
+  }
+
+  /// Publishes what has changed, or joins it with what comes.
+  void consider(bool has_changed, Time time) {
+    if (has_changed) ++waiting_;
+    if (waiting_ == 0 && has_published_) return;
+    const int now = severity(watch_.state().alarm);
+    const bool is_over = !has_published_ || span_between(published_, time) >= config_.join;
+    if (!is_over && now <= worst_) return;
+    worst_ = is_over ? now : std::max(worst_, now);
+    tell(time);
+  }
+
+  void tell(Time time) {
+    const LimitState& state = watch_.state();
+    Alarm alarm{state.level, state.alarm, state.alarm != LimitLevel::normal, state.acknowledged, state.value,
+                state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
+    waiting_ = 0;
+    published_ = time;
+    has_published_ = true;
+    publish(&alarm, time);
+  }
+
+  void look_for_silence() {
+    const MonotonicTime due = heard_ + config_.silence;
+    if (loop()->now() < due) return silence_.start(due - loop()->now());
+    silence_.start(config_.silence);
+    if (health() == Health::faulted) return;
+    Call call(*this);
+    if (watch_.take_unknown()) ++waiting_;
+    if (waiting_ > 0 || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
+    if (!is_open()) return;
+    fault({Errc::timed_out, cannot_watch, object_name(),
+           "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.silence),
+           "it goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
+  }
+
+  void on_close() noexcept override {
+    subscription_.close();
+    silence_.close();
+    FeedNode::on_close();
+  }
+
+  const LimitConfig config_;
+  LimitWatch watch_;
+  Subscription subscription_;
+  Timer silence_;
+  MonotonicTime heard_{};
+  std::uint64_t description_ = 0;  // of which the field is; 0: none yet
+  const Leaf* field_ = nullptr;
+  std::uint32_t waiting_ = 0;  // changes that were not published
+  int worst_ = 0;              // of what was published since `join` began
+  bool has_published_ = false;
+  Time published_{};
+};
+
+}  // namespace detail
+
+void check_config(const LimitConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const auto good = check_limits(config.settings()); !good)
+    problems.add(item.problem("bad-value", good.error().why + "; " + good.error().advice));
+  if (!is_topic_name(config.on))
+    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is no topic"));
+}
+
+void check_limit_field(const LimitConfig& config,
+                       const std::function<const Description*(std::string_view topic)>& payload_of,
+                       const ConfigItem& item, Problems& problems) {
+  const Description* const payload = payload_of(config.on);
+  if (payload == nullptr || detail::number_field(*payload, config.field) != nullptr) return;
+  std::vector<std::string> numbers;
+  for (const Leaf& leaf : payload->leaves())
+    if (detail::number_field(*payload, leaf.path) != nullptr) numbers.push_back(leaf.path);
+  std::string why = no_such_number(config);
+  const std::string nearest = nearest_name(config.field, numbers);
+  if (nearest.empty() && !numbers.empty()) {
+    why += "; there are";
+    for (const std::string& number : numbers) why += " " + number;
+  }
+  problems.add(item_at(item, config.field.empty() ? "on" : "field").problem("unknown-field", why, nearest));
+}
+
+LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {
+  if (!is_topic_name(config.on))
+    throw SetupError({Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is no topic", ""});
+  auto* const node = new detail::LimitNode(loop, feed, config);
+  *this = LimitSensor(node);
+  node->subscribe(loop);
+}
+
+bool LimitSensor::acknowledge() {
+  auto* const limit = static_cast<detail::LimitNode*>(node());
+  if (limit == nullptr || !limit->is_open()) return false;
+  if (!limit->loop()->runs_elsewhere()) return limit->acknowledge();
+  bool was_there = false;
+  limit->loop()->call_there([&] { was_there = limit->is_open() && limit->acknowledge(); });
+  return was_there;
+}
+
+LimitState LimitSensor::state() const {
+  auto* const limit = static_cast<detail::LimitNode*>(node());
+  LimitState state;
+  if (limit == nullptr || !limit->is_open()) return state;
+  if (!limit->loop()->runs_elsewhere()) return limit->state();
+  limit->loop()->call_there([&] { state = limit->state(); });
+  return state;
+}
+
+}  // namespace rtdata
