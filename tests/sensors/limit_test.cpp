@@ -65,7 +65,8 @@ std::vector<std::string> problems_of(const std::string& limit) {
   std::vector<std::string> all;
   const std::string load = R"({"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"})";
   for (const Problem& problem :
-       plan_system(standard_registry(), parse_config(R"({"sensors": [)" + load + ", " + limit + "]}", "f.json")).problems)
+       plan_system(standard_registry(), parse_config(R"({"sensors": [)" + load + ", " + limit + "]}", "f.json"))
+           .problems)
     all.push_back(problem.text());
   return all;
 }
@@ -77,9 +78,9 @@ TEST_SUITE_BEGIN("sensors");
 TEST_CASE("limits: levels, hysteresis, and the edges of both") {
   LimitWatch watch({.low_low = 0, .low = 10, .high = 20, .high_high = 30, .hysteresis = 2});
   const std::vector<std::pair<double, LimitLevel>> steps{
-      {15, normal}, {20, normal},   {20.1, high},      {18.1, high}, {18, normal}, {30, high},   {31, high_high},
-      {28.1, high_high}, {28, high}, {-1, low_low},     {1.9, low_low}, {2, low},    {11.9, low},  {12, normal},
-      {10, normal}, {9.9, low},     {35, high_high},   {15, normal}};
+      {15, normal},    {20, normal},      {20.1, high}, {18.1, high},  {18, normal},    {30, high},
+      {31, high_high}, {28.1, high_high}, {28, high},   {-1, low_low}, {1.9, low_low},  {2, low},
+      {11.9, low},     {12, normal},      {10, normal}, {9.9, low},    {35, high_high}, {15, normal}};
   Duration now{0};
   for (const std::pair<double, LimitLevel>& step : steps) {
     CAPTURE(step.first);
@@ -161,7 +162,8 @@ TEST_CASE("limits: random values against a plain account of each limit") {
       bool passed;
       std::vector<std::pair<Time, double>> beyond;
     };
-    std::vector<One> ones{{4, 1, high_high, false, {}}, {2, 1, high, false, {}}, {-4, -1, low_low, false, {}}, {-2, -1, low, false, {}}};
+    std::vector<One> ones{
+        {4, 1, high_high, false, {}}, {2, 1, high, false, {}}, {-4, -1, low_low, false, {}}, {-2, -1, low, false, {}}};
     double value = 0;
     Duration now{0};
     for (int step = 0; step < 2000; ++step) {
@@ -304,8 +306,8 @@ TEST_CASE("a limit in a configuration: what cannot work is refused by check") {
   const std::string typo = first(R"({"name": "a", "type": "limit", "on": "load", "field": "minute_1", "high": 1})");
   CHECK(typo.find("the topic \"load\" has no number `minute_1`") != std::string::npos);
   CHECK(typo.find("minutes_1") != std::string::npos);
-  CHECK(first(R"({"name": "a", "type": "limit", "on": "load", "field": "minutes_1", "high": 1, "low": 2})").find("`low` is not less") !=
-        std::string::npos);
+  CHECK(first(R"({"name": "a", "type": "limit", "on": "load", "field": "minutes_1", "high": 1, "low": 2})")
+            .find("`low` is not less") != std::string::npos);
 }
 
 TEST_SUITE_END();

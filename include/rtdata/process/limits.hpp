@@ -9,9 +9,9 @@
 /// value that is back by `hysteresis`. Values come with their times, and time alone changes nothing, so that a replay
 /// finds the same.
 ///
-/// The alarm is what is to be signalled: the level, but, when `latched`, the worst level until somebody has acknowledged
-/// it, also when the value is back. A level that is worse than the alarm, or on the other side, is a new alarm, and not
-/// acknowledged. Levels `low_low` and `high_high` are worse than `low` and `high`.
+/// The alarm is what is to be signalled: the level, but, when `latched`, the worst level until somebody has
+/// acknowledged it, also when the value is back. A level that is worse than the alarm, or on the other side, is a new
+/// alarm, and not acknowledged. Levels `low_low` and `high_high` are worse than `low` and `high`.
 ///
 /// A value that is unknown (absent, not finite, or because nothing comes) has the level `unknown`. The alarm then stays
 /// what it was, or is `unknown` where there was none: somebody is to look.

@@ -97,11 +97,17 @@ std::vector<Instance> sockets_in(const std::string& folder) {
   return all;
 }
 
-/// Of this user, or root.
-bool is_trusted(int fd) {
+std::optional<ucred> peer_at(int fd) noexcept {
   ucred peer{};
   socklen_t size = sizeof peer;
-  return ::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 && (peer.uid == ::geteuid() || peer.uid == 0);
+  if (::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) return std::nullopt;
+  return peer;
+}
+
+/// Of this user, or root.
+bool is_trusted(int fd) {
+  const auto peer = peer_at(fd);
+  return peer && (peer->uid == ::geteuid() || peer->uid == 0);
 }
 
 }  // namespace
@@ -150,6 +156,13 @@ ControlSocket::~ControlSocket() {
     if (clients_.back()->out.empty()) tell(*clients_.back(), "{\"ended\":\"the run has ended\"}\n");
     drop(clients_.back()->number);
   }
+}
+
+std::string ControlSocket::peer_of(std::uint64_t number) noexcept {
+  Client* const client = find(number);
+  const auto peer = client != nullptr ? peer_at(client->fd) : std::nullopt;
+  if (!peer) return "somebody";
+  return "uid " + std::to_string(peer->uid) + ", pid " + std::to_string(peer->pid);
 }
 
 /// Before it is dropped; if it takes that at once.

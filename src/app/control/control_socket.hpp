@@ -46,6 +46,8 @@ class ControlSocket {
   ~ControlSocket();
 
   const std::string& path() const noexcept { return path_; }
+  /// Who is connected, as the kernel says: "uid 1000, pid 4711". "somebody" once the connection is gone.
+  std::string peer_of(std::uint64_t client) noexcept;
 
  private:
   struct Client {

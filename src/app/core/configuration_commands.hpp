@@ -54,6 +54,11 @@ struct TopOptions {
 };
 int top(const TopOptions& options);
 
+/// Commands a running instance. `words`: at least one; the first may be the instance, by name or pid.
+int ctl(const std::vector<std::string>& words);
+/// The commands, a line each.
+std::string ctl_help();
+
 struct ScanOptions {
   std::string root;    ///< a copy of another machine's /proc, /sys, /etc, /dev; empty: this machine
   bool probe = false;  ///< read from the free addresses of I2C adapters

@@ -161,6 +161,21 @@ Action prepare_top(CLI::App& command) {
   };
 }
 
+Action prepare_ctl(CLI::App& command) {
+  const auto words = std::make_shared<std::vector<std::string>>();
+  command.add_option("WORDS", *words, "[NAME|PID] COMMAND ...: an instance when several run, and a command")
+      ->required()
+      ->expected(1, 1002);
+  command.prefix_command();
+  command.footer(app::ctl_help() +
+                 "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"
+                 "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
+  return [words](const Registry&) {
+    const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
+    return app::ctl(*words);
+  };
+}
+
 Action prepare_bench(CLI::App& command) {
   struct Given {
     app::BenchOptions options;
@@ -419,6 +434,7 @@ constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", prepare_init},
     {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", prepare_run},
     {"top", "Look at a running instance: rates, lateness, losses, sinks", prepare_top},
+    {"ctl", "Command a running instance: rates, alarms, notes, reload", prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", prepare_scan},
     {"doctor", "Say what of this machine costs timing or data, and what to do", prepare_doctor},
     {"bench", "Measure what this machine can do: jitter, events, recording", prepare_bench},

@@ -4,10 +4,12 @@
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
+#include <future>
 #include <iostream>
 #include <utility>
 
 #include "app/control/account.hpp"
+#include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
 #include "app/control/live_view.hpp"
 #include "app/control/status.hpp"
@@ -31,7 +33,8 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr Duration line_period = std::chrono::seconds{10};  // in a pipe, and for the service manager
+constexpr Duration reload_patience = std::chrono::seconds{4};  // less than that of the control socket
+constexpr Duration line_period = std::chrono::seconds{10};     // in a pipe, and for the service manager
 
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
@@ -107,8 +110,11 @@ class Run {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
     } const detach{signals_};
+    CommandDesk desk(loop, system, [this](const std::string& text, bool done) {
+      say(done ? LogLevel::info : LogLevel::warning, "command", text);
+    });
     std::optional<ControlSocket> control;
-    open_control(control, loop, status);
+    open_control(control, loop, system, status, desk);
     tell_start(plan);
 
     if (options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
@@ -164,24 +170,47 @@ class Run {
     return info;
   }
 
-  /// On the signals' thread, so that nothing waits for the reading and checking.
-  void reload(Loop& loop, System& system, StatusSource& status) {
-    auto next = std::make_shared<SystemPlan>();
-    std::string failed;
+  struct NextPlan {
+    SystemPlan plan;
+    std::string failed;  // empty: there is a plan, perhaps with mistakes
+  };
+  /// Reads and checks the configuration again: on a thread that is not the loop's, so that nothing waits for it.
+  std::shared_ptr<NextPlan> read_again() {
+    auto next = std::make_shared<NextPlan>();
     try {
-      *next = plan_system(registry_, load_config(options_.file));
-      check_log_file(log_file_of(*next, options_.log_file), *next);
-      if (next->good()) {
-        warn_of_growth(*next, growth_span);
-        warn_of_losses(*next);
+      next->plan = plan_system(registry_, load_config(options_.file));
+      check_log_file(log_file_of(next->plan, options_.log_file), next->plan);
+      if (next->plan.good()) {
+        warn_of_growth(next->plan, growth_span);
+        warn_of_losses(next->plan);
       }
     } catch (const std::exception& error) {
-      failed = error.what();
+      next->failed = error.what();
     }
-    loop.post([this, &runtime = loop.runtime(), &system, &status, next, failed] {
-      if (failed.empty()) return apply(runtime, system, status, *next);
-      say(LogLevel::error, "program", "SIGHUP: nothing was changed: " + failed);
+    return next;
+  }
+
+  /// On the signals' thread.
+  void reload(Loop& loop, System& system, StatusSource& status) {
+    loop.post([this, &runtime = loop.runtime(), &system, &status, next = read_again()] {
+      apply(runtime, system, status, *next, "SIGHUP");
     });
+  }
+
+  /// On the control socket's thread: waits for the loop, but not for ever.
+  CommandOutcome reload_for(Loop& loop, System& system, StatusSource& status, CommandDesk& desk,
+                            const std::vector<std::string>& words, const std::string& by) {
+    auto outcome = std::make_shared<std::promise<CommandOutcome>>();
+    auto told = outcome->get_future();
+    loop.post([this, &runtime = loop.runtime(), &system, &status, &desk, next = read_again(), outcome, words, by] {
+      const CommandOutcome came = apply(runtime, system, status, *next, "reload");
+      desk.keep(words, by, came);
+      outcome->set_value(came);
+    });
+    if (told.wait_for(reload_patience) == std::future_status::ready) return told.get();
+    return {false,
+            "it is not applied yet: the loop is busy, such as storing what a closed sink has; the log says what "
+            "comes of it"};
   }
 
   static std::uint64_t refused_by_sinks(const Runtime& runtime) {
@@ -191,23 +220,44 @@ class Run {
     return refused;
   }
 
-  void apply(const Runtime& runtime, System& system, StatusSource& status, const SystemPlan& next) {
-    if (is_closing_) return say(LogLevel::info, "program", "SIGHUP: it ends already; nothing was changed");
-    secrets_.insert(secrets_.end(), next.secrets.begin(), next.secrets.end());
-    for (const Problem& problem : next.problems) say(LogLevel::error, "configuration", problem.text(), problem.id);
-    if (!next.good()) {
-      return say(LogLevel::error, "program",
-                 "SIGHUP: nothing was changed: " + std::to_string(next.problems.size()) +
-                     (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file);
+  /// `why`: what asked for it, for the messages.
+  CommandOutcome apply(const Runtime& runtime, System& system, StatusSource& status, const NextPlan& read,
+                       const std::string& why) {
+    const auto conclude = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
+      say(level, "program", why + ": " + text, id);
+      return CommandOutcome{level == LogLevel::info, hide_secrets(text, secrets_)};
+    };
+    if (is_closing_) {
+      CommandOutcome ended = conclude(LogLevel::info, "it ends already; nothing was changed");
+      ended.done = false;
+      return ended;
     }
-    for (const Problem& warning : next.warnings) say(LogLevel::warning, "configuration", warning.text(), warning.id);
+    if (!read.failed.empty()) return conclude(LogLevel::error, "nothing was changed: " + read.failed);
+    const SystemPlan& next = read.plan;
+    secrets_.insert(secrets_.end(), next.secrets.begin(), next.secrets.end());
+    std::string details;  // a line each
+    const auto tell_detail = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
+      say(level, "configuration", text, id);
+      details += "\n" + hide_secrets(text, secrets_);
+    };
+    const auto with_details = [&](CommandOutcome outcome) {
+      outcome.text += details;
+      return outcome;
+    };
+    for (const Problem& problem : next.problems) tell_detail(LogLevel::error, problem.text(), problem.id);
+    if (!next.good()) {
+      return with_details(conclude(LogLevel::error, "nothing was changed: " + std::to_string(next.problems.size()) +
+                                                        (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
+                                                        options_.file));
+    }
+    for (const Problem& warning : next.warnings) tell_detail(LogLevel::warning, warning.text(), warning.id);
     const PlanChange change = system.change_to(next);
     const bool is_refused = change.refused() != 0;
     if (is_refused) {
       for (const PartChange& part : change.all)
-        if (part.fate == Fate::refused) say(LogLevel::error, "configuration", part.text());
-      return say(LogLevel::error, "program",
-                 "SIGHUP: nothing was changed: what is refused can be done by starting the program again");
+        if (part.fate == Fate::refused) tell_detail(LogLevel::error, part.text());
+      return with_details(
+          conclude(LogLevel::error, "nothing was changed: what is refused can be done by starting the program again"));
     }
     const std::uint64_t refused_before = refused_by_sinks(runtime);
     std::string failed, id;
@@ -221,15 +271,15 @@ class Run {
     }
     // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
     not_stored_ += refused_by_sinks(runtime) - refused_before;
-    if (!failed.empty()) return say(LogLevel::error, "program", "SIGHUP: not applied: " + failed, id);
+    if (!failed.empty()) return conclude(LogLevel::error, "not applied: " + failed, id);
     for (const PartChange& part : change.all)
-      if (part.fate != Fate::unchanged) say(LogLevel::info, "configuration", part.text());
+      if (part.fate != Fate::unchanged) tell_detail(LogLevel::info, part.text());
     note_sinks(next);
     if (uses_stdout_) close_view();
     status.set(status_info(next, system));
-    say(LogLevel::info, "program",
-        "SIGHUP: " + options_.file + " is applied" + (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
-            counts_text(registry_, next));
+    return with_details(conclude(LogLevel::info, options_.file + " is applied" +
+                                                     (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
+                                                     counts_text(registry_, next)));
   }
 
   /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
@@ -259,11 +309,20 @@ class Run {
     ::_exit(exit_other);
   }
 
-  void open_control(std::optional<ControlSocket>& control, Loop& loop, StatusSource& status) {
+  void open_control(std::optional<ControlSocket>& control, Loop& loop, System& system, StatusSource& status,
+                    CommandDesk& desk) {
+    const auto answer = [&, this](std::uint64_t client, std::string_view line) -> ControlSocket::Work {
+      const std::vector<std::string> words = command_words(line);
+      if (words.empty()) return status.answer(client, line);
+      const std::string by = control->peer_of(client);
+      if (words == std::vector<std::string>{"reload"})
+        return [&, this, words, by] { return command_answer(reload_for(loop, system, status, desk, words, by)); };
+      return [outcome = is_closing_ ? CommandOutcome{false, "it ends already"} : desk.run(words, by)] {
+        return command_answer(outcome);
+      };
+    };
     try {
-      control.emplace(
-          loop, [&status](std::uint64_t client, std::string_view line) { return status.answer(client, line); },
-          [&status](std::uint64_t client) { status.forget(client); });
+      control.emplace(loop, answer, [&status](std::uint64_t client) { status.forget(client); });
       log_.write(LogLevel::debug, "program", "control socket " + control->path());
     } catch (const SetupError& error) {
       say(LogLevel::warning, "program", error.what(), error.error().id());

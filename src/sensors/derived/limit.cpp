@@ -80,8 +80,7 @@ class LimitNode final : public FeedNode {
       description_ = event.description().serial();
       field_ = number_field(event.description(), config_.field);
     }
-    const std::optional<double> value =
-        field_ == nullptr ? std::nullopt : number_in(*field_, event.payload().data());
+    const std::optional<double> value = field_ == nullptr ? std::nullopt : number_in(*field_, event.payload().data());
     const bool has_changed = value ? watch_.take(*value, event.time()) : watch_.take_unknown();
     if (field_ == nullptr) {
       if (has_changed || !has_published_) tell(event.time());
@@ -104,8 +103,8 @@ class LimitNode final : public FeedNode {
 
   void tell(Time time) {
     const LimitState& state = watch_.state();
-    Alarm alarm{state.level, state.alarm, state.alarm != LimitLevel::normal, state.acknowledged, state.value,
-                state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
+    Alarm alarm{state.level, state.alarm, state.alarm != LimitLevel::normal, state.acknowledged,
+                state.value, state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
     waiting_ = 0;
     published_ = time;
     has_published_ = true;
@@ -173,7 +172,8 @@ void check_limit_field(const LimitConfig& config,
 
 LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {
   if (!is_topic_name(config.on))
-    throw SetupError({Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is no topic", ""});
+    throw SetupError(
+        {Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is no topic", ""});
   auto* const node = new detail::LimitNode(loop, feed, config);
   *this = LimitSensor(node);
   node->subscribe(loop);

@@ -1,0 +1,143 @@
+#include "app/control/commands.hpp"
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+
+#include "rtdata/config/format.hpp"
+#include "rtdata/sensors/limit.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using Words = std::vector<std::string>;
+
+struct Verb {
+  const char* word;
+  std::size_t least, most;  // words that follow
+  CommandHelp help;
+  std::string (*act)(System&, const Words&);
+};
+
+std::string start(System& system, const Words& words) {
+  AnySensor& sensor = system.sensor(words[1]);
+  if (sensor.is_running()) return "sensor " + words[1] + " runs already";
+  sensor.start();
+  return "sensor " + words[1] + " is started";
+}
+
+std::string stop(System& system, const Words& words) {
+  AnySensor& sensor = system.sensor(words[1]);
+  if (!sensor.is_running()) return "sensor " + words[1] + " has stopped already";
+  sensor.stop();
+  return "sensor " + words[1] + " is stopped";
+}
+
+std::string set_rate(System& system, const Words& words) {
+  AnySensor& sensor = system.sensor(words[1]);
+  const Rate rate = parse_rate(words[2]).or_throw();
+  sensor.set_rate(rate);
+  return "sensor " + words[1] + " is read at " + to_string(rate);
+}
+
+std::string acknowledge(System& system, const Words& words) {
+  (void)system.sensor(words[1]);  // throws, with the nearest name, when there is none
+  auto* const limit = system.parts().find<LimitSensor>("sensor", words[1]);
+  if (limit == nullptr) throw std::invalid_argument("sensor " + words[1] + " is no limit");
+  return limit->acknowledge() ? "the alarm of " + words[1] + " is acknowledged"
+                              : "there is no alarm of " + words[1] + " to acknowledge";
+}
+
+std::string note(System&, const Words&) { return "noted"; }
+
+const std::vector<Verb>& verbs() {
+  static const std::vector<Verb> all{
+      {"start", 1, 1, {"start SENSOR", "start a sensor"}, start},
+      {"stop", 1, 1, {"stop SENSOR", "stop a sensor, until it is started again"}, stop},
+      {"rate", 2, 2, {"rate SENSOR RATE", "read it at another rate, such as \"200 Hz\" or \"10 ms\""}, set_rate},
+      {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
+      {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
+      {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
+  };
+  return all;
+}
+
+std::string joined(const Words& words) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : " ") + word;
+  return text;
+}
+
+template <std::size_t size>
+text<size> shortened(std::string_view full) {
+  if (full.size() <= size) return text<size>(full);
+  std::size_t end = size - 3;
+  while (end > 0 && (static_cast<unsigned char>(full[end]) & 0xc0) == 0x80) --end;  // not within a character
+  return text<size>(std::string(full.substr(0, end)) + "...");
+}
+
+CommandOutcome act(System& system, const Words& words) {
+  const auto verb = std::find_if(verbs().begin(), verbs().end(), [&](const Verb& one) { return words[0] == one.word; });
+  if (verb == verbs().end()) {
+    std::vector<std::string> names;
+    for (const Verb& one : verbs()) names.emplace_back(one.word);
+    const std::string nearest = nearest_name(words[0], names);
+    return {false, "there is no command \"" + words[0] + "\"" +
+                       (nearest.empty() ? "; `rtdata ctl --help` lists them" : "; did you mean \"" + nearest + "\"?")};
+  }
+  if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
+    return {false, std::string("it is written `") + verb->help.words + "`"};
+  try {
+    return {true, verb->act(system, words)};
+  } catch (const std::exception& error) {
+    return {false, error.what()};
+  }
+}
+
+}  // namespace
+
+const std::vector<CommandHelp>& command_help() {
+  static const std::vector<CommandHelp> all = [] {
+    std::vector<CommandHelp> help;
+    for (const Verb& verb : verbs()) help.push_back(verb.help);
+    return help;
+  }();
+  return all;
+}
+
+std::vector<std::string> command_words(std::string_view line) {
+  const Json request = Json::parse(line, nullptr, false);
+  Words words;
+  if (!request.is_object() || !request.contains("request") || request["request"] != "command") return words;
+  const auto given = request.find("words");
+  if (given == request.end() || !given->is_array()) return words;
+  for (const Json& word : *given) {
+    if (!word.is_string()) return {};
+    words.push_back(word.get<std::string>());
+  }
+  return words;
+}
+
+std::string command_answer(const CommandOutcome& outcome) {
+  return Json{{outcome.done ? "done" : "refused", outcome.text}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+CommandOutcome CommandDesk::run(const Words& words, std::string_view by) {
+  CommandOutcome outcome = act(system_, words);
+  keep(words, by, outcome);
+  return outcome;
+}
+
+void CommandDesk::keep(const Words& words, std::string_view by, const CommandOutcome& outcome) {
+  const std::string command = joined(words);
+  log_("`" + command + "` by " + std::string(by) + ": " + outcome.text, outcome.done);
+  try {
+    if (!record_) record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
+    record_.publish({shortened<240>(command), shortened<60>(by), outcome.done, shortened<240>(outcome.text)});
+  } catch (const std::exception& error) {
+    log_(std::string("a command is not recorded: ") + error.what(), false);
+  }
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,65 @@
+// What a running instance can be commanded to do (`rtdata ctl`), and the record of it.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/system.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata::app {
+
+/// The topic of the record. `#` matches it.
+inline constexpr const char* command_topic = "rtdata/commands";
+
+/// One command, as it is recorded: what, by whom, and what came of it. Texts that are too long end with "...".
+struct CommandRecord {
+  text<240> command;
+  text<60> by;  ///< "uid 1000, pid 4711"
+  bool done = false;
+  text<240> outcome;
+  friend constexpr auto describe(type_tag<CommandRecord>) {
+    return record("command", field("command", &CommandRecord::command), field("by", &CommandRecord::by),
+                  field("done", &CommandRecord::done), field("outcome", &CommandRecord::outcome));
+  }
+};
+
+struct CommandOutcome {
+  bool done = false;
+  std::string text;  ///< what has been done, or why not
+};
+
+/// The words of a request that is a command; empty: it is none.
+std::vector<std::string> command_words(std::string_view line);
+/// The line that answers a command, without its end.
+std::string command_answer(const CommandOutcome& outcome);
+
+/// Commands the parts of a system. Thread: the loop's.
+class CommandDesk {
+ public:
+  using Log = std::function<void(const std::string& text, bool done)>;
+  CommandDesk(Loop& loop, System& system, Log log) : loop_(loop), system_(system), log_(std::move(log)) {}
+
+  /// Does what the words say, of all commands but `reload`, and records it.
+  CommandOutcome run(const std::vector<std::string>& words, std::string_view by);
+  /// Records a command and what came of it: its event is the topic's, and a line of the log.
+  void keep(const std::vector<std::string>& words, std::string_view by, const CommandOutcome& outcome);
+
+ private:
+  Loop& loop_;
+  System& system_;
+  Log log_;
+  Feed<CommandRecord> record_;  // made with the first command
+};
+
+/// The verbs and what follows each, for people: "rate SENSOR RATE".
+struct CommandHelp {
+  const char* words;
+  const char* meaning;
+};
+const std::vector<CommandHelp>& command_help();
+
+}  // namespace rtdata::app

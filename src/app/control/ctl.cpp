@@ -1,0 +1,69 @@
+#include <algorithm>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "app/control/commands.hpp"
+#include "app/control/instances.hpp"
+#include "app/core/configuration_commands.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr Duration answer_limit = std::chrono::seconds{10};
+
+bool is_verb(const std::string& word) {
+  return std::any_of(command_help().begin(), command_help().end(), [&](const CommandHelp& one) {
+    const std::string words = one.words;
+    return words.substr(0, words.find(' ')) == word;
+  });
+}
+
+}  // namespace
+
+std::string ctl_help() {
+  std::string text = "commands:\n";
+  for (const CommandHelp& one : command_help()) {
+    std::string words = "  " + std::string(one.words);
+    words.resize(std::max<std::size_t>(words.size() + 2, 22), ' ');
+    text += words + one.meaning + "\n";
+  }
+  return text;
+}
+
+int ctl(const std::vector<std::string>& given) {
+  // The first word may be an instance; one that is called as a command is named by its pid.
+  std::vector<std::string> words = given;
+  std::string instance;
+  if (words.size() > 1 && !is_verb(words[0])) {
+    instance = words[0];
+    words.erase(words.begin());
+  }
+  if (!is_verb(words[0])) {
+    std::cerr << "rtdata: there is no command \"" << words[0] << "\"\n" << ctl_help() << std::flush;
+    return exit_configuration;
+  }
+  int status = exit_good;
+  std::optional<FoundInstance> found = choose_instance(instance, "ctl", status);
+  if (!found) return status;
+  // The status that was asked for comes first.
+  if (!found->answers) (void)found->client->receive(answer_limit);
+  const nlohmann::ordered_json request{{"request", "command"}, {"words", words}};
+  const auto line = found->client->ask(
+      request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace), answer_limit);
+  const auto fail = [&](const std::string& why) {
+    std::cerr << "rtdata: pid " << found->instance.pid << ": " << why << std::endl;
+    return exit_other;
+  };
+  if (!line) return fail(line.error().text() + "; whether it was done, its log says");
+  const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
+  for (const char* key : {"done", "refused", "error", "ended"}) {
+    if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;
+    const std::string text = answer[key].get<std::string>();
+    if (std::string(key) != "done") return fail(text);
+    std::cout << text << std::endl;
+    return exit_good;
+  }
+  return fail("it answers something else; use the same version of the program on both sides");
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,125 @@
+#include "app/control/instances.hpp"
+
+#include <algorithm>
+#include <functional>
+#include <iostream>
+#include <vector>
+
+#include "app/core/configuration_commands.hpp"
+#include "app/core/table.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using Found = FoundInstance;
+
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
+constexpr Duration longest_search = std::chrono::seconds{3};       // when it has not
+
+std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
+
+/// All are asked at once, and waited for together. `wanted`: see Found::matches.
+std::vector<Found> find_instances(const std::string& wanted) {
+  std::vector<Found> all;
+  for (Instance& instance : running_instances()) {
+    Found found{std::move(instance), {}, false, "", "does not answer"};
+    if (auto client = ControlClient::connect(found.instance.path)) {
+      client->send(status_request);
+      found.client = std::move(*client);
+    } else if (client.error().code != make_error_code(Errc::busy)) {
+      continue;  // it has just ended
+    }
+    all.push_back(std::move(found));
+  }
+  const auto begun = std::chrono::steady_clock::now();
+  const auto is_wanted = [&](const Found& one) { return !wanted.empty() && one.matches(wanted); };
+  const auto is_silent = [](const Found& one) { return one.client && !one.answers; };
+  while (std::any_of(all.begin(), all.end(), is_silent)) {
+    for (Found& one : all) {
+      if (is_silent(one)) one.hear(std::chrono::milliseconds{10});
+    }
+    const Duration waited = std::chrono::steady_clock::now() - begun;
+    if (waited > longest_search) break;
+    if (waited > search_limit && std::any_of(all.begin(), all.end(), is_wanted)) break;
+  }
+  return all;
+}
+
+std::string list_of(const std::vector<const Found*>& instances) {
+  Table table({">pid", "name", "configuration"});
+  for (const Found* one : instances) {
+    table.add({std::to_string(one->instance.pid), one->name.empty() ? "-" : one->name,
+               one->name.empty() ? "(" + one->configuration + ")" : one->configuration});
+  }
+  return table.text("  ");
+}
+
+}  // namespace
+
+/// An answer that is a status; errors of the other side are errors.
+Result<Json> status_of(const std::string& line) {
+  Json status = Json::parse(line, nullptr, false);
+  if (status.is_object() && status.contains("instance")) return status;
+  if (status.is_object() && status.contains("ended"))
+    return Error{Errc::closed, "no status", "instance", "it has ended", "start it again"};
+  const bool says_why = status.is_object() && status.contains("error");
+  return Error{Errc::io_failed, "no status", "instance",
+               says_why ? text_or_dash(status["error"]) : "it answers something else",
+               "use the same version of the program on both sides"};
+}
+
+void FoundInstance::hear(Duration at_most) {
+  const auto line = client->receive(at_most);
+  if (line && !*line) return;
+  answers = true;
+  const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
+  if (status) name = text_or_dash(status->at("instance").at("name"));
+  configuration = status ? text_or_dash(status->at("instance").at("configuration")) : status.error().text();
+}
+
+Error instance_does_not_answer() {
+  return {Errc::timed_out, "no status", "instance", "it does not answer",
+          "see whether it is stopped, its loop is held, or the machine is busy"};
+}
+
+std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status) {
+  status = exit_other;
+  std::vector<Found> instances = find_instances(wanted);
+  if (instances.empty()) {
+    std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
+    for (const std::string& folder : closed_folders())
+      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`" << std::endl;
+    return std::nullopt;
+  }
+  std::vector<const Found*> all, matching;
+  Found* chosen = nullptr;
+  bool all_answer = true;
+  for (Found& one : instances) {
+    all.push_back(&one);
+    all_answer = all_answer && one.answers;
+    if (!one.matches(wanted)) continue;
+    matching.push_back(&one);
+    chosen = &one;
+  }
+  if (matching.empty()) {
+    std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \""
+              << wanted << "\"; there are:\n"
+              << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
+    return std::nullopt;
+  }
+  if (matching.size() > 1) {
+    std::cerr << "rtdata: several instances are running; name one, by pid or name:\n"
+              << list_of(matching) << std::flush;
+    status = exit_configuration;
+    return std::nullopt;
+  }
+  Found found = std::move(*chosen);
+  if (!found.client) {
+    std::cerr << "rtdata: pid " << found.instance.pid << ": " << instance_does_not_answer().text() << std::endl;
+    return std::nullopt;
+  }
+  return found;  // without the others' connections
+}
+
+}  // namespace rtdata::app

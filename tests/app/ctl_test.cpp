@@ -1,0 +1,124 @@
+// `rtdata ctl`: a running instance is commanded, and each command is recorded. The real programs.
+#include <doctest/doctest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "app/control/commands.hpp"
+#include "app/control/control_socket.hpp"
+#include "app/runtime_folder.hpp"
+#include "paths.hpp"
+
+using rtdata::app::ControlClient;
+using rtdata::app::running_instances;
+using rtdata::test::built;
+using rtdata::test::Folder;
+using rtdata::test::Process;
+using rtdata::test::RuntimeFolder;
+using namespace std::chrono_literals;
+
+namespace {
+
+const std::string program = built("rtdata");
+
+bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+std::string rig(const std::string& rate) {
+  return R"({"name": "rig", "sensors": [
+    {"name": "load", "type": "host", "quantity": "load", "rate": ")" +
+         rate + R"("},
+    {"name": "alarm", "type": "limit", "on": "load", "field": "tasks", "high": 0, "latched": true}],
+    "sinks": [{"type": "file", "name": "lines", "path": "out.jsonl", "format": "jsonl"}]})";
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("ctl commands a running instance, says what came of it, and records it") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig("100 Hz"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const auto ctl = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), "ctl");
+      Process one(folder, program, words);
+      CHECK(one.end() == status);
+      return one.out + one.err;
+    };
+    CHECK(ctl({"rate", "load", "50 Hz"}, 0) == "sensor load is read at 50 Hz\n");
+    CHECK(ctl({"rig", "stop", "load"}, 0) == "sensor load is stopped\n");
+    CHECK(ctl({"stop", "load"}, 0) == "sensor load has stopped already\n");
+    CHECK(ctl({"start", "load"}, 0) == "sensor load is started\n");
+    CHECK(ctl({"note", "the", "valve is \xc3\xbc" "ber"}, 0) == "noted\n");
+    CHECK(ctl({"note", std::string(1000, 'x')}, 0) == "noted\n");
+    CHECK(ctl({"ack", "alarm"}, 0) == "the alarm of alarm is acknowledged\n");
+    CHECK(ctl({"ack", "alarm"}, 0) == "there is no alarm of alarm to acknowledge\n");
+    // What cannot be done is refused with the reason, and changes nothing.
+    CHECK(has(ctl({"ack", "load"}, 1), "sensor load is no limit"));
+    CHECK(has(ctl({"start", "laod"}, 1), "did you mean \"load\"?"));
+    CHECK(has(ctl({"rate", "load", "fast"}, 1), "fast"));
+    CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "it is fed, not sampled"));
+    CHECK(has(ctl({"rate", "load"}, 1), "it is written `rate SENSOR RATE`"));
+    CHECK(has(ctl({"restart"}, 2), "there is no command \"restart\""));
+    CHECK(has(ctl({"rog", "stop", "load"}, 1), "no running instance is called \"rog\""));
+    // Reload: the same file, another, one with a mistake.
+    CHECK(has(ctl({"reload"}, 0), "sensor load: changed while it runs (rate)") == false);
+    folder.write("rig.json", rig("20 Hz"));
+    CHECK(has(ctl({"reload"}, 0), "sensor load: changed while it runs (rate)"));
+    folder.write("rig.json", rig("20 Herz"));
+    const std::string refused = ctl({"reload"}, 1);
+    CHECK(has(refused, "nothing was changed: 1 mistake in rig.json"));
+    CHECK(has(refused, "sensors[0].rate"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+
+    std::vector<nlohmann::json> commands;
+    std::istringstream lines(folder.read("out.jsonl"));
+    for (std::string line; std::getline(lines, line);) {
+      const auto event = nlohmann::json::parse(line);
+      if (event.contains("topic") && event["topic"] == rtdata::app::command_topic) commands.push_back(event);
+    }
+    REQUIRE(commands.size() == 16);
+    CHECK(has(commands[0].dump(), "rate load 50 Hz"));
+    CHECK(has(commands[0].dump(), "uid " + std::to_string(::geteuid()) + ", pid "));
+    CHECK(has(commands[4].dump(), "note the valve is \xc3\xbc" "ber"));
+    CHECK(has(commands[5].dump(), "xxx..."));
+    CHECK(has(commands[8].dump(), "sensor load is no limit"));
+    CHECK(has(folder.read("rig.log"), "`rate load 50 Hz` by uid"));
+    CHECK(Process(folder, program, {"ctl", "note", "x"}).end() == 1);  // nothing runs any more
+  }
+
+  TEST_CASE("garbage on the control socket is answered, commands a thousand at once are all done, and nothing is lost") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("rig.json", rig("100 Hz"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    REQUIRE(running_instances().size() == 1);
+    auto client = ControlClient::connect(running_instances()[0].path);
+    REQUIRE(client);
+    const auto ask = [&](const std::string& line) {
+      const auto answer = client->ask(line, 30s);
+      REQUIRE(answer);
+      return *answer;
+    };
+    for (const char* garbage :
+         {"", "x", "{}", R"({"request":"command"})", R"({"request":"command","words":"stop"})",
+          R"({"request":"command","words":[]})", R"({"request":"command","words":[1]})", R"({"request":["command"]})",
+          "\xff\xfe", R"({"request":"command","words":["note","x"])"})
+      CHECK(has(ask(garbage), "\"error\""));
+    CHECK(has(ask(R"({"request":"command","words":["note"]})"), "refused"));
+    CHECK(has(ask(R"({"request":"command","words":["rate","load","50 Hz","now"]})"), "refused"));
+    for (int i = 0; i < 200; ++i)
+      CHECK(ask(R"({"request":"command","words":["note",")" + std::to_string(i) + "\"]}") == R"({"done":"noted"})");
+    // Half a command does nothing.
+    {
+      auto half = ControlClient::connect(running_instances()[0].path);
+      REQUIRE(half);
+      half->send(R"({"request":"command","words":["stop","load"]})");
+    }
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "nothing lost"));
+  }
+}
