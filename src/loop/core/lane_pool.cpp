@@ -290,6 +290,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       --queue->behind;
       return false;
     }
+    worker.listener->finished.fetch_add(1, std::memory_order_release);
     if (leads) in_led_job.store(0, std::memory_order_relaxed);
     const MonotonicTime now = kernel_now();
     worker.took = now - std::exchange(worker.now, now);

@@ -31,6 +31,9 @@ struct LaneListener {
   std::condition_variable_any job_ended;
   Wake* loop_wake = nullptr;  // guarded by the mutex; null once the loop does not listen any more
   std::atomic<bool> is_waited_for{false};
+  /// Jobs that have finished, counted after they have, and before the loop is told. Those whose end the loop has seen
+  /// by other ways are in it too.
+  std::atomic<std::size_t> finished{0};
 
   /// `is_so` may become true by the end of a job.
   template <class Predicate>

@@ -55,8 +55,16 @@ void Lanes::count(Lane& lane, int more) noexcept {
 void Lanes::collect() {
   if (collecting_) return;
   collecting_ = true;
-  for (std::size_t i = 0; i < listed_.size(); ++i) {
-    if (listed_[i] != nullptr) listed_[i]->collect();
+  // Threads end jobs about in the order of the list: what is behind the last that has finished is not looked at. One
+  // that has finished and is not counted yet may be taken for another that is; the latter is found when the former is
+  // counted, after which the thread tells again.
+  std::size_t left = listener_->finished.exchange(0, std::memory_order_acquire);
+  for (std::size_t i = 0; i < listed_.size() && left > 0; ++i) {
+    if (listed_[i] != nullptr) {
+      const LaneJob* const first = listed_[i]->first_.get();
+      listed_[i]->collect();
+      if (listed_[i] == nullptr || listed_[i]->first_.get() != first) --left;  // of several, one: it looks on
+    }
     if (listed_[i] == nullptr || listed_[i]->first_ != nullptr) continue;
     listed_[i]->is_listed_ = false;
     listed_[i] = nullptr;
