@@ -224,6 +224,19 @@ void put_imu(Wires& wires) {
   chip.on_write(0x6a, [=](std::uint16_t) { *at_byte = *at_count = 0; });
 }
 
+/// A LIS3MDL in a field of 1 gauss along X, which has a new sample at each look.
+void put_magnetometer(Wires& wires) {
+  FakeI2cChip& chip = wires.i2c.chip(0x1c);
+  chip.set(0x0f, {0x3d});
+  const auto registers = std::make_shared<std::array<std::uint8_t, 0x30>>();
+  const auto at = std::make_shared<std::size_t>(0);
+  (*registers)[0x27] = 0x08;
+  (*registers)[0x28] = 0xba, (*registers)[0x29] = 0x1a;
+  for (std::uint8_t number = 0x20; number <= 0x24; ++number)
+    chip.on_write(number, [=](std::uint16_t value) { (*registers)[number] = static_cast<std::uint8_t>(value); });
+  chip.on_read(0xa0, [=] { return (*registers)[0x20 + (*at)++ % 16]; });
+}
+
 const GoodChip good_chips[] = {
     {"own-on-i2c", R"("address": "0x23")",
      [](Wires& wires) { wires.i2c.chip(0x23).on_read(0, [] { return neighbours_byte; }); },
@@ -245,6 +258,8 @@ const GoodChip good_chips[] = {
      },
      true},
     {"imu", "", put_imu, [](const EventView& event) { return is_near(event, "acceleration_z", 9.80665); }, true},
+    {"magnetometer", "", put_magnetometer,
+     [](const EventView& event) { return is_near(event, "magnetic_field_x", 1e-4); }, true},
     {"lm75", "",
      [](Wires& wires) {
        FakeI2cChip& chip = wires.i2c.chip(0x48);

@@ -9,8 +9,8 @@
 /// of an MPU or LSM6DS3 that has run over is emptied, since nobody knows where a sample begins in it; the others keep
 /// the newest samples.
 ///
-/// Magnetometers of an MPU-9250 and an LSM9DS1 are chips of their own (an LSM9DS1's is at 0x1c or 0x1e); nothing is
-/// done with them here. Axes as printed in the data sheet. A chip of another identity is refused.
+/// Magnetometers of an MPU-9250 and an LSM9DS1 are chips of their own (magnetometer.hpp); that of an MPU-9250 is let
+/// onto the bus. Axes as printed in the data sheet. A chip of another identity is refused.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19
 /// scales, 4.28 to 4.32 power and identity; MPU-6500 RM-MPU-6500A-00, MPU-9250 RM-MPU-9250A-00. LSM6DS3, DocID026899:
@@ -85,6 +85,16 @@ inline constexpr InertialWrite mpu6500_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1c, .by_acceleration = 1 << 3},
                                                        {.number = 0x1d, .by_filter = 1},
                                                        {.number = 0x23, .value = 0xf8}};
+// An MPU-9250 also lets the magnetometer that it contains onto the bus.
+inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
+                                                       {.number = 0x6b, .value = 0x01, .pause = 35ms},
+                                                       {.number = 0x19, .by_rate = 1},
+                                                       {.number = 0x1a, .by_filter = 1},
+                                                       {.number = 0x1b, .by_angle = 1 << 3},
+                                                       {.number = 0x1c, .by_acceleration = 1 << 3},
+                                                       {.number = 0x1d, .by_filter = 1},
+                                                       {.number = 0x23, .value = 0xf8},
+                                                       {.number = 0x37, .value = 0x02}};
 inline constexpr InertialWrite mpu_sleeping[] = {{.number = 0x6b, .value = 0x40}};
 /// What the factory has found, within 14 % (register map 4.1): codes of 5 bits, those of acceleration in two pieces.
 inline Result<InertialSixLimits> mpu6050_limits(I2cDevice& chip) {
@@ -323,7 +333,7 @@ inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
 inline constexpr InertialModel all[] = {
     mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53),
     mpu("MPU-6500", 0x70, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
-    mpu("MPU-9250", 0x71, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    mpu("MPU-9250", 0x71, 512, mpu9250_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
     lsm6ds3("LSM6DS3", 0x69, 8192, 0x0fff, 16),
     lsm6ds3("LSM6DS3TR-C", 0x6a, 4096, 0x07ff, 256),
     lsm6dso("LSM6DSO"),
@@ -349,7 +359,7 @@ class Imu {
   within one each time.
 - Times are right within a period: the chips' clocks are not read, their rates are learned.
 - An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
-  chips of their own, and are not read.
+  chips of their own, of type `magnetometer`.
 - `temperature` is with each sample of an MPU; with an LSM only with the newest sample of each read.
 - `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
   bus must be above that.

@@ -6,6 +6,7 @@
 #include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
+#include "rtdata/sensors/magnetometer.hpp"
 #include "rtdata/sensors/nau7802.hpp"
 #include "rtdata/sensors/sht.hpp"
 
@@ -15,6 +16,7 @@ void add_i2c_drivers(Registry& registry) {
   registry.add_driver<Barometer>();
   registry.add_driver<Accelerometer>();
   registry.add_driver<Imu>();
+  registry.add_driver<Magnetometer>();
   registry.add_driver<Bno055>();
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>();
