@@ -34,12 +34,13 @@ struct FakeMagnetometer {
     }
     for (const auto& piece : model.pieces) {
       if (piece.count == 0) continue;
-      chip.on_read(piece.first, [this, piece, at = std::size_t{0}]() mutable {
-        if (at == 0) measure();
-        const std::size_t number = (piece.first & 0x7f) + at;
-        at = (at + 1) % piece.count;
-        return number_at(number);
-      });
+      chip.on_read(static_cast<std::uint8_t>(piece.first | model.addressing.i2c_burst_bit),
+                   [this, piece, at = std::size_t{0}]() mutable {
+                     if (at == 0) measure();
+                     const std::size_t number = (piece.first & 0x7f) + at;
+                     at = (at + 1) % piece.count;
+                     return number_at(number);
+                   });
     }
   }
   void measure() {

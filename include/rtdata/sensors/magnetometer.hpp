@@ -1,4 +1,5 @@
-/// Magnetometer: magnetic flux density of a LIS3MDL, LSM9DS1, AK8963 (in an MPU-9250), HMC5883L or QMC5883L on I2C.
+/// Magnetometer: magnetic flux density of a LIS3MDL, LSM9DS1, AK8963 (in an MPU-9250), HMC5883L or QMC5883L on I2C;
+/// of a LIS3MDL or LSM9DS1 on SPI, too.
 ///
 ///     rtdata::DriverSensor<rtdata::Magnetometer> compass(loop, {.name = "compass", .rate = 50_Hz}, bus,
 ///                                                        {.address = 0x1c}, {.model = MagnetometerModel::lis3mdl});
@@ -31,6 +32,8 @@
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/io/registers.hpp"
+#include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/driver.hpp"
 
 namespace rtdata {
@@ -93,7 +96,8 @@ struct Model {
   bool is_big_endian = false;
   std::array<int, 2> ends = {-32768, 32767};  ///< codes from these on, outwards, are beyond the range
   int temperature_at = -1;                    ///< -1: it has none
-  std::uint8_t adjustment_register = 0;       ///< of each chip's factors, which are read in a mode of their own; 0: none
+  RegisterAddressing addressing = {};
+  std::uint8_t adjustment_register = 0;  ///< of its factors, read in a mode of their own; 0: none
 };
 
 // LIS3MDL, and the magnetometer of an LSM9DS1: temperature, best performance, rate; range; all the time; best
@@ -118,11 +122,12 @@ constexpr Model lis3mdl(std::string_view name, std::span<const FieldRange> range
           .usual_range = 4,
           .setting_up = lis3mdl_setting_up,
           .sleeping = {.number = 0x22, .value = 0x03},
-          .pieces = {{{0x80 | 0x20, 16}, {0, 0}}},
+          .pieces = {{{0x20, 16}, {0, 0}}},
           .is_new = {7, 0x08},
           .is_over = {},
           .axes = {8, 10, 12},
-          .temperature_at = temperature_at};
+          .temperature_at = temperature_at,
+          .addressing = {.i2c_burst_bit = 0x80, .spi_burst_bit = 0x40}};
 }
 
 // AK8963: off; all the time, at 8 or 100 Hz, with 16 bits. Reading the second status lets the next sample in.
@@ -136,10 +141,9 @@ inline constexpr Setting ak8963_setting_up[] = {{.number = 0x0b, .value = 0x01, 
 inline constexpr SampleRate hmc5883l_rates[] = {{0.75, 0}, {1.5, 1}, {3, 2}, {7.5, 3}, {15, 4}, {30, 5}, {75, 6}};
 inline constexpr FieldRange hmc5883l_ranges[] = {{0.88, 0, 1370}, {1.3, 1, 1090}, {1.9, 2, 820}, {2.5, 3, 660},
                                                  {4.0, 4, 440},   {4.7, 5, 390},  {5.6, 6, 330}, {8.1, 7, 230}};
-inline constexpr Setting hmc5883l_setting_up[] = {
-    {.number = 0x00, .value = 0x60, .by_rate = 1 << 2, .read_at = 0},
-    {.number = 0x01, .by_range = 1 << 5, .read_at = 1},
-    {.number = 0x02, .value = 0x00, .pause = 10ms, .read_at = 2}};
+inline constexpr Setting hmc5883l_setting_up[] = {{.number = 0x00, .value = 0x60, .by_rate = 1 << 2, .read_at = 0},
+                                                  {.number = 0x01, .by_range = 1 << 5, .read_at = 1},
+                                                  {.number = 0x02, .value = 0x00, .pause = 10ms, .read_at = 2}};
 
 // QMC5883L: reset; the period of its set and reset that the data sheet asks for; all the time, 512 measurements a
 // sample. Its identity is what an empty bus reads, so that only its settings, which are read back, prove it.
@@ -165,6 +169,7 @@ inline constexpr Model all[] = {lis3mdl("LIS3MDL", lis3mdl_ranges, 14),
                                  .is_new = {0, 0x01},
                                  .is_over = {7, 0x08},
                                  .axes = {1, 3, 5},
+                                 .addressing = {.without_spi = "AK8963"},
                                  .adjustment_register = 0x10},
                                 {.name = "HMC5883L",
                                  .identity_register = 0x0a,
@@ -179,7 +184,8 @@ inline constexpr Model all[] = {lis3mdl("LIS3MDL", lis3mdl_ranges, 14),
                                  .is_over = {},
                                  .axes = {3, 7, 5},
                                  .is_big_endian = true,
-                                 .ends = {-4096, 4096}},
+                                 .ends = {-4096, 4096},
+                                 .addressing = {.without_spi = "HMC5883L"}},
                                 {.name = "QMC5883L",
                                  .identity_register = 0x0d,
                                  .identity = "\xff",
@@ -191,7 +197,8 @@ inline constexpr Model all[] = {lis3mdl("LIS3MDL", lis3mdl_ranges, 14),
                                  .pieces = {{{0x06, 5}, {0x00, 6}}},
                                  .is_new = {0, 0x01},
                                  .is_over = {0, 0x02},
-                                 .axes = {5, 7, 9}}};
+                                 .axes = {5, 7, 9},
+                                 .addressing = {.without_spi = "QMC5883L"}}};
 
 }  // namespace magnetometer_models
 
@@ -200,10 +207,12 @@ class Magnetometer {
   static constexpr std::string_view type = "magnetometer";
   static constexpr std::string_view aliases = "compass magnetic";
   static constexpr std::string_view description =
-      "magnetic flux density of a LIS3MDL, LSM9DS1, AK8963 (MPU-9250), HMC5883L or QMC5883L on I2C";
+      "magnetic flux density of a LIS3MDL, LSM9DS1, AK8963 (MPU-9250), HMC5883L or QMC5883L on I2C, of the first two "
+      "on SPI, too";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: LIS3MDL and LSM9DS1 0x1c, with SDO (SA1, SDO_M) high 0x1e; AK8963 0x0c;
-  HMC5883L 0x1e; QMC5883L 0x0d. Boards that are sold as HMC5883L mostly have a QMC5883L.
+  HMC5883L 0x1e; QMC5883L 0x0d. Boards that are sold as HMC5883L mostly have a QMC5883L. A LIS3MDL or LSM9DS1 on
+  SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 10 MHz.
 - An AK8963 is inside of an MPU-9250, which lets it onto the bus as soon as a sensor of type `imu` with the model
   `mpu9250` has been opened on the same bus; until then no chip answers.
 - The chip measures `sample_rate` times a second and keeps the newest sample: a lower `rate` leaves samples out, a higher
@@ -215,7 +224,7 @@ class Magnetometer {
   struct Config {
     MagnetometerModel model = MagnetometerModel::lis3mdl;
     std::optional<double> sample_rate{};  ///< Hz of the chip; unset: its fastest
-    std::optional<double> field_range{};  ///< gauss; unset: the narrowest that bears the earth's field and a compass's iron
+    std::optional<double> field_range{};  ///< gauss; unset: the narrowest from 1.3 on
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
@@ -236,8 +245,9 @@ class Magnetometer {
     }
   };
   using Value = MagnetometerReading;
-  using Device = I2cDevice;
-  static constexpr I2cDevice::Place place{0x1c};
+  using Device = RegisterDevice;
+  static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
+  static constexpr RegisterPlace place{0x1c};
 
   static Result<void> check(const Config& config) {
     const Model& model = config.chip();
@@ -271,7 +281,7 @@ class Magnetometer {
   }
 
   /// Identity, what was adjusted in the factory, settings, which are read back.
-  Result<void> open(I2cDevice& chip) {
+  Result<void> open(RegisterDevice& chip) {
     std::array<std::uint8_t, 3> found{};
     const auto identity = std::span(found).first(model_.identity.size());
     if (auto done = chip.read_registers(model_.identity_register, identity); !done) return done;
@@ -295,7 +305,7 @@ class Magnetometer {
     return {};
   }
 
-  Reading<MagnetometerReading> read(I2cDevice& chip) {
+  Reading<MagnetometerReading> read(RegisterDevice& chip) {
     std::array<std::uint8_t, most_bytes> bytes{};
     if (auto done = read_pieces(chip, bytes); !done) return std::move(done).error();
     if (!has_settings(bytes)) {
@@ -316,7 +326,7 @@ class Magnetometer {
   }
 
   /// Sleeps.
-  void close(I2cDevice& chip) { (void)chip.write_register(model_.sleeping.number, model_.sleeping.value); }
+  void close(RegisterDevice& chip) { (void)chip.write_register(model_.sleeping.number, model_.sleeping.value); }
 
   /// `bytes`: a reading, as the pieces of the model say. `adjustment`: factors of the axes, of an AK8963. Errors:
   /// out-of-range (of a field beyond the range).
@@ -336,12 +346,12 @@ class Magnetometer {
       tesla[axis] = code / range->counts_per_gauss * tesla_a_gauss * adjustment[axis];
     }
     if (is_over)
-      return Error{Errc::out_of_range, what, "",
-                   "the field is beyond the range of " + text_of(range->gauss) + " gauss",
+      return Error{Errc::out_of_range, what, "", "the field is beyond the range of " + text_of(range->gauss) + " gauss",
                    model.ranges.size() > 1 ? "set a wider `field_range`, or move it away from magnets and iron"
                                            : "move it away from magnets"};
     MagnetometerReading reading{tesla[0], tesla[1], tesla[2], {}};
-    if (model.temperature_at >= 0) reading.temperature = word(static_cast<std::size_t>(model.temperature_at)) / 8.0 + 25;
+    if (model.temperature_at >= 0)
+      reading.temperature = word(static_cast<std::size_t>(model.temperature_at)) / 8.0 + 25;
     return reading;
   }
   /// AK8963, 8.3.11: from its three registers.
@@ -380,13 +390,11 @@ class Magnetometer {
   }
   std::string name() const { return "the " + std::string(model_.name); }
   /// How long it may bring nothing: three of its periods, and a second.
-  Duration patience() const {
-    return Duration{std::llround(3e9 / rate_->hertz)} + Duration{std::chrono::seconds{1}};
-  }
+  Duration patience() const { return Duration{std::llround(3e9 / rate_->hertz)} + Duration{std::chrono::seconds{1}}; }
   std::uint8_t value_of(const Setting& setting) const noexcept {
     return static_cast<std::uint8_t>(setting.value + rate_->code * setting.by_rate + range_->code * setting.by_range);
   }
-  Result<void> set_up(I2cDevice& chip) {
+  Result<void> set_up(RegisterDevice& chip) {
     for (const Setting& one : model_.setting_up) {
       if (auto done = chip.write_register(one.number, value_of(one)); !done) return done;
       if (one.pause > Duration{0}) chip.wait(one.pause);
@@ -395,7 +403,7 @@ class Magnetometer {
     return {};
   }
   /// In the mode in which its fuses are read.
-  Result<void> read_adjustment(I2cDevice& chip) {
+  Result<void> read_adjustment(RegisterDevice& chip) {
     constexpr std::uint8_t mode_register = 0x0a, fuses = 0x0f;
     if (auto done = chip.write_register(mode_register, fuses); !done) return done;
     std::array<std::uint8_t, 3> codes{};
@@ -405,7 +413,7 @@ class Magnetometer {
     adjustment_ = adjustment_of(codes);
     return {};
   }
-  Result<void> read_pieces(I2cDevice& chip, std::span<std::uint8_t, most_bytes> bytes) {
+  Result<void> read_pieces(RegisterDevice& chip, std::span<std::uint8_t, most_bytes> bytes) {
     std::size_t at = 0;
     for (const auto& piece : model_.pieces) {
       if (piece.count == 0) continue;
