@@ -136,13 +136,38 @@ I2cBus::I2cBus(I2cConfig config) : I2cBus(std::string(config.device), config) {}
 I2cBus::I2cBus(std::string name, I2cConfig config) : I2cBus(std::move(name), make_kernel_i2c(config.device), config) {}
 
 I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config)
-    : Bus(name, config.timeout),
+    : RegisterBus(name, config.timeout),
       core_(std::make_shared<I2cDevice::Core>(std::move(name), std::move(transport), std::move(config))) {}
 
 I2cDevice I2cBus::device(const I2cDevice::Place& place) const {
   if (std::string mistake = mistake_in(place.address); !mistake.empty())
     throw SetupError({Errc::bad_argument, "cannot use this address", "bus " + name(), std::move(mistake), ""});
   return {core_, place.address, counter_of(text_of(place))};
+}
+
+namespace {
+
+class I2cRegisters final : public detail::RegisterWires {
+ public:
+  explicit I2cRegisters(I2cDevice device) : device_(std::move(device)) {}
+  Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) override {
+    return device_.write_read(write, read);
+  }
+  Result<void> look_at() override { return device_.look_at(); }
+  Error error(Errc code, std::string what, std::string why, std::string advice) const override {
+    return device_.error(code, std::move(what), std::move(why), std::move(advice));
+  }
+
+ private:
+  I2cDevice device_;
+};
+
+}  // namespace
+
+RegisterDevice I2cBus::register_device(const RegisterPlace& place) const {
+  expect(place, type);
+  const I2cDevice chip = device({place.address});
+  return {chip, std::make_shared<I2cRegisters>(chip), false};
 }
 
 }  // namespace rtdata

@@ -85,7 +85,7 @@ SpiBus::SpiBus(SpiConfig config) : SpiBus(std::string(config.device), config) {}
 SpiBus::SpiBus(std::string name, SpiConfig config) : SpiBus(std::move(name), make_kernel_spi(config.device), config) {}
 
 SpiBus::SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config)
-    : Bus(name, config.timeout),
+    : RegisterBus(name, config.timeout),
       core_(std::make_shared<SpiDevice::Core>(std::move(name), std::move(transport), std::move(config))) {}
 
 SpiDevice SpiBus::device(const SpiPlace& place) const {
@@ -94,6 +94,31 @@ SpiDevice SpiBus::device(const SpiPlace& place) const {
     throw SetupError({Errc::bad_argument, "cannot use this chip", "bus " + name() + ", " + text_of(place),
                       "there are modes 0 to 3, words of 4 to 32 bits, and clocks above 0", ""});
   return {core_, place, counter_of(text_of(place))};
+}
+
+namespace {
+
+class SpiRegisters final : public detail::RegisterWires {
+ public:
+  explicit SpiRegisters(SpiDevice device) : device_(std::move(device)) {}
+  Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) override {
+    return read.empty() ? device_.write(write) : device_.write_read(write, read);
+  }
+  Result<void> look_at() override { return {}; }
+  Error error(Errc code, std::string what, std::string why, std::string advice) const override {
+    return device_.error(code, std::move(what), std::move(why), std::move(advice));
+  }
+
+ private:
+  SpiDevice device_;
+};
+
+}  // namespace
+
+RegisterDevice SpiBus::register_device(const RegisterPlace& place) const {
+  expect(place, type);
+  const SpiDevice chip = device({.chip_select = *place.chip_select, .mode = place.mode, .clock = place.clock});
+  return {chip, std::make_shared<SpiRegisters>(chip), true};
 }
 
 bool SpiBus::reads_on_loop() const noexcept { return core_->config.reads_on_loop; }

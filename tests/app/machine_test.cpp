@@ -480,6 +480,41 @@ TEST_SUITE("app") {
     CHECK(find(found, "bus i2c1")->severity == Severity::good);
   }
 
+  TEST_CASE("FW-3 doctor says what a configuration needs that is not switched on or installed: 1-Wire, gpsd") {
+    const SystemPlan plan = plan_system(standard_registry(), parse_config(R"({"sensors": [
+      {"name": "room", "type": "w1", "device": "28-0000075565ad", "rate": "0.5 Hz"},
+      {"name": "where", "type": "gps"}, {"name": "far", "type": "gps", "host": "boat.local"}]})"));
+    REQUIRE(plan.good());
+    const Machine board;
+    const auto doctor = [&](const char* subject) -> std::optional<Finding> {
+      const std::vector<Finding> found = examine_devices(board.files(), plan);
+      const Finding* one = find(found, subject);
+      return one != nullptr ? std::optional(*one) : std::nullopt;
+    };
+    REQUIRE(doctor("sensor room"));
+    CHECK(doctor("sensor room")->severity == Severity::fault);
+    CHECK(doctor("sensor room")->what == "there is no 1-Wire bus (/sys/bus/w1)");
+    CHECK(doctor("sensor room")->advice.find("dtoverlay=w1-gpio") != std::string::npos);
+    REQUIRE(doctor("sensor where"));
+    CHECK(doctor("sensor where")->severity == Severity::warning);
+    CHECK(doctor("sensor where")->what == "no gpsd is installed");
+    CHECK(doctor("sensor where")->advice.find("sudo apt install gpsd") != std::string::npos);
+    CHECK_FALSE(doctor("sensor far"));  // another machine's gpsd
+
+    const Scan scan = scan_machine(board.files(), standard_registry(), Probing::no);
+    CHECK(scan.hints.back().text == "no 1-Wire bus: " + doctor("sensor room")->advice);
+
+    board.file("/sys/bus/w1/devices/28-0000000000bb/rw");
+    CHECK(doctor("sensor room")->what == "28-0000075565ad is not on the 1-Wire bus");
+    board.file("/sys/bus/w1/devices/28-0000075565ad/rw");
+    CHECK(doctor("sensor room")->what == "28-0000075565ad has no driver");
+    CHECK(doctor("sensor room")->advice.find("sudo modprobe w1_therm") == 0);
+    board.file("/sys/bus/w1/devices/28-0000075565ad/w1_slave");
+    CHECK(doctor("sensor room")->severity == Severity::good);
+    board.file("/usr/sbin/gpsd");
+    CHECK_FALSE(doctor("sensor where"));
+  }
+
   TEST_CASE("FW-3 doctor says that a file stands where a device should be") {
     const Folder folder;
     const std::string path = "/dev/rtdata-test-" + std::to_string(::getpid());

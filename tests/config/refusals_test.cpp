@@ -29,6 +29,7 @@ const std::map<std::string, std::string> right_sensors{
     {"analog", R"({"name": "s", "type": "analog", "rate": "10 Hz", "file": "FOLDER/adc"})"},
     {"accelerometer", R"({"name": "s", "type": "accelerometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"barometer", R"({"name": "s", "type": "barometer", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"magnetometer", R"({"name": "s", "type": "magnetometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"bno055", R"({"name": "s", "type": "bno055", "rate": "10 Hz", "bus": "i2c1"})"},
     {"derived", R"({"name": "s", "type": "derived", "on": "other", "expression": "running + 1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},

@@ -62,7 +62,7 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("sensors") {
-  TEST_CASE("US-15 BNO055: its registers become a quaternion, radians, m/s2, microtesla and calibration") {
+  TEST_CASE("US-15 BNO055: its registers become a quaternion, radians, m/s2, tesla and calibration") {
     Bench bench;
     DriverSensor<Bno055> attitude(bench.loop, {.name = "attitude", .rate = 50_Hz}, bench.bus);
     bench.loop.advance(500ms);
@@ -78,8 +78,8 @@ TEST_SUITE("sensors") {
     CHECK(r.linear_acceleration_z == doctest::Approx(-0.01));
     CHECK(r.angular_velocity_x == doctest::Approx(1));
     CHECK(r.angular_velocity_y == doctest::Approx(-0.5));
-    CHECK(r.magnetic_field_x.value() == doctest::Approx(20));
-    CHECK(r.magnetic_field_y.value() == doctest::Approx(-10));
+    CHECK(r.magnetic_field_x.value() == doctest::Approx(20e-6));
+    CHECK(r.magnetic_field_y.value() == doctest::Approx(-10e-6));
     CHECK(r.temperature == -5);
     CHECK(r.calibration_system == 3);
     CHECK(r.calibration_gyroscope == 2);

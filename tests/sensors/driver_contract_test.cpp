@@ -20,6 +20,7 @@
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/sensors/sht.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/spi_bridge.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -172,6 +173,7 @@ const FakeBus fake_buses[] = {
                                    [wires](Runtime&, const std::string& name, const I2cConfig& config) {
                                      return I2cBus(name, std::make_shared<I2cWires>(wires), config);
                                    });
+       app::add_register_drivers(registry);
        app::add_i2c_drivers(registry);
        registry.add_driver<Echo<I2cDevice>>("own-on-i2c", "a user's on I2C");
      }},
@@ -182,6 +184,7 @@ const FakeBus fake_buses[] = {
                                    [wires](Runtime&, const std::string& name, const SpiConfig& config) {
                                      return SpiBus(name, std::make_shared<SpiWires>(wires), config);
                                    });
+       app::add_register_drivers(registry);
        app::add_spi_drivers(registry);
        registry.add_driver<Echo<SpiDevice>>("own-on-spi", "a user's on SPI");
      }},
@@ -204,7 +207,8 @@ struct GoodChip {
   std::string members;  // of its item in a configuration, beside bus and rate
   void (*put)(Wires&);
   bool (*is_right)(const EventView& event);
-  bool has_proof;  // by an identity or a checksum: neither zeros nor ones are taken for values
+  bool has_proof;             // by an identity or a checksum: neither zeros nor ones are taken for values
+  std::string_view bus = "";  // where its driver is on several kinds; empty: the first
 };
 
 void put_bytes(FakeI2cChip& chip, std::uint8_t first, std::initializer_list<int> words) {
@@ -224,6 +228,30 @@ void put_imu(Wires& wires) {
   chip.on_write(0x6a, [=](std::uint16_t) { *at_byte = *at_count = 0; });
 }
 
+/// A LIS3MDL in a field of 1 gauss along X, which has a new sample at each look.
+void put_magnetometer(Wires& wires) {
+  FakeI2cChip& chip = wires.i2c.chip(0x1c);
+  chip.set(0x0f, {0x3d});
+  const auto registers = std::make_shared<std::array<std::uint8_t, 0x30>>();
+  const auto at = std::make_shared<std::size_t>(0);
+  (*registers)[0x27] = 0x08;
+  (*registers)[0x28] = 0xba, (*registers)[0x29] = 0x1a;
+  for (std::uint8_t number = 0x20; number <= 0x24; ++number)
+    chip.on_write(number, [=](std::uint16_t value) { (*registers)[number] = static_cast<std::uint8_t>(value); });
+  chip.on_read(0xa0, [=] { return (*registers)[0x20 + (*at)++ % 16]; });
+}
+
+/// A BMP280: its data sheet's example.
+void put_barometer(Wires& wires) {
+  FakeI2cChip& chip = wires.i2c.chip(0x76);
+  chip.set(0xd0, {0x58});
+  put_bytes(chip, 0x88, {27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000});
+  chip.set(0xf7, {0x65, 0x5a, 0xc0, 0x7e, 0xed, 0x00});
+}
+bool has_right_air(const EventView& event) {
+  return is_near(event, "pressure", 100653.27) && is_near(event, "temperature", 25.08);
+}
+
 const GoodChip good_chips[] = {
     {"own-on-i2c", R"("address": "0x23")",
      [](Wires& wires) { wires.i2c.chip(0x23).on_read(0, [] { return neighbours_byte; }); },
@@ -233,18 +261,29 @@ const GoodChip good_chips[] = {
        wires.spi.on_transfer(3, [](auto, std::span<std::uint8_t> read) { std::fill(read.begin(), read.end(), 0x5a); });
      },
      [](const EventView& event) { return is_near(event, "number", neighbours_byte); }, true},
-    {"barometer", "",
-     [](Wires& wires) {  // its data sheet's example
-       FakeI2cChip& chip = wires.i2c.chip(0x76);
-       chip.set(0xd0, {0x58});
-       put_bytes(chip, 0x88, {27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000});
-       chip.set(0xf7, {0x65, 0x5a, 0xc0, 0x7e, 0xed, 0x00});
+    {"barometer", "", put_barometer, has_right_air, true},
+    {"barometer", R"("chip_select": 3)",
+     [](Wires& wires) {
+       put_barometer(wires);
+       bridge(wires.spi, 3, wires.i2c, 0x76, {}, 0x80);
      },
-     [](const EventView& event) {
-       return is_near(event, "pressure", 100653.27) && is_near(event, "temperature", 25.08);
+     has_right_air, true, "spi"},
+    {"imu", R"("model": "mpu6500", "chip_select": 3)",
+     [](Wires& wires) {
+       put_imu(wires);
+       wires.i2c.chip(0x68).set(0x75, {0x70});
+       bridge(wires.spi, 3, wires.i2c, 0x68, {});
      },
-     true},
+     [](const EventView& event) { return is_near(event, "acceleration_z", 9.80665); }, true, "spi"},
+    {"magnetometer", R"("chip_select": 3)",
+     [](Wires& wires) {
+       put_magnetometer(wires);
+       bridge(wires.spi, 3, wires.i2c, 0x1c, {.i2c_burst_bit = 0x80, .spi_burst_bit = 0x40});
+     },
+     [](const EventView& event) { return is_near(event, "magnetic_field_x", 1e-4); }, true, "spi"},
     {"imu", "", put_imu, [](const EventView& event) { return is_near(event, "acceleration_z", 9.80665); }, true},
+    {"magnetometer", "", put_magnetometer,
+     [](const EventView& event) { return is_near(event, "magnetic_field_x", 1e-4); }, true},
     {"lm75", "",
      [](Wires& wires) {
        FakeI2cChip& chip = wires.i2c.chip(0x48);
@@ -278,9 +317,14 @@ const GoodChip good_chips[] = {
      [](const EventView& event) { return is_near(event, "ain7", 1.65); }, false},
 };
 
-const GoodChip* good_chip(std::string_view type) {
+/// A driver is tried on each kind of bus that it is on: `page.bus` is the one.
+bool is_on_other_bus(const TypeInfo& type) {
+  const auto& others = type.page.other_buses;
+  return std::find(others.begin(), others.end(), type.page.bus) != others.end();
+}
+const GoodChip* good_chip(const TypeInfo& type) {
   for (const GoodChip& chip : good_chips)
-    if (chip.type == type) return &chip;
+    if (chip.type == type.name && chip.bus == (is_on_other_bus(type) ? type.page.bus : "")) return &chip;
   return nullptr;
 }
 
@@ -292,7 +336,7 @@ enum class Values { good_ones, any };
 class Rig {
  public:
   explicit Rig(const TypeInfo& type, std::uint64_t seed = 0)
-      : type_(type), bus_(*bus_of(type.page.bus)), good_(good_chip(type.name)), loop(Loop::Manual{.seed = seed}) {
+      : type_(type), bus_(*bus_of(type.page.bus)), good_(good_chip(type)), loop(Loop::Manual{.seed = seed}) {
     began_ = loop.now();
     wires->random.seed(seed + 1);
     if (good_ != nullptr) {
@@ -309,12 +353,12 @@ class Rig {
   }
 
   std::string text(const std::string& members = R"("rate": "5 Hz")", bool is_there = true) const {
-    const std::string own = good_ != nullptr ? good_->members : "";
     return R"({"buses": {"b": )" + bus_.item + R"(}, "sensors": [)" + bus_.neighbour +
            (is_there ? ", " + item("s", members) : "") + "]}";
   }
   std::string item(const std::string& name, const std::string& members = R"("rate": "5 Hz")") const {
-    const std::string own = good_ != nullptr && !good_->members.empty() ? good_->members + ", " : "";
+    const std::string members_of_chip(good_ != nullptr ? good_->members : is_on_other_bus(type_) ? bus_.place : "");
+    const std::string own = members_of_chip.empty() ? "" : members_of_chip + ", ";
     return R"({"name": ")" + name + R"(", "topic": "t", "bus": "b", "type": ")" + type_.name + R"(", )" + own +
            R"("retry_first": "20 ms", "retry_longest": "80 ms", )" + members + "}";
   }
@@ -392,9 +436,16 @@ constexpr std::string_view buses_of_requests[] = {"serial", "modbus"};
 
 /// All that are on a bus that there is a fake of.
 std::vector<TypeInfo> drivers() {
-  Registry registry;
-  for (const FakeBus& bus : fake_buses) bus.add(registry, std::make_shared<Wires>());
-  return registry.sensors().types();
+  std::vector<TypeInfo> all;
+  for (const FakeBus& bus : fake_buses) {
+    Registry registry;
+    bus.add(registry, std::make_shared<Wires>());
+    for (TypeInfo& type : registry.sensors().types()) {
+      type.page.bus = bus.type;
+      all.push_back(std::move(type));
+    }
+  }
+  return all;
 }
 
 constexpr int errnos[] = {EIO,    ENXIO,  EREMOTEIO, ETIMEDOUT, EAGAIN, EBUSY, EOPNOTSUPP,
@@ -409,6 +460,7 @@ TEST_SUITE("sensors") {
     for (const TypeInfo& type : standard_registry().sensors().types()) {
       if (type.page.bus.empty()) continue;
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       CHECK_FALSE(type.doc.empty());
       CHECK_FALSE(type.page.notes.empty());
       const auto published = type.page.publishes();
@@ -431,6 +483,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 driver contract: absent at the start, plugged in, unplugged, plugged in again") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       Rig rig(type);
       rig.values = Values::any;
       rig.run();
@@ -460,6 +513,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 driver contract: a required device that is absent ends the set-up, and nothing is left behind") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       Rig rig(type);
       const std::string text = rig.text(R"("rate": "5 Hz", "required": true)");
       if (rig.tells_absence()) {
@@ -476,6 +530,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 driver contract: a transfer that fails gives no value, whatever the bytes and the error") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       for (const int error : errnos) {
         CAPTURE(error);
         Rig rig(type);
@@ -495,6 +550,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 driver contract: transfers that fail at random cost their readings, and make no value wrong") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       for (std::uint64_t seed = 1; seed <= 10; ++seed) {
         CAPTURE(seed);
         Rig rig(type, seed);
@@ -512,6 +568,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 driver contract: zeros, ones and random bytes are unreadable, or values; never a crash") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       for (const Chip chip : {Chip::zeros, Chip::ones, Chip::random}) {
         for (const bool from_the_start : {true, false}) {
           for (std::uint64_t seed = 0; seed < (chip == Chip::random ? 20u : 1u); ++seed) {
@@ -545,6 +602,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("NFR-1 driver contract: a transfer that hangs is given up, and others on the bus go on") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       Rig rig(type);
       rig.wires->chip = Chip::good;
       rig.run();
@@ -565,6 +623,7 @@ TEST_SUITE("sensors") {
       "driver contract: stop, start, another rate, another configuration; no event and no transfer after a stop") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       for (std::uint64_t seed = 0; seed < 10; ++seed) {
         CAPTURE(seed);
         Rig rig(type, seed);
@@ -608,6 +667,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-12 driver contract: two sensors at one place are a mistake of the configuration") {
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       Rig rig(type);
       rig.wires->chip = Chip::good;
       const std::string two = R"({"buses": {"b": )" + bus_of(type.page.bus)->item + R"(}, "sensors": [)" +
@@ -627,6 +687,7 @@ TEST_SUITE("sensors") {
     if (wanted != nullptr) std::istringstream(wanted) >> first >> count;
     for (const TypeInfo& type : drivers()) {
       CAPTURE(type.name);
+      CAPTURE(type.page.bus);
       for (std::uint64_t seed = first; seed < first + count; ++seed) {
         CAPTURE(seed);
         Rig rig(type, seed);

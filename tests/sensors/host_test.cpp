@@ -180,6 +180,7 @@ TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where
   root.file(chip + "fan2_input", "1450\n");
   const std::string fault = root.file(chip + "fan2_fault", "0\n");
   root.file(chip + "humidity1_input", "45500\n");
+  root.file(chip + "energy1_input", "7200000000001\n");  // microjoules: more than 32 bits
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
   std::vector<Error> errors;
@@ -194,6 +195,7 @@ TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where
   const auto h = loop.topic<HostHumidity>("humidity").subscribe(loop, [&](const auto& e) {
     values["humidity"] = e->humidity;
   });
+  const auto j = loop.topic<HostEnergy>("energy").subscribe(loop, [&](const auto& e) { values["energy"] = e->energy; });
   std::vector<HostSensor> sensors;
   const auto add = [&](HostQuantity quantity, const char* device) {
     sensors.emplace_back(loop, SensorConfig{.name = std::string(name_of(quantity)), .rate = 1_Hz, .retry_first = 100ms},
@@ -204,6 +206,7 @@ TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where
   add(HostQuantity::power, "");
   add(HostQuantity::fan, "board");
   add(HostQuantity::humidity, "board/humidity1");
+  add(HostQuantity::energy, "board/energy1");
   loop.advance(500ms);
   REQUIRE(voltage);
   CHECK(voltage->voltage == doctest::Approx(3.3));
@@ -214,6 +217,7 @@ TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where
   CHECK(values["power"] == doctest::Approx(2.5));
   CHECK(values["fan"] == doctest::Approx(1450));
   CHECK(values["humidity"] == doctest::Approx(45.5));
+  CHECK(values["energy"] == doctest::Approx(7200000.000001).epsilon(1e-13));
   CHECK(errors.empty());
 
   // A limit is passed: the value is good all the same. One of two that cannot be read leaves it open.

@@ -18,6 +18,7 @@
 #include "rtdata/sensors/accelerometer.hpp"
 #include "rtdata/sensors/imu.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/spi_bridge.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -294,6 +295,36 @@ TEST_SUITE("sensors") {
         }
         CHECK(bench.loop.runtime().balances());
       }
+    }
+  }
+
+  TEST_CASE("US-11 US-15 on SPI each sample in the FIFO of each model is an event, and I2C is switched off") {
+    for (const Model& model : models) {
+      CAPTURE(model.name);
+      Bench bench(model);
+      const bool is_adxl = model.kind == ChipKind::adxl;
+      auto wires = std::make_shared<FakeSpi>();
+      bridge(*wires, 2, *bench.wires, model.address, {.spi_burst_bit = static_cast<std::uint8_t>(is_adxl ? 0x40 : 0)});
+      SpiBus spi("spi0", wires, {.timeout = 900ms});
+      const SensorConfig config{.name = "s", .rate = 50_Hz};
+      AnySensor sensor;
+      if (is_adxl) {
+        sensor = DriverSensor<Accelerometer>(bench.loop, config, spi, {.chip_select = 2}, {.sample_rate = model.rate});
+      } else {
+        sensor = DriverSensor<Imu>(bench.loop, config, spi, {.chip_select = 2},
+                                   {.model = model.imu, .sample_rate = model.rate});
+      }
+      bench.loop.advance(5s);
+      CHECK(bench.errors.empty());
+      CHECK(static_cast<double>(bench.numbers.size()) == doctest::Approx(5 * model.rate).epsilon(0.03));
+      CHECK(bench.left_out() == 0);
+      CHECK(bench.is_in_order());
+      CHECK(bench.are_whole);
+      CHECK(sensor.counts().lost == 0);
+      const FakeI2cChip& chip = bench.wires->chip(model.address);
+      if (model.kind == ChipKind::lsm9ds1) CHECK(chip.get(0x23) == 0x06);
+      if (model.kind == ChipKind::lsm6dso || model.kind == ChipKind::lsm6ds3) CHECK(chip.get(0x13) == 0x04);
+      CHECK(bench.loop.runtime().balances());
     }
   }
 

@@ -74,8 +74,9 @@ std::string schema(const std::vector<ParameterInfo>& parameters, std::string_vie
 
 /// What a page says of a type beside its parameters. Making one needs nothing of it.
 struct TypePage {
-  std::string bus = {};      ///< of a driver: the type of its bus
-  std::string notes = {};    ///< Markdown: how it is wired, where it may be on its bus, its limits
+  std::string bus = {};                       ///< of a driver: the type of its bus
+  std::vector<std::string> other_buses = {};  ///< of a driver that has a choice: the other types
+  std::string notes = {};                     ///< Markdown: how it is wired, where it may be on its bus, its limits
   std::string aliases = {};  ///< words, parted by blanks, by which people look for it, beside those of its description
   /// What its events hold, with the defaults of its parameters; null: that is not known without them.
   std::shared_ptr<const Description> (*publishes)() = nullptr;

@@ -122,9 +122,11 @@ struct PartPlan {
   std::string stored_by = {};  ///< the sink by which it wants its events to be stored; empty: by any
   /// The place that it takes for itself: on a bus, or a device of the machine.
   struct Place {
-    std::string bus = {};     ///< empty: it is on none
-    std::string text = {};    ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
-    std::string advice = {};  ///< to who wants it, too; empty: to take another
+    std::string bus = {};              ///< empty: it is on none
+    std::string text = {};             ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
+    std::string advice = {};           ///< to who wants it, too; empty: to take another
+    std::string bus_type = {};         ///< of a bus that has such a place; empty: of any that the part may be on
+    std::string advice_on_other = {};  ///< for one of another type
   } place = {};
   std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known

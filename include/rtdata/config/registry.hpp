@@ -153,6 +153,26 @@ decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... 
     return make(arguments...);
 }
 
+/// The parameter that names the bus of a driver, which may be of several types.
+template <class BusOf>
+constexpr NamesPart names_bus() {
+  if constexpr (requires { BusOf::types; }) {
+    return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
+  } else {
+    return names_part("bus", BusOf::type);
+  }
+}
+/// The bus as what the driver takes it for: its class, or a base of that.
+template <class BusOf>
+BusOf& bus_named(const Parts& parts, const std::string& name) {
+  if constexpr (std::is_base_of_v<Bus, BusOf>) {
+    if (Bus* bus = parts.find<Bus>("bus", name)) {
+      if (auto* wanted = dynamic_cast<BusOf*>(bus)) return *wanted;
+    }
+  }
+  return parts.get<BusOf>("bus", name);
+}
+
 }  // namespace config_detail
 
 /// What a configuration says of a sensor that is made of a driver: where its chip is, and the driver's own.
@@ -164,12 +184,14 @@ struct DriverConfig {
   typename D::Config own = {};
   friend constexpr auto parameters(type_tag<DriverConfig>) {
     return parameter_list(parameter("bus", &DriverConfig::bus, "the bus that it is on", required,
-                                    names_part("bus", D::Device::Bus::type)),
+                                    config_detail::names_bus<typename D::Device::Bus>()),
                           include_member(&DriverConfig::place), include_member(&DriverConfig::own));
   }
   friend void check_config(const DriverConfig& config, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(config.own, item, problems); }) check_config(config.own, item, problems);
-    if (const Result<void> good = check_driver<D>(config.own); !good) {
+    if constexpr (requires { check_config(config.place, item, problems); }) check_config(config.place, item, problems);
+    for (const Result<void>& good : {check_driver<D>(config.own), check_place<D>(config.own, config.place)}) {
+      if (good) continue;
       const Error& error = good.error();
       const ConfigItem* at = item.find(error.where);
       problems.add((at != nullptr ? *at : item)
@@ -240,7 +262,12 @@ class Registry {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     TypePage page;
-    page.bus = std::string(BusOf::type);
+    if constexpr (requires { BusOf::types; }) {
+      page.bus = std::string(BusOf::types[0]);
+      page.other_buses.assign(BusOf::types.begin() + 1, BusOf::types.end());
+    } else {
+      page.bus = std::string(BusOf::type);
+    }
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
     if constexpr (requires { std::string(D::aliases); }) page.aliases = std::string(D::aliases);
     if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
@@ -255,10 +282,16 @@ class Registry {
     add_sensor<C>(
         type, std::move(doc), [](const C& config) { return driver_description<D>(config.own); },
         [](Loop& loop, const SensorConfig& common, const C& config, const Parts& parts) {
-          return DriverSensor<D>(loop, common, parts.get<BusOf>("bus", config.bus), config.place, config.own);
+          return DriverSensor<D>(loop, common, config_detail::bus_named<BusOf>(parts, config.bus), config.place,
+                                 config.own);
         },
         [](PartPlan& plan, const C& config) {
-          plan.place = {config.bus, BusOf::text_of(config.place), ""};
+          plan.place.bus = config.bus;
+          plan.place.text = BusOf::text_of(config.place);
+          if constexpr (requires { BusOf::type_of(config.place); }) {
+            plan.place.bus_type = BusOf::type_of(config.place);
+            plan.place.advice_on_other = BusOf::advice_on_other(config.place);
+          }
           plan.holds_bus = bus_time_of<D>(config.own);
         },
         std::move(page));

@@ -89,7 +89,7 @@ class Bus {
 
  protected:
   Bus(std::string name, Duration give_up_after);
-  ~Bus();
+  virtual ~Bus();
   /// The counts of this place, shared by all devices there, which may outlive the bus.
   std::shared_ptr<TransferCounter> counter_of(const std::string& place) const;
 

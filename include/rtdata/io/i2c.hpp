@@ -26,36 +26,13 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/data/config_value.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/data/text_or_number.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/io/bus.hpp"
+#include "rtdata/io/i2c_address.hpp"
+#include "rtdata/io/registers.hpp"
 
 namespace rtdata {
-
-/// An address of 7 bits. In configurations 118 or "0x76".
-struct I2cAddress {
-  static constexpr unsigned first = 0x08;  ///< those below, and above the last, are reserved
-  static constexpr unsigned last = 0x77;
-  unsigned number = 0;
-  constexpr I2cAddress() = default;
-  constexpr I2cAddress(unsigned number_) : number(number_) {}
-  constexpr bool operator==(const I2cAddress&) const = default;
-};
-/// "0x76"
-std::string to_string(I2cAddress address);
-/// Why it is none, and what is meant when it has 8 bits; empty: it is one.
-std::string mistake_in(I2cAddress address);
-
-template <>
-struct ConfigValue<I2cAddress> {
-  static constexpr TextOrNumber accepts{
-      I2cAddress::first, I2cAddress::last,
-      "^(0[xX]0*([89a-fA-F]|[1-6][0-9a-fA-F]|7[0-7])|0*([89]|[1-9][0-9]|1[01][0-9]))$"};
-  static bool read(const ConfigItem& item, I2cAddress& out, Problems& problems);
-  static void write(I2cAddress value, ConfigItem& item) { item.set(to_string(value)); }
-};
 
 /// What carries the transfers: the kernel's adapter, the fake of tests (fake_i2c.hpp), or one of your own.
 /// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
@@ -128,7 +105,7 @@ class I2cDevice : public BusDevice {
   I2cAddress address_;
 };
 
-class I2cBus : public Bus {
+class I2cBus : public RegisterBus {
  public:
   static constexpr std::string_view type = "i2c";
   /// Named as its device. The adapter is opened by the first transfer, and again after it was gone.
@@ -144,6 +121,7 @@ class I2cBus : public Bus {
   TransferCounts counts(I2cAddress address) const { return counts_of(text_of({address})); }
 
  private:
+  RegisterDevice register_device(const RegisterPlace& place) const override;
   std::shared_ptr<I2cDevice::Core> core_;
 };
 

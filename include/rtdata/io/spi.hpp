@@ -27,6 +27,7 @@
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/io/bus.hpp"
+#include "rtdata/io/registers.hpp"
 
 namespace rtdata {
 
@@ -116,7 +117,7 @@ class SpiDevice : public BusDevice {
   SpiPlace place_;
 };
 
-class SpiBus : public Bus {
+class SpiBus : public RegisterBus {
  public:
   static constexpr std::string_view type = "spi";
   /// Named as its device. A chip select is opened by the first transfer, and again after the controller was gone.
@@ -131,9 +132,10 @@ class SpiBus : public Bus {
   /// What the chip has cost the bus. Any thread.
   TransferCounts counts(unsigned chip_select) const { return counts_of(text_of({.chip_select = chip_select})); }
   /// Sensors read on their loop, not on the bus's lane.
-  bool reads_on_loop() const noexcept;
+  bool reads_on_loop() const noexcept override;
 
  private:
+  RegisterDevice register_device(const RegisterPlace& place) const override;
   std::shared_ptr<SpiDevice::Core> core_;
 };
 

@@ -1,4 +1,4 @@
-/// Accelerometer: acceleration of an ADXL345 (16 g) or ADXL375 (200 g) on I2C.
+/// Accelerometer: acceleration of an ADXL345 (16 g) or ADXL375 (200 g) on I2C or SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Accelerometer> shock(loop, {.name = "shock", .rate = 100_Hz}, bus, {.address =
 ///     0x53},
@@ -76,7 +76,8 @@ constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoi
                    .capacity = 33 * 6,  // one more than the FIFO, in the output registers
                    .keeps_whole_samples = true,
                    .data = 0x32},
-          .self_test = self_test};
+          .self_test = self_test,
+          .addressing = {.spi_burst_bit = 0x40}};
 }
 /// At 2.5 V, to the most at 3.3 V.
 inline constexpr InertialSelfTest adxl345_self_test{.acceleration_register = 0x31,
@@ -95,9 +96,11 @@ inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_
 class Accelerometer {
  public:
   static constexpr std::string_view type = "accelerometer";
-  static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C";
+  static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C or SPI";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d.
+  On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, at which the FIFO has the time
+  between two readings that it needs.
 - The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
   emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
 - What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
@@ -135,16 +138,17 @@ class Accelerometer {
     }
   };
   using Value = AccelerometerReading;
-  using Device = I2cDevice;
-  static constexpr I2cDevice::Place place{0x53};
+  using Device = RegisterDevice;
+  static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
+  static constexpr RegisterPlace place{0x53};
 
   /// SetupError (bad-argument): a setting that the chip does not have.
   explicit Accelerometer(const Config& config) : chip_(config.chip(), accelerometer_models::all, config.settings()) {}
   static double sample_rate(const Config& config) { return Accelerometer(config).chip_.sample_rate(); }
   static std::size_t fifo_samples(const Config& config) { return Accelerometer(config).chip_.fifo_samples(); }
-  Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
-  Result<void> read(I2cDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
-  void close(I2cDevice& chip) { chip_.close(chip); }
+  Result<void> open(RegisterDevice& chip) { return chip_.open(chip); }
+  Result<void> read(RegisterDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
+  void close(RegisterDevice& chip) { chip_.close(chip); }
   static Duration bus_time(const Config& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
   using Memory = InertialMemory;
   Memory memory() const noexcept { return chip_.memory(); }

@@ -40,6 +40,8 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/describe.hpp"
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/io/registers.hpp"
+#include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/driver.hpp"
 
 namespace rtdata {
@@ -239,10 +241,11 @@ class Barometer {
   static constexpr std::string_view type = "barometer";
   static constexpr std::string_view aliases = "altimeter";
   static constexpr std::string_view
-      description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C";
+      description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C or SPI";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low,
-  0x77 when it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C.
+  0x77 when it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI
+  (SDA), SCK (SCL), CS (of an MS5611 PS is low then); `chip_select` in place of `address`; to 10 MHz.
 - Range: 300 to 1100 hPa (BMP390: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip goes on
   beyond it, with a greater error.
 - `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
@@ -289,8 +292,20 @@ class Barometer {
     }
   };
   using Value = BarometerReading;
-  using Device = I2cDevice;
-  static constexpr I2cDevice::Place place{0x76};
+  using Device = RegisterDevice;
+  /// BMP388, BMP390: a byte comes before what is read. An MS5611 has commands, which are the same on both buses.
+  static RegisterAddressing addressing(const Config& config) {
+    switch (models[static_cast<std::size_t>(config.model)].family) {
+      case Family::bmp2:
+        return {};
+      case Family::bmp3:
+        return {.spi_dummy_bytes = 1};
+      case Family::ms5:
+        return {.spi_read_bit = 0};
+    }
+    return {};
+  }
+  static constexpr RegisterPlace place{0x76};
 
   /// SetupError (bad-argument): an oversampling that the chip does not have.
   explicit Barometer(const Config& config) : config_(config) {
@@ -315,7 +330,7 @@ class Barometer {
   }
 
   /// Resets it, and reads identity and trimming parameters.
-  Result<void> open(I2cDevice& chip) {
+  Result<void> open(RegisterDevice& chip) {
     switch (model().family) {
       case Family::bmp2:
         return open_bosch(chip, 0xe0, bmp2_);
@@ -327,7 +342,7 @@ class Barometer {
     return {};
   }
 
-  Result<void> start(I2cDevice& chip) {
+  Result<void> start(RegisterDevice& chip) {
     switch (model().family) {
       case Family::bmp2:
         // Humidity is used from the next writing of the other register on (BME280, 5.4.3).
@@ -339,7 +354,7 @@ class Barometer {
         if (auto done = chip.write_register(bmp3_oversampling_register, bmp3_oversampling()); !done) return done;
         return chip.write_register(bmp3_power_register, bmp3_enabled | bmp3_forced);
       case Family::ms5:
-        return command(chip, static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
+        return chip.command(static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
     }
     return {};
   }
@@ -359,7 +374,7 @@ class Barometer {
     return {};
   }
 
-  Reading<BarometerReading> read(I2cDevice& chip) {
+  Reading<BarometerReading> read(RegisterDevice& chip) {
     switch (model().family) {
       case Family::bmp2:
         return read_bmp2(chip);
@@ -435,7 +450,7 @@ class Barometer {
   const Model& model() const noexcept { return models[static_cast<std::size_t>(config_.model)]; }
 
   /// Which of the chips with an identity is there, in words for an error; what the register had when it is none.
-  static std::string seems_to_be(I2cDevice& chip) {
+  static std::string seems_to_be(RegisterDevice& chip) {
     for (const Model& other : models) {
       if (other.family == Family::ms5) continue;
       const Result<std::uint8_t> found = chip.read_register(other.identity_register);
@@ -448,7 +463,7 @@ class Barometer {
   }
 
   template <class Trimming>
-  Result<void> open_bosch(I2cDevice& chip, std::uint8_t reset_register, Trimming& trimming) {
+  Result<void> open_bosch(RegisterDevice& chip, std::uint8_t reset_register, Trimming& trimming) {
     const Result<std::uint8_t> found = chip.read_register(model().identity_register);
     if (!found) return found.error();
     const std::string name(model().name);
@@ -496,14 +511,14 @@ class Barometer {
     return static_cast<std::uint8_t>(log_of(temperature_) << 3 | log_of(pressure_));
   }
 
-  static Unreadable lost_settings(I2cDevice& chip) {
+  static Unreadable lost_settings(RegisterDevice& chip) {
     return Unreadable{
         chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
   }
-  static Error measures_still(I2cDevice& chip) {
+  static Error measures_still(RegisterDevice& chip) {
     return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
   }
-  Reading<BarometerReading> reading_of(I2cDevice& chip, const Result<AirMeasurement>& air) const {
+  Reading<BarometerReading> reading_of(RegisterDevice& chip, const Result<AirMeasurement>& air) const {
     auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());
     if (!made) {
       const Error& error = made.error();
@@ -512,7 +527,7 @@ class Barometer {
     return *made;
   }
 
-  Reading<BarometerReading> read_bmp2(I2cDevice& chip) {
+  Reading<BarometerReading> read_bmp2(RegisterDevice& chip) {
     // Humidity, status, control, configuration, one that is none, and the data.
     constexpr std::size_t data = 0xf7 - bmp2_humidity_register;
     constexpr std::uint8_t measuring = 0x08, mode = 0x03;
@@ -525,7 +540,7 @@ class Barometer {
     return reading_of(chip, bmp2_.measurement(used.subspan(data)));
   }
 
-  Reading<BarometerReading> read_bmp3(I2cDevice& chip) {
+  Reading<BarometerReading> read_bmp3(RegisterDevice& chip) {
     std::array<std::uint8_t, 2> settings{};
     if (auto done = chip.read_registers(bmp3_power_register, settings); !done) return std::move(done).error();
     if ((settings[0] & bmp3_enabled) != bmp3_enabled || settings[1] != bmp3_oversampling()) return lost_settings(chip);
@@ -536,7 +551,6 @@ class Barometer {
     return reading_of(chip, bmp3_.measurement(std::span(bytes).subspan(1)));
   }
 
-  static Result<void> command(I2cDevice& chip, std::uint8_t code) { return chip.write({&code, 1}); }
   /// 0 for 256, 1 for 512 ...
   static unsigned ms5611_index(unsigned oversampling) {
     return static_cast<unsigned>(std::bit_width(oversampling)) - 9;
@@ -546,15 +560,15 @@ class Barometer {
     constexpr int microseconds[] = {600, 1170, 2280, 4540, 9040};
     return std::chrono::microseconds{microseconds[ms5611_index(oversampling)]};
   }
-  static Result<std::uint32_t> ms5611_result(I2cDevice& chip) {
+  static Result<std::uint32_t> ms5611_result(RegisterDevice& chip) {
     std::array<std::uint8_t, 3> bytes{};
     if (auto done = chip.read_registers(0x00, bytes); !done) return std::move(done).error();
     return static_cast<std::uint32_t>(bytes[0] << 16 | bytes[1] << 8 | bytes[2]);
   }
 
-  Result<void> open_ms5611(I2cDevice& chip) {
-    if (auto done = command(chip, 0x1e); !done) return done;  // reset
-    chip.wait(std::chrono::milliseconds{3});                  // 2.8 ms
+  Result<void> open_ms5611(RegisterDevice& chip) {
+    if (auto done = chip.command(0x1e); !done) return done;  // reset
+    chip.wait(std::chrono::milliseconds{3});                 // 2.8 ms
     for (std::size_t i = 0; i < prom_.words.size(); ++i) {
       const Result<std::uint16_t> word = chip.read_word(static_cast<std::uint8_t>(0xa0 + 2 * i));
       if (!word) return word.error();
@@ -568,10 +582,10 @@ class Barometer {
                       seems_to_be(chip));
   }
 
-  Reading<BarometerReading> read_ms5611(I2cDevice& chip) {
+  Reading<BarometerReading> read_ms5611(RegisterDevice& chip) {
     const Result<std::uint32_t> pressure = ms5611_result(chip);
     if (!pressure) return pressure.error();
-    if (auto done = command(chip, static_cast<std::uint8_t>(0x50 | ms5611_index(temperature_) << 1)); !done)
+    if (auto done = chip.command(static_cast<std::uint8_t>(0x50 | ms5611_index(temperature_) << 1)); !done)
       return std::move(done).error();
     chip.wait(ms5611_time(temperature_));
     const Result<std::uint32_t> temperature = ms5611_result(chip);

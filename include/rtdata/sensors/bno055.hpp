@@ -55,8 +55,8 @@ struct OrientationReading {
         field("angular_velocity_x", &R::angular_velocity_x, "rad/s"),
         field("angular_velocity_y", &R::angular_velocity_y, "rad/s"),
         field("angular_velocity_z", &R::angular_velocity_z, "rad/s"),
-        field("magnetic_field_x", &R::magnetic_field_x, "uT"), field("magnetic_field_y", &R::magnetic_field_y, "uT"),
-        field("magnetic_field_z", &R::magnetic_field_z, "uT"), field("calibration_system", &R::calibration_system),
+        field("magnetic_field_x", &R::magnetic_field_x, "T"), field("magnetic_field_y", &R::magnetic_field_y, "T"),
+        field("magnetic_field_z", &R::magnetic_field_z, "T"), field("calibration_system", &R::calibration_system),
         field("calibration_gyroscope", &R::calibration_gyroscope),
         field("calibration_accelerometer", &R::calibration_accelerometer),
         field("calibration_magnetometer", &R::calibration_magnetometer), field("temperature", &R::temperature, "Cel"));
@@ -152,7 +152,7 @@ class Bno055 {
       const auto word = static_cast<std::uint16_t>(bytes[place_of] | bytes[place_of + 1] << 8);
       return static_cast<std::int16_t>(word) / scale;
     };
-    constexpr double acceleration = 100, field = 16, radians = 900, quaternion = 16384;
+    constexpr double acceleration = 100, field = 16e6, radians = 900, quaternion = 16384;
     OrientationReading reading;
     reading.acceleration_x = at(0x08, 0, acceleration);
     reading.acceleration_y = at(0x08, 1, acceleration);

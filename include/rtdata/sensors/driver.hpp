@@ -35,6 +35,9 @@
 /// `static Duration bus_time(const Config&)`, the longest of its calls without the transfers. A bus that would give up
 /// before is refused, by configurations at their place, and by a SetupError.
 ///
+/// A chip with registers that is on I2C or SPI, as the user likes, has `using Device = rtdata::RegisterDevice` and
+/// `static RegisterAddressing addressing(const Config&)` (registers.hpp).
+///
 /// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
 /// start, and `required` means something. One that brings several samples at a time needs an open() for that.
 ///
@@ -159,6 +162,17 @@ Result<void> check_driver(const typename D::Config& config) {
   }
   const auto description = driver_description<D>(config);
   return description ? Result<void>() : Result<void>(description.error());
+}
+
+/// Whether the chip of this Config can be at this place: on SPI, which not all have. Errors: `where` is the key.
+template <Driver D>
+Result<void> check_place(const typename D::Config& config, const typename D::Device::Place& place) {
+  if constexpr (requires { D::addressing(config).without_spi; }) {
+    if (const std::string_view chip = D::addressing(config).without_spi; place.chip_select && !chip.empty())
+      return Error{Errc::bad_argument, "cannot use this chip", "chip_select",
+                   "the " + std::string(chip) + " has no SPI", "put it on I2C, with its `address`"};
+  }
+  return {};
 }
 
 /// For how long a call of the driver holds the bus at most, without the transfers: as it says, and where one reading is
@@ -428,6 +442,7 @@ class DriverDevice final : public detail::LaneDevice {
   static constexpr bool has_memory = requires(D & driver) { driver.remember(driver.memory()); };
   std::shared_ptr<Session> make_session() const {
     auto session = std::make_shared<Session>(config_, bus_.device(place_));
+    if constexpr (requires { D::addressing(config_); }) session->device.set_addressing(D::addressing(config_));
     if constexpr (has_memory) {
       if (memory_) session->driver.remember(*memory_);
     }
@@ -456,6 +471,7 @@ class DriverSensor : public AnySensor {
   static detail::Node* make(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
                             typename D::Device::Place place, typename D::Config config) {
     check_driver<D>(config).or_throw();
+    check_place<D>(config, place).or_throw();
     detail::PayloadType type = detail::driver_payload<D>(config);
     return detail::make_sensor(loop, std::move(sensor), std::move(type),
                                std::make_unique<DriverDevice<D>>(bus, std::move(place), std::move(config)));

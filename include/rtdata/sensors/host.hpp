@@ -43,13 +43,15 @@ enum class HostQuantity {
   power,        ///< HostPower; device: as of `voltage`
   fan,          ///< HostFan; device: as of `voltage`
   humidity,     ///< HostHumidity; device: as of `voltage`
+  energy,       ///< HostEnergy; device: as of `voltage`
 };
 constexpr auto describe(type_tag<HostQuantity>) {
   using enum HostQuantity;
   return enumeration("quantity", value("cpu", cpu), value("load", load), value("memory", memory), value("disk", disk),
                      value("network", network), value("scheduler", scheduler), value("process", process),
                      value("temperature", temperature), value("frequency", frequency), value("voltage", voltage),
-                     value("current", current), value("power", power), value("fan", fan), value("humidity", humidity));
+                     value("current", current), value("power", power), value("fan", fan), value("humidity", humidity),
+                     value("energy", energy));
 }
 
 /// Shares of the time since the last read, "%"; they add up to 100.
@@ -160,6 +162,11 @@ struct HostHumidity {
   std::optional<bool> alarm = {};
   RTDATA_FIELDS(HostHumidity, (humidity, "%"), (alarm))
 };
+/// Counted by the chip since it was switched on, or as its data sheet says: it may begin anew at 0.
+struct HostEnergy {
+  double energy = 0;
+  RTDATA_FIELDS(HostEnergy, (energy, "J"))
+};
 struct HostFrequency {
   double frequency = 0;
   RTDATA_FIELDS(HostFrequency, (frequency, "Hz"))
@@ -177,12 +184,13 @@ struct HostConfig {
         parameter("quantity", &HostConfig::quantity, "what is read", required),
         parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
-                            "power", "fan", "humidity")),
+                            "power", "fan", "humidity", "energy")),
         parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's",
                   TextIs::device),
         parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
                   range(Duration{1ms}, Duration{1h}),
-                  only_with("quantity", "temperature", "frequency", "voltage", "current", "power", "fan", "humidity")));
+                  only_with("quantity", "temperature", "frequency", "voltage", "current", "power", "fan", "humidity",
+                            "energy")));
   }
 };
 

@@ -1,5 +1,5 @@
 /// Imu: acceleration and angular velocity of an MPU-6050, MPU-6500, MPU-9250, LSM6DS3, LSM6DS3TR-C, LSM6DSO, LSM6DSOX
-/// or LSM9DS1 on I2C.
+/// or LSM9DS1 on I2C or SPI (an MPU-6050: I2C).
 ///
 ///     rtdata::DriverSensor<rtdata::Imu> imu(loop, {.name = "imu", .rate = 50_Hz}, bus, {.address = 0x6a},
 ///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
@@ -9,8 +9,8 @@
 /// of an MPU or LSM6DS3 that has run over is emptied, since nobody knows where a sample begins in it; the others keep
 /// the newest samples.
 ///
-/// Magnetometers of an MPU-9250 and an LSM9DS1 are chips of their own (an LSM9DS1's is at 0x1c or 0x1e); nothing is
-/// done with them here. Axes as printed in the data sheet. A chip of another identity is refused.
+/// Magnetometers of an MPU-9250 and an LSM9DS1 are chips of their own (magnetometer.hpp); that of an MPU-9250 is let
+/// onto the bus. Axes as printed in the data sheet. A chip of another identity is refused.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19
 /// scales, 4.28 to 4.32 power and identity; MPU-6500 RM-MPU-6500A-00, MPU-9250 RM-MPU-9250A-00. LSM6DS3, DocID026899:
@@ -85,9 +85,19 @@ inline constexpr InertialWrite mpu6500_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1c, .by_acceleration = 1 << 3},
                                                        {.number = 0x1d, .by_filter = 1},
                                                        {.number = 0x23, .value = 0xf8}};
+// An MPU-9250 also lets the magnetometer that it contains onto the bus.
+inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
+                                                       {.number = 0x6b, .value = 0x01, .pause = 35ms},
+                                                       {.number = 0x19, .by_rate = 1},
+                                                       {.number = 0x1a, .by_filter = 1},
+                                                       {.number = 0x1b, .by_angle = 1 << 3},
+                                                       {.number = 0x1c, .by_acceleration = 1 << 3},
+                                                       {.number = 0x1d, .by_filter = 1},
+                                                       {.number = 0x23, .value = 0xf8},
+                                                       {.number = 0x37, .value = 0x02}};
 inline constexpr InertialWrite mpu_sleeping[] = {{.number = 0x6b, .value = 0x40}};
 /// What the factory has found, within 14 % (register map 4.1): codes of 5 bits, those of acceleration in two pieces.
-inline Result<InertialSixLimits> mpu6050_limits(I2cDevice& chip) {
+inline Result<InertialSixLimits> mpu6050_limits(RegisterDevice& chip) {
   std::array<std::uint8_t, 4> bytes{};
   if (auto done = chip.read_registers(0x0d, bytes); !done) return std::move(done).error();
   InertialSixLimits limits;
@@ -104,7 +114,7 @@ inline Result<InertialSixLimits> mpu6050_limits(I2cDevice& chip) {
   return limits;
 }
 /// Half to one and a half of what the factory has found (AN-MPU-9250A-03); without that, what all chips of it do.
-inline Result<InertialSixLimits> mpu6500_limits(I2cDevice& chip) {
+inline Result<InertialSixLimits> mpu6500_limits(RegisterDevice& chip) {
   std::array<std::uint8_t, 3> angles{}, accelerations{};
   if (auto done = chip.read_registers(0x00, angles); !done) return std::move(done).error();
   if (auto done = chip.read_registers(0x0d, accelerations); !done) return std::move(done).error();
@@ -121,7 +131,7 @@ inline Result<InertialSixLimits> mpu6500_limits(I2cDevice& chip) {
   return limits;
 }
 constexpr InertialSelfTest mpu_self_test(double acceleration_range,
-                                         Result<InertialSixLimits> (*limits_of)(I2cDevice&)) {
+                                         Result<InertialSixLimits> (*limits_of)(RegisterDevice&)) {
   return {.acceleration_register = 0x1c,
           .acceleration_on = 0xe0,
           .angle_register = 0x1b,
@@ -134,7 +144,7 @@ constexpr InertialSelfTest mpu_self_test(double acceleration_range,
 }
 constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::size_t fifo_bytes,
                             std::span<const InertialWrite> setting_up, InertialSelfTest self_test,
-                            double counts_per_degree, double degrees_at_zero) {
+                            double counts_per_degree, double degrees_at_zero, std::string_view without_spi = {}) {
   return {.name = name,
           .identity_register = 0x75,
           .identity = identity,
@@ -144,8 +154,8 @@ constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::s
           .filters = mpu_filters,
           .setting_up = setting_up,
           .sleeping = mpu_sleeping,
-          .fifo = {.off = {.number = 0x6a, .value = 0x04},
-                   .on = {.number = 0x6a, .value = 0x40},
+          .fifo = {.off = {.number = 0x6a, .value = 0x04, .on_spi = 0x10},  // no I2C
+                   .on = {.number = 0x6a, .value = 0x40, .on_spi = 0x10},
                    .status = 0x72,
                    .status_bytes = 2,
                    .count_mask = 0xffff,
@@ -161,7 +171,8 @@ constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::s
           .temperature_at = 6,
           .counts_per_degree = counts_per_degree,
           .degrees_at_zero = degrees_at_zero,
-          .self_test = self_test};
+          .self_test = self_test,
+          .addressing = {.without_spi = without_spi}};
 }
 
 // STMicroelectronics, LSM6D family. Not the lowest rate, at which accelerometer and gyroscope differ.
@@ -178,13 +189,15 @@ inline constexpr InertialChoice lsm6_angles[] = {{125, 1, degrees(4.375e-3)},
 inline constexpr InertialWrite lsm6ds3_setting_up[] = {
     {.number = 0x12, .value = 0x01, .pause = 20ms},
     {.number = 0x12, .value = 0x44},
+    {.number = 0x13, .on_spi = 0x04},  // no I2C
     {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
     {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1, .pause = 80ms},
     {.number = 0x08, .value = 0x09}};
 inline constexpr InertialWrite lsm6dso_setting_up[] = {
     {.number = 0x12, .value = 0x01, .pause = 20ms},
     {.number = 0x12, .value = 0x44},
-    {.number = 0x18, .value = 0xe2},  // without I3C
+    {.number = 0x13, .on_spi = 0x04},  // no I2C
+    {.number = 0x18, .value = 0xe2},   // without I3C
     {.number = 0x10, .by_rate = 1 << 4, .by_acceleration = 1 << 2},
     {.number = 0x11, .by_rate = 1 << 4, .by_angle = 1 << 1, .pause = 80ms},
     {.number = 0x09, .by_rate = 1 << 4 | 1}};
@@ -277,7 +290,7 @@ inline constexpr InertialWrite lsm9ds1_setting_up[] = {
     {.number = 0x22, .value = 0x44},
     {.number = 0x10, .by_rate = 1 << 5, .by_angle = 1 << 3},
     {.number = 0x20, .by_rate = 1 << 5, .by_acceleration = 1 << 3, .pause = 80ms},
-    {.number = 0x23, .value = 0x02}};
+    {.number = 0x23, .value = 0x02, .on_spi = 0x04}};  // no I2C
 inline constexpr InertialWrite lsm9ds1_sleeping[] = {{.number = 0x10}, {.number = 0x20}};
 inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
                                        .identity_register = 0x0f,
@@ -321,9 +334,9 @@ inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
                                                                  {degrees(150), degrees(1000)}}}}};
 
 inline constexpr InertialModel all[] = {
-    mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53),
+    mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53, "MPU-6050"),
     mpu("MPU-6500", 0x70, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
-    mpu("MPU-9250", 0x71, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    mpu("MPU-9250", 0x71, 512, mpu9250_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
     lsm6ds3("LSM6DS3", 0x69, 8192, 0x0fff, 16),
     lsm6ds3("LSM6DS3TR-C", 0x6a, 4096, 0x07ff, 256),
     lsm6dso("LSM6DSO"),
@@ -338,10 +351,11 @@ class Imu {
   static constexpr std::string_view aliases = "gyroscope gyro";
   static constexpr std::string_view description =
       "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
-      "I2C";
+      "I2C or SPI";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
-  Boards with a pin CS have it on 3.3 V for I2C.
+  Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of
+  `address`; an MPU to 1 MHz, the others to 10 MHz. An MPU-6050 has no SPI.
 - The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
   emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 682 of an
   LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
@@ -349,7 +363,7 @@ class Imu {
   within one each time.
 - Times are right within a period: the chips' clocks are not read, their rates are learned.
 - An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
-  chips of their own, and are not read.
+  chips of their own, of type `magnetometer`.
 - `temperature` is with each sample of an MPU; with an LSM only with the newest sample of each read.
 - `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
   bus must be above that.
@@ -393,16 +407,17 @@ class Imu {
     }
   };
   using Value = ImuReading;
-  using Device = I2cDevice;
-  static constexpr I2cDevice::Place place{0x68};
+  using Device = RegisterDevice;
+  static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
+  static constexpr RegisterPlace place{0x68};
 
   /// SetupError (bad-argument): a setting that the chip does not have.
   explicit Imu(const Config& config) : chip_(config.chip(), imu_models::all, config.settings()) {}
   static double sample_rate(const Config& config) { return Imu(config).chip_.sample_rate(); }
   static std::size_t fifo_samples(const Config& config) { return Imu(config).chip_.fifo_samples(); }
-  Result<void> open(I2cDevice& chip) { return chip_.open(chip); }
-  Result<void> read(I2cDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
-  void close(I2cDevice& chip) { chip_.close(chip); }
+  Result<void> open(RegisterDevice& chip) { return chip_.open(chip); }
+  Result<void> read(RegisterDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
+  void close(RegisterDevice& chip) { chip_.close(chip); }
   static Duration bus_time(const Config& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
   using Memory = InertialMemory;
   Memory memory() const noexcept { return chip_.memory(); }

@@ -1,11 +1,12 @@
-/// InertialChip: accelerometers and gyroscopes on I2C that measure by themselves and keep their samples in a FIFO. What
-/// differs between them is data, in an `InertialModel`: registers, codes, the shape of the FIFO, scales, self-test.
+/// InertialChip: accelerometers and gyroscopes on I2C or SPI that measure by themselves and keep their samples in a
+/// FIFO. What differs between them is data, in an `InertialModel`: registers, codes, the shape of the FIFO, scales,
+/// self-test.
 ///
 /// The types `imu` and `accelerometer` (imu.hpp, accelerometer.hpp) are made of it, and have the tables of models:
 ///
 ///     class Tilt {                                       // a driver
 ///       rtdata::InertialChip chip_{model, settings};
-///       Result<void> read(I2cDevice& chip, Samples<Value>& out) {
+///       Result<void> read(RegisterDevice& chip, Samples<Value>& out) {
 ///         return chip_.read(chip, out, [](const InertialSample& sample) { return Value{sample.acceleration[0]}; });
 ///       }
 ///     };
@@ -38,6 +39,8 @@
 
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/io/registers.hpp"
+#include "rtdata/io/spi.hpp"
 #include "rtdata/sensors/driver.hpp"
 
 namespace rtdata {
@@ -58,6 +61,7 @@ struct InertialWrite {
   std::uint8_t value = 0;
   std::uint8_t by_rate = 0, by_acceleration = 0, by_angle = 0, by_filter = 0;
   Duration pause = Duration{0};  ///< that the chip needs afterwards
+  std::uint8_t on_spi = 0;       ///< more bits of the value, where the chip is on SPI
 };
 
 /// How the FIFO is asked and read.
@@ -93,7 +97,7 @@ struct InertialSelfTest {
   std::uint8_t acceleration_output = 0, angle_output = 0;  ///< registers
   double acceleration_range = 0, angle_range = 0;          ///< at which it is done
   InertialSixLimits limits{};
-  Result<InertialSixLimits> (*limits_of)(I2cDevice& chip) = nullptr;  ///< where each chip has its own
+  Result<InertialSixLimits> (*limits_of)(RegisterDevice& chip) = nullptr;  ///< where each chip has its own
 };
 
 struct InertialModel {
@@ -108,6 +112,7 @@ struct InertialModel {
   std::uint8_t temperature_register = 0;                        ///< 0: there is none, or it is in the samples
   double counts_per_degree = 1, degrees_at_zero = 0;
   InertialSelfTest self_test = {};
+  RegisterAddressing addressing = {};
 };
 
 /// What a configuration has chosen; none: the default of the model.
@@ -199,7 +204,8 @@ class InertialChip {
   }
 
   /// Identity, self-test, settings; it measures then.
-  Result<void> open(I2cDevice& chip) {
+  Result<void> open(RegisterDevice& chip) {
+    is_on_spi_ = chip.is_on_spi();
     const Result<std::uint8_t> found = chip.read_register(model_.identity_register);
     if (!found) return found.error();
     if (*found != model_.identity) return another_chip(chip, *found);
@@ -226,13 +232,14 @@ class InertialChip {
 
   /// Empties the FIFO; `make` makes the payload of a sample.
   template <class Value, class Make>
-  Result<void> read(I2cDevice& chip, Samples<Value>& out, const Make& make) {
+  Result<void> read(RegisterDevice& chip, Samples<Value>& out, const Make& make) {
     const InertialFifo& fifo = model_.fifo;
     out.lost_in_fault(std::exchange(unread_, 0));
     // Settings that are lost would look like a chip without news.
     const Result<std::uint8_t> mode = chip.read_register(fifo.on.number);
     if (!mode) return mode.error();
-    if (*mode != value_of(fifo.on)) {
+    // Not those bits: an MPU-9250 clears them by itself.
+    if (((*mode ^ value_of(fifo.on)) & ~fifo.on.on_spi) != 0) {
       out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply"));
       auto done = set_up(chip);
       if (done) give_up_samples(Samples<Value>::now(), out);
@@ -295,7 +302,7 @@ class InertialChip {
   }
 
   /// Sleeps.
-  void close(I2cDevice& chip) {
+  void close(RegisterDevice& chip) {
     for (const InertialWrite& write : model_.sleeping) (void)chip.write_register(write.number, write.value);
   }
 
@@ -354,23 +361,23 @@ class InertialChip {
   }
 
   std::uint8_t value_of(const InertialWrite& write) const noexcept {
-    return static_cast<std::uint8_t>(write.value + rate_->code * write.by_rate +
+    return static_cast<std::uint8_t>(write.value + (is_on_spi_ ? write.on_spi : 0) + rate_->code * write.by_rate +
                                      (acceleration_ != nullptr ? acceleration_->code * write.by_acceleration : 0) +
                                      (angle_ != nullptr ? angle_->code * write.by_angle : 0) +
                                      filter_code_ * write.by_filter);
   }
-  Result<void> write(I2cDevice& chip, const InertialWrite& write) const {
+  Result<void> write(RegisterDevice& chip, const InertialWrite& write) const {
     auto done = chip.write_register(write.number, value_of(write));
     if (done && write.pause > Duration{0}) chip.wait(write.pause);
     return done;
   }
   /// All settings, then the FIFO.
-  Result<void> set_up(I2cDevice& chip) {
+  Result<void> set_up(RegisterDevice& chip) {
     for (const InertialWrite& one : model_.setting_up)
       if (auto done = write(chip, one); !done) return done;
     return empty_fifo(chip);
   }
-  Result<void> empty_fifo(I2cDevice& chip) {
+  Result<void> empty_fifo(RegisterDevice& chip) {
     const InertialFifo& fifo = model_.fifo;
     if (auto done = write(chip, fifo.off); !done) return done;
     if (fifo.over_register != 0) {
@@ -386,7 +393,7 @@ class InertialChip {
     return done;
   }
 
-  Error another_chip(I2cDevice& chip, std::uint8_t found) const {
+  Error another_chip(RegisterDevice& chip, std::uint8_t found) const {
     std::string advice = "look at which chip is at this address, and at `model`";
     for (const InertialModel& other : all_) {
       const Result<std::uint8_t> its = chip.read_register(other.identity_register);
@@ -401,7 +408,7 @@ class InertialChip {
                       std::move(advice));
   }
 
-  Result<std::uint32_t> read_status(I2cDevice& chip) const {
+  Result<std::uint32_t> read_status(RegisterDevice& chip) const {
     std::array<std::uint8_t, 4> bytes{};
     const auto used = std::span(bytes).first(model_.fifo.status_bytes);
     if (auto done = chip.read_registers(model_.fifo.status, used); !done) return std::move(done).error();
@@ -410,7 +417,7 @@ class InertialChip {
       status |= static_cast<std::uint32_t>(used[i]) << 8 * (model_.big_endian ? used.size() - 1 - i : i);
     return status;
   }
-  Result<bool> has_run_over_meanwhile(I2cDevice& chip) const {
+  Result<bool> has_run_over_meanwhile(RegisterDevice& chip) const {
     if (model_.fifo.over_register != 0) {
       const Result<std::uint8_t> over = chip.read_register(model_.fifo.over_register);
       if (!over) return over.error();
@@ -422,7 +429,7 @@ class InertialChip {
   }
 
   /// Whole samples (or words) into `bytes_`; `read`: the bytes that have come.
-  Result<void> read_fifo(I2cDevice& chip, std::size_t filled, std::size_t& read) {
+  Result<void> read_fifo(RegisterDevice& chip, std::size_t filled, std::size_t& read) {
     const InertialFifo& fifo = model_.fifo;
     constexpr std::size_t longest = 1024;  // of a transfer: what all adapters can do
     const std::size_t unit = fifo.is_tagged ? fifo.count_bytes : model_.sample_bytes;
@@ -577,7 +584,7 @@ class InertialChip {
   }
   /// Empties a FIFO of which nobody knows where a sample begins.
   template <class Value>
-  Result<void> restart(I2cDevice& chip, Samples<Value>& out) {
+  Result<void> restart(RegisterDevice& chip, Samples<Value>& out) {
     auto begun = empty_fifo(chip);
     if (begun) give_up_samples(Samples<Value>::now(), out);
     return begun;  // otherwise the next read does it
@@ -585,7 +592,7 @@ class InertialChip {
 
   using Six = std::array<double, 6>;
   /// Acceleration and angular velocity, averaged over some samples.
-  Result<Six> average(I2cDevice& chip) {
+  Result<Six> average(RegisterDevice& chip) {
     const InertialSelfTest& test = model_.self_test;
     Six sum{};
     for (int i = 0; i < averaged; ++i) {
@@ -602,7 +609,7 @@ class InertialChip {
     return sum;
   }
   /// Outputs without and with the force that the chip puts on itself.
-  Result<void> test(I2cDevice& chip) {
+  Result<void> test(RegisterDevice& chip) {
     const InertialSelfTest& test = model_.self_test;
     // At the ranges of the data sheet's limits.
     const auto* acceleration = std::exchange(acceleration_, find(model_.accelerations, test.acceleration_range));
@@ -616,7 +623,7 @@ class InertialChip {
     period_ = period;
     return passed;
   }
-  Result<void> test_at_these_ranges(I2cDevice& chip) {
+  Result<void> test_at_these_ranges(RegisterDevice& chip) {
     const InertialSelfTest& test = model_.self_test;
     for (const InertialWrite& one : model_.setting_up)
       if (auto done = write(chip, one); !done) return done;
@@ -655,6 +662,7 @@ class InertialChip {
   const InertialModel& model_;
   std::span<const InertialModel> all_;
   bool is_tested_;
+  bool is_on_spi_ = false;
   const InertialChoice* rate_ = nullptr;
   const InertialChoice* acceleration_ = nullptr;
   const InertialChoice* angle_ = nullptr;

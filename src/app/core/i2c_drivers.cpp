@@ -1,9 +1,6 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/accelerometer.hpp"
 #include "rtdata/sensors/ads1x15.hpp"
-#include "rtdata/sensors/barometer.hpp"
 #include "rtdata/sensors/bno055.hpp"
-#include "rtdata/sensors/imu.hpp"
 #include "rtdata/sensors/ina.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/nau7802.hpp"
@@ -12,9 +9,6 @@
 namespace rtdata::app {
 
 void add_i2c_drivers(Registry& registry) {
-  registry.add_driver<Barometer>();
-  registry.add_driver<Accelerometer>();
-  registry.add_driver<Imu>();
   registry.add_driver<Bno055>();
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>();

@@ -175,6 +175,7 @@ Registry standard_registry() {
       std::string(ModbusBus::type), "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)",
       [](Runtime&, const std::string& name, const ModbusConfig& config) { return ModbusBus(name, config); });
 #endif
+  app::add_register_drivers(registry);
   app::add_i2c_drivers(registry);
   app::add_spi_drivers(registry);
   app::add_serial_drivers(registry);

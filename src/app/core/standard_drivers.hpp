@@ -5,6 +5,7 @@
 
 namespace rtdata::app {
 
+void add_register_drivers(Registry& registry);  ///< on I2C or SPI
 void add_i2c_drivers(Registry& registry);
 void add_spi_drivers(Registry& registry);
 void add_serial_drivers(Registry& registry);

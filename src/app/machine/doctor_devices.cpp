@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "app/machine/doctor.hpp"
+#include "io/enabling.hpp"
 
 namespace rtdata::app {
 
@@ -62,12 +63,51 @@ std::vector<Finding> examine_chip(const MachineFiles& files, const SystemPlan& p
   return {};
 }
 
+const std::string* text_of(const PartPlan& part, std::string_view key) {
+  const ConfigItem* item = part.item.find(key);
+  return item != nullptr ? item->as_string() : nullptr;
+}
+
+/// A thermometer on 1-Wire, of which the configuration has no file's path.
+std::vector<Finding> examine_w1(const MachineFiles& files, const PartPlan& part) {
+  constexpr const char* cost = "it has no data until that is mended";
+  const std::string* root = text_of(part, "root");
+  const std::string bus = (root != nullptr ? *root : "") + "/sys/bus/w1";
+  if (!files.exists(bus))
+    return {{Severity::fault, part.object(), "there is no 1-Wire bus (" + bus + ")", cost,
+             detail::how_to_enable("/sys/bus/w1")}};
+  const std::string* device = text_of(part, "device");
+  if (device == nullptr || device->empty()) return {};
+  const std::string folder = bus + "/devices/" + *device;
+  if (!files.exists(folder))
+    return {{Severity::fault, part.object(), *device + " is not on the 1-Wire bus", cost,
+             "look at its wires and its pull-up resistor; `rtdata scan` lists those that answer"}};
+  if (!files.exists(folder + "/w1_slave"))
+    return {{Severity::fault, part.object(), *device + " has no driver", cost,
+             "sudo modprobe w1_therm; for good: a line `w1_therm` in /etc/modules"}};
+  return {{Severity::good, part.object(), *device + " is on the 1-Wire bus"}};
+}
+
+/// A receiver behind this machine's gpsd: whether that is installed. Whether it runs, a sensor says.
+std::vector<Finding> examine_gps(const MachineFiles& files, const PartPlan& part) {
+  const std::string* host = text_of(part, "host");
+  if (host != nullptr && *host != "localhost" && *host != "127.0.0.1" && *host != "::1") return {};
+  for (const char* program : {"/usr/sbin/gpsd", "/usr/local/sbin/gpsd", "/usr/bin/gpsd", "/run/gpsd.sock"})
+    if (files.exists(program)) return {};
+  return {{Severity::warning, part.object(), "no gpsd is installed", "it has no data unless gpsd runs in a container",
+           std::string(detail::how_to_start_gpsd)}};
+}
+
 }  // namespace
 
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan) {
   std::vector<Finding> found;
   for (const PartPlan& part : plan.parts) {
     for (Finding& one : examine_chip(files, plan, part)) found.push_back(std::move(one));
+    if (part.kind == "sensor" && part.type == "w1")
+      for (Finding& one : examine_w1(files, part)) found.push_back(std::move(one));
+    if (part.kind == "sensor" && part.type == "gps")
+      for (Finding& one : examine_gps(files, part)) found.push_back(std::move(one));
     std::string device = device_of(part);
     if (device.empty()) continue;
     // An SPI controller has a device for each chip select.

@@ -40,7 +40,13 @@ constexpr Identity identities[] = {
     {{0x6a, 0x6b}, 0x0f, 0x69, "LSM6DS3", {{{"imu", R"("model": "lsm6ds3")"}}}},
     {{0x6a, 0x6b}, 0x0f, 0x6a, "LSM6DS3TR-C", {{{"imu", R"("model": "lsm6ds3trc")"}}}},
     {{0x6a, 0x6b}, 0x0f, 0x68, "LSM9DS1, accelerometer and gyroscope", {{{"imu", R"("model": "lsm9ds1")"}}}},
-    {{0x1c, 0x1e}, 0x0f, 0x3d, "LSM9DS1, magnetometer"},
+    {{0x1c, 0x1e},
+     0x0f,
+     0x3d,
+     "LIS3MDL, or the magnetometer of an LSM9DS1",
+     {{{"magnetometer", R"("model": "lis3mdl")"}, {"magnetometer", R"("model": "lsm9ds1")"}}}},
+    {{0x1e, 0x1e}, 0x0a, 0x48, "HMC5883L", {{{"magnetometer", R"("model": "hmc5883l")"}}}},
+    {{0x0c, 0x0c}, 0x00, 0x48, "AK8963", {{{"magnetometer", R"("model": "ak8963")"}}}},
     {{0x1d, 0x53}, 0x00, 0xe5, "ADXL345 or ADXL375", {{{"accelerometer", R"("model": "adxl345")"}}}},
     {{0x28, 0x29}, 0x00, 0xa0, "BNO055", {{{"bno055"}}}},
 };
@@ -52,7 +58,7 @@ struct Usual {
   std::array<Driven, 3> drivers = {};
 };
 constexpr Usual usual[] = {
-    {0x1e, 0x1e, "HMC5883L"},
+    {0x0d, 0x0d, "QMC5883L", {{{"magnetometer", R"("model": "qmc5883l")"}}}},
     {0x20, 0x22, "a port expander (PCF8574, MCP23017)"},
     {0x23, 0x23, "BH1750, or a port expander", {{{"bh1750"}}}},
     {0x24, 0x27, "a port expander (PCF8574, MCP23017), or a display behind one"},

@@ -327,7 +327,14 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       continue;
     }
     const bool is_known = other->make != nullptr && !use.types.empty();
-    if (!is_known || std::find(use.types.begin(), use.types.end(), other->type) != use.types.end()) continue;
+    if (!is_known) continue;
+    if (std::find(use.types.begin(), use.types.end(), other->type) != use.types.end()) {
+      if (use.kind == "bus" && !part.place.bus_type.empty() && part.place.bus_type != other->type)
+        problems.add(use.item.problem("wrong-part", "the bus " + name + ", at " + place_of_name(*other) +
+                                                        ", is of type " + other->type + ", which has no " +
+                                                        part.place.text + "; " + part.place.advice_on_other));
+      continue;
+    }
     problems.add(use.item.problem("wrong-part", "the " + use.kind + " " + name + ", at " + place_of_name(*other) +
                                                     ", is of type " + other->type + "; this needs " +
                                                     listed(use.types)));

@@ -268,6 +268,7 @@ constexpr HwmonKind hwmon_kinds[] = {
     {HostQuantity::power, "power", 1e-6},
     {HostQuantity::fan, "fan", 1},
     {HostQuantity::humidity, "humidity", 1e-3},
+    {HostQuantity::energy, "energy", 1e-6},
 };
 const HwmonKind& hwmon_kind(HostQuantity quantity) {
   return *std::find_if(std::begin(hwmon_kinds), std::end(hwmon_kinds),
@@ -394,6 +395,7 @@ const Quantity& quantity(HostQuantity what) {
       {power, description_of<HostPower>, make_hwmon<HostPower>, nullptr, 0us, place_of_input},
       {fan, description_of<HostFan>, make_hwmon<HostFan>, nullptr, 0us, place_of_input},
       {humidity, description_of<HostHumidity>, make_hwmon<HostHumidity>, nullptr, 0us, place_of_input},
+      {energy, description_of<HostEnergy>, make_hwmon<HostEnergy>, nullptr, 0us, place_of_input},
   };
   return *std::find_if(std::begin(all), std::end(all), [what](const Quantity& one) { return one.what == what; });
 }

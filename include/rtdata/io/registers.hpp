@@ -1,0 +1,136 @@
+/// RegisterBus, RegisterDevice: chips that have registers of 8 bits, on I2C or on SPI, and one driver for both.
+///
+///     rtdata::I2cBus i2c({.device = "/dev/i2c-1"});
+///     rtdata::DriverSensor<rtdata::Imu> imu(loop, {.name = "imu", .rate = 50_Hz}, i2c, {.address = 0x6a}, config);
+///     rtdata::SpiBus spi({.device = "/dev/spidev0"});
+///     rtdata::DriverSensor<rtdata::Imu> fast(loop, {.name = "fast", .rate = 50_Hz}, spi, {.chip_select = 1}, config);
+///
+/// On SPI the chip select is the place, and the first byte is the register's number with a bit for reading. What
+/// differs between chips is the driver's `static RegisterAddressing addressing(const Config&)`.
+///
+/// Errors: those of i2c.hpp and spi.hpp; bad-argument for a place on the other kind of bus.
+///
+/// Thread: RegisterDevice: one at a time, on the bus's lane.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/io/bus.hpp"
+#include "rtdata/io/i2c_address.hpp"
+
+namespace rtdata {
+
+/// Where a chip with registers is: on SPI if it has a chip select, else on I2C.
+struct RegisterPlace {
+  I2cAddress address = {};
+  std::optional<unsigned> chip_select{};
+  unsigned mode = 3;           ///< of SPI: clock polarity times 2, plus phase
+  unsigned clock = 1'000'000;  ///< Hz, of SPI; controllers take the next lower one that they have
+  friend constexpr auto parameters(type_tag<RegisterPlace>) {
+    return parameter_list(
+        parameter("address", &RegisterPlace::address, "of the chip on an I2C bus, 7 bits, such as \"0x76\""),
+        parameter("chip_select", &RegisterPlace::chip_select, "of the chip on an SPI bus: the 1 of /dev/spidev0.1",
+                  range(0, 255)),
+        parameter("mode", &RegisterPlace::mode, "on SPI: clock polarity times 2, plus phase", range(0, 3)),
+        parameter("clock", &RegisterPlace::clock, "on SPI, at most; lower for long wires", unit("Hz"),
+                  range(1'000, 100'000'000)));
+  }
+  friend void check_config(const RegisterPlace& place, const ConfigItem& item, Problems& problems);
+};
+
+/// How the number of a register is sent.
+struct RegisterAddressing {
+  std::uint8_t i2c_burst_bit = 0;    ///< on I2C, when several registers are read
+  std::uint8_t spi_read_bit = 0x80;  ///< cleared when a register is written
+  std::uint8_t spi_burst_bit = 0;    ///< when several registers are read
+  std::size_t spi_dummy_bytes = 0;   ///< that come before what is read, to 3
+  std::string_view without_spi{};    ///< the chip that has no SPI; empty: it has it
+};
+
+namespace detail {
+/// The bus's own device under a RegisterDevice.
+class RegisterWires {
+ public:
+  virtual ~RegisterWires() = default;
+  virtual Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read) = 0;
+  virtual Result<void> look_at() = 0;
+  virtual Error error(Errc code, std::string what, std::string why, std::string advice) const = 0;
+};
+}  // namespace detail
+
+class RegisterBus;
+
+class RegisterDevice : public BusDevice {
+ public:
+  using Bus = RegisterBus;
+  using Place = RegisterPlace;
+
+  bool is_on_spi() const noexcept { return is_on_spi_; }
+  /// Before the first transfer.
+  void set_addressing(const RegisterAddressing& addressing) noexcept { addressing_ = addressing; }
+
+  Result<void> read_registers(std::uint8_t first, std::span<std::uint8_t> bytes);
+  Result<std::uint8_t> read_register(std::uint8_t number);
+  /// Two registers, the high byte first.
+  Result<std::uint16_t> read_word(std::uint8_t number);
+  Result<void> write_register(std::uint8_t number, std::uint8_t value);
+  /// A command: the byte alone, as it is.
+  Result<void> command(std::uint8_t code) { return wires_->write_read({&code, 1}, {}); }
+  /// Whether the chip can be used: not by a driver of the kernel, for one.
+  Result<void> look_at() { return wires_->look_at(); }
+
+  /// An error of this chip, for drivers: "cannot read the BMP280: bus i2c1, 0x76: ...".
+  Error error(Errc code, std::string what, std::string why, std::string advice = {}) const {
+    return wires_->error(code, std::move(what), std::move(why), std::move(advice));
+  }
+
+ private:
+  friend class I2cBus;
+  friend class SpiBus;
+  /// `base`: the device of the bus, whose counts and whose being given up are this one's too.
+  RegisterDevice(const BusDevice& base, std::shared_ptr<detail::RegisterWires> wires, bool is_on_spi)
+      : BusDevice(base), wires_(std::move(wires)), is_on_spi_(is_on_spi) {}
+  std::shared_ptr<detail::RegisterWires> wires_;
+  RegisterAddressing addressing_;
+  bool is_on_spi_;
+};
+
+/// What I2cBus and SpiBus are to such drivers.
+class RegisterBus : public Bus {
+ public:
+  static constexpr std::array<std::string_view, 2> types{"i2c", "spi"};
+  /// SetupError (bad-argument): no such place on this bus.
+  RegisterDevice device(const RegisterPlace& place) const { return register_device(place); }
+  /// Sensors read on their loop, not on the bus's lane.
+  virtual bool reads_on_loop() const noexcept { return false; }
+  static std::string text_of(const RegisterPlace& place) {
+    return place.chip_select ? "chip select " + std::to_string(*place.chip_select)
+                             : "address " + to_string(place.address);
+  }
+  /// Which of the types of buses has such places, and what to do on the other.
+  static std::string_view type_of(const RegisterPlace& place) { return types[place.chip_select ? 1 : 0]; }
+  static std::string_view advice_on_other(const RegisterPlace& place) {
+    return place.chip_select ? "on I2C, give the chip's `address` and no `chip_select`"
+                             : "on SPI, give the chip's `chip_select`";
+  }
+
+ protected:
+  using Bus::Bus;
+  ~RegisterBus() = default;
+  /// Refuses a place that is on the other kind of bus.
+  void expect(const RegisterPlace& place, std::string_view type) const;
+
+ private:
+  virtual RegisterDevice register_device(const RegisterPlace& place) const = 0;
+};
+
+}  // namespace rtdata
