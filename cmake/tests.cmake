@@ -21,7 +21,7 @@ if(muparser_FOUND)
   set_source_files_properties(tests/contract/handle_contract_test.cpp PROPERTIES COMPILE_DEFINITIONS RTDATA_WITH_MUPARSER)
 endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
-  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP>)
+  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${openssl_FOUND}>:RTDATA_WITH_OPENSSL>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})

@@ -109,6 +109,29 @@ TEST_SUITE("app") {
     CHECK(verdict(none, {.balances = false}) == "nothing lost: 1 event; the ledger does NOT balance");
     CHECK(has(verdict(none, {.balances = false, .unknown = "tier fast"}), "the account is NOT complete: tier fast; "));
     CHECK(has(verdict(none, {.has_loss = true, .not_stored = 5}), "5 events were NOT stored; LOST: "));
+    CHECK(has(verdict(none, {.has_loss = true, .not_stored = 1}), "1 event was NOT stored; LOST: "));
+    none.waiting = 1;
+    CHECK(has(verdict(none, {}), "1 event; 1 waits in a recording to be sent; ledger"));
+    none.waiting = 12;
+    CHECK(has(verdict(none, {}), "1 event; 12 wait in a recording to be sent; ledger"));
+  }
+
+  TEST_CASE("US-32 the table at the end says of each sink what waits for its peer, and for how long") {
+    app::RunAccount account;
+    account.sinks.resize(2);
+    account.sinks[0].name = "collector";
+    account.sinks[0].counts.stored = 30;
+    account.sinks[0].counts.queued = 1200;
+    account.sinks[0].health = Health::faulted;
+    account.sinks[0].reason = "cannot connect";
+    account.sinks[0].backlog = Backlog{9600, Time{1s}, 12min};
+    account.sinks[1].name = "copy";
+    account.sinks[1].backlog = Backlog{};
+    CHECK(app::summary(account, {}, 0) ==
+          "sink       stored  dropped  health   where\n"
+          "collector      30        0  faulted  -\n"
+          "  ! cannot connect; 1200 events (9.6 kB) wait, the oldest for 12 min\n"
+          "copy            0        0  ok       -\n");
   }
 
   TEST_CASE("the live view shows what is not well first, with its reason, and rates as they are") {

@@ -1,17 +1,22 @@
 // A sink that goes through a recording, run from a configuration, over kills and starts; and `rtdata forward`.
 #include <doctest/doctest.h>
 #include <fcntl.h>
+#include <linux/magic.h>
 #include <signal.h>
 #include <sys/file.h>
+#include <sys/vfs.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 #include <thread>
 
 #include "app/process.hpp"
+#include "app/run/data_at_risk.hpp"
 #include "paths.hpp"
+#include "rtdata/app/standard.hpp"
 #include "rtdata/sinks/recording.hpp"
 
 using namespace rtdata;
@@ -72,12 +77,29 @@ TEST_SUITE("app") {
       Process run(folder, program, {"run", "node.json", "--for", "400ms"});
       CHECK(run.end() == 0);
       CHECK_MESSAGE(has(run.out, "wait in a recording to be sent"), run.out);
+      CHECK_MESSAGE(has(run.out, "wait, the oldest for"), run.out);
+      const std::size_t waits = rows_of(folder.path() + "/node.db");
+      Process info(folder, program, {"info", "node.db"});
+      CHECK(info.end() == 0);
+      CHECK_MESSAGE(has(info.out, "sinks that go through this recording\n  copy of "), info.out);
+      CHECK_MESSAGE(has(info.out, ": " + std::to_string(waits) + " events ("), info.out);
+      Process json(folder, program, {"info", "node.db", "--json"});
+      CHECK(json.end() == 0);
+      const auto backlogs = nlohmann::json::parse(json.out).at("backlogs");
+      REQUIRE(backlogs.size() == 1);
+      CHECK(backlogs[0]["sink"] == "copy");
+      CHECK(backlogs[0]["events"] == waits);
+      CHECK(backlogs[0]["oldest"].is_number());
+      CHECK(backlogs[0]["refused"] == 0);
       CHECK_MESSAGE(has(run.out, "ledger balances"), run.out);
     }
     {
       Process run(folder, program, {"run", "node.json", "--for", "400ms"});
       CHECK(run.end() == 0);
       CHECK_MESSAGE(!has(run.out, "wait in a recording"), run.out);
+      Process info(folder, program, {"info", "node.db"});
+      CHECK(info.end() == 0);
+      CHECK_MESSAGE(has(info.out, ": nothing waits\n"), info.out);
     }
     const std::size_t rows = rows_of(folder.path() + "/node.db");
     CHECK(rows > 20);
@@ -155,5 +177,74 @@ TEST_SUITE("app") {
     CHECK(has(checked(R"(, "topics": ["x/#"])", R"(, "through": "recording")"), "is not among those of the recording"));
     CHECK(!has(checked("", R"(, "through": "recording", "from": "beginning")"), "error"));
     CHECK(has(checked("", R"(, "through": "recording", "from": "yesterday")"), "beginning"));
+    CHECK(has(checked(R"(, "batch_time": "500 ms")", R"(, "through": "recording", "batch_time": "20 ms")"),
+              "recording: commits within 20 ms, by `batch_time` of copy; what goes through it: copy\n"));
+    CHECK(has(checked(R"(, "batch_time": "500 ms")", R"(, "through": "recording")"),
+              "recording: commits within 500 ms, by `batch_time` of its own; what goes through it: copy\n"));
+    CHECK(!has(checked("", ""), "commits within"));
+  }
+
+  TEST_CASE("check: `stored_by` of an mqtt sensor names a sink that stores its events") {
+    const Registry registry = standard_registry();
+    const auto checked = [&](const std::string& sensor, const std::string& sinks) {
+      return plan_system(registry, parse_config(R"({"sensors": [{"name": "phone", "type": "mqtt", "topics": ["a"],
+        "topic": "phone", "fields": [{"name": "x"}])" +
+                                                sensor + R"(}], "sinks": [)" + sinks + "]}"))
+          .report();
+    };
+    const std::string recording = R"({"name": "recording", "type": "sqlite", "path": "run.db")";
+    if (has(checked("", recording + "}"), "was built without")) {
+      MESSAGE("skipped: there is no libmosquitto");
+      return;
+    }
+    CHECK(checked(R"(, "stored_by": "recording", "qos": 1)", recording + "}") == "");
+    CHECK(has(checked(R"(, "stored_by": "recoding", "qos": 1)", recording + "}"), "did you mean \"recording\""));
+    CHECK(has(checked(R"(, "stored_by": "recording", "qos": 0)", recording + "}"), "only with `qos` 1"));
+    CHECK(has(checked(R"(, "stored_by": "recording", "qos": 2)", recording + "}"), "only with `qos` 1"));
+    CHECK(has(checked(R"(, "stored_by": "recording", "qos": 1)", recording + R"(, "topics": ["other"]})"),
+              "does not take the topic \"phone\""));
+    CHECK(
+        has(checked(R"(, "stored_by": "far", "qos": 1)",
+                    recording + R"(}, {"name": "far", "type": "tcp", "host": "h", "port": 9, "through": "recording"})"),
+            "goes through a recording: name that"));
+  }
+
+  TEST_CASE("check: within which time a recording commits, and what waits in memory only") {
+    const Registry registry = standard_registry();
+    const SystemPlan plan = plan_system(registry, parse_config(R"({
+      "sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "1 Hz"}],
+      "sinks": [{"name": "card", "type": "sqlite", "path": "card.db", "profile": "card"},
+                {"name": "other", "type": "sqlite", "path": "other.db"},
+                {"type": "tcp", "name": "now", "host": "h", "port": 9, "queue_bytes": 4000000},
+                {"type": "udp", "name": "view", "host": "h"},
+                {"type": "tcp", "name": "slow", "host": "h", "port": 9, "through": "card", "batch_time": "1 min"},
+                {"type": "tcp", "name": "fast", "host": "h", "port": 9, "through": "card", "batch_time": "3 s"},
+                {"type": "console"}]})"));
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    CHECK(app::latencies(plan) ==
+          std::vector<std::string>{
+              "card: commits within 3 s, by `batch_time` of fast; what goes through it: slow, fast"});
+    CHECK(app::only_in_memory(plan).starts_with("events for now (4.0 MB), view (4.2 MB) wait in memory only: "));
+  }
+
+  TEST_CASE("check: a recording on tmpfs that sinks go through loses what waits when the machine restarts") {
+    struct statfs about {};
+    if (::statfs("/dev/shm", &about) != 0 || about.f_type != TMPFS_MAGIC) {
+      MESSAGE("skipped: /dev/shm is no tmpfs");
+      return;
+    }
+    const Registry registry = standard_registry();
+    const auto warned = [&](const std::string& through) {
+      const SystemPlan plan = plan_system(registry, parse_config(R"({
+        "sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "1 Hz"}],
+        "sinks": [{"name": "recording", "type": "sqlite", "path": "/dev/shm/rtdata-check-test.db"},
+                  {"type": "tcp", "name": "far", "host": "h", "port": 9)" +
+                                                                 through + "}]}"));
+      REQUIRE_MESSAGE(plan.good(), plan.report());
+      return plan.document.report(plan.warnings, "warning: ");
+    };
+    CHECK_MESSAGE(has(warned(R"(, "through": "recording")"), "is on a file system in memory"),
+                  warned(R"(, "through": "recording")"));
+    CHECK(!has(warned(""), "in memory"));
   }
 }

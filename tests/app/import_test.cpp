@@ -105,6 +105,11 @@ TEST_SUITE("app") {
     refuses({"short.csv", "--time", "t"}, "short.csv:3");
     refuses({"text.csv", "--time", "t"}, "text.csv:3");
     refuses({"far.csv", "--time", "t"}, "far.csv:2");
+    refuses({"far.csv", "--time", "t"}, "look at --scale");
+    folder.write("both.csv", "t,v,t\n1,2,3\n");
+    refuses({"both.csv", "--time", "t"}, "it has 2 columns t: give one of them another heading");
+    folder.write("units.csv", "t [ms],v,t [s]\n1,2,3\n");
+    refuses({"units.csv", "--time", "t"}, "it has 2 columns t: write --time with the unit");
     refuses({"quote.csv", "--time", "t"}, "quote.csv:2");
     refuses({"empty.csv", "--time", "t"}, "it is empty");
     refuses({"head.csv", "--time", "t"}, "it has no rows");

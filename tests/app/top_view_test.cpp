@@ -55,6 +55,22 @@ std::vector<std::string> shown(const Json& of, std::size_t rows = 23) {
 }  // namespace
 
 TEST_SUITE("app") {
+  TEST_CASE("US-32 top says what waits in the recording that a sink goes through, for how long, and until when") {
+    Json of = status(1, 3);
+    const auto shown_of = [&](Json backlog) {
+      of["sinks"][0]["backlog"] = std::move(backlog);
+      const std::vector<std::string> lines = shown(of, 40);
+      const std::size_t at = line_of(lines, "sink1 ");
+      return at + 1 < lines.size() ? lines[at + 1] : std::string();
+    };
+    CHECK(shown_of(nullptr).starts_with("sink2 "));
+    CHECK(shown_of({{"events", 0}, {"bytes", 0}, {"age_s", 0}, {"catch_up_s", 0}}).starts_with("sink2 "));
+    CHECK(shown_of({{"events", 1200}, {"bytes", 9600}, {"age_s", 720.0}, {"catch_up_s", 40.0}}) ==
+          "  - 1200 events (9.6 kB) wait, the oldest for 12 min; sent in about 40 s");
+    CHECK(shown_of({{"events", 1}, {"bytes", 8}, {"age_s", 3.0}, {"catch_up_s", nullptr}}) ==
+          "  - 1 event (8 B) waits, the oldest for 3.0 s; it does not become less");
+  }
+
   TEST_CASE("NFR-5 top has all where there is room, and without callbacks and parts where there is less") {
     const std::vector<std::string> all = shown(status(3, 1), 40);
     CHECK(line_of(all, "s3 ") < all.size());

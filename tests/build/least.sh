@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")/../.."
 cmake -G Ninja -B build/least -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DRTDATA_WERROR=ON \
-    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_MUPARSER=OFF
+    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_MUPARSER=OFF -DRTDATA_OPENSSL=OFF
 cmake --build build/least -j "$(nproc)" --target rtdata_main
 program=$PWD/build/least/rtdata
 

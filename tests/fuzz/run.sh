@@ -8,7 +8,7 @@ mkdir -p "$out"
 # What parses, without the loop: the data layer, reports of gpsd, sentences of NMEA, and the configuration layer up to the
 # making of parts.
 sources="$(ls src/data/*.cpp src/config/read/*.cpp src/config/schema/*.cpp) src/config/plan/load.cpp src/config/plan/secret.cpp
-  src/loop/events/topic_name.cpp src/sensors/gps/gps_report.cpp src/sensors/serial/nmea.cpp
+  src/loop/events/topic_name.cpp src/sensors/gps/gps_report.cpp src/sensors/serial/nmea.cpp src/sensors/serial/line_decoder.cpp src/sensors/core/sysfs_file.cpp
   src/io/iio.cpp src/io/iio_layout.cpp src/io/kernel_file.cpp src/sensors/kernel/pps_time.cpp src/sensors/kernel/w1_text.cpp
   src/process/expression.cpp src/process/expression_tree.cpp"
 # What a replay needs beside: the whole library, and that of recordings.

@@ -15,6 +15,7 @@
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/broker.hpp"
+#include "sinks/certificates.hpp"
 #include "sinks/scripted_peer.hpp"
 
 using namespace rtdata;
@@ -42,7 +43,9 @@ std::vector<LineField> charge_fields() {
 /// Publishes on the test's thread, and returns once the broker has it (QoS 1 and 2).
 class Publisher {
  public:
-  explicit Publisher(std::uint16_t port) : client_(::mosquitto_new(nullptr, true, this)) {
+  /// `ca`: file of the certificate by which it knows the broker; empty: without TLS.
+  explicit Publisher(std::uint16_t port, const std::string& ca = "") : client_(::mosquitto_new(nullptr, true, this)) {
+    if (!ca.empty()) ::mosquitto_tls_set(client_, ca.c_str(), nullptr, nullptr, nullptr, nullptr);
     ::mosquitto_publish_callback_set(client_,
                                      [](mosquitto*, void* self, int) { ++static_cast<Publisher*>(self)->done_; });
     REQUIRE(::mosquitto_connect(client_, "127.0.0.1", port, 60) == MOSQ_ERR_SUCCESS);
@@ -152,6 +155,39 @@ TEST_SUITE("sensors") {
         CHECK(sensor.counts().published == before + 300);
         CHECK_MESSAGE(bench.errors.empty(), bench.first_error());
       }
+    }
+  }
+
+  TEST_CASE("FW-4 with TLS messages come, and none of a broker whose certificate is not right") {
+    NEEDS_BROKER();
+    NEEDS_PROGRAM(openssl);
+    const Certificates& certificates = Certificates::all();
+    const struct {
+      const char* certificate;
+      bool knows_authority;
+    } cases[] = {{"right", true}, {"right", false}, {"self", true}, {"expired", true}, {"other", true}};
+    for (const auto& one : cases) {
+      CAPTURE(one.certificate);
+      CAPTURE(one.knows_authority);
+      const auto files = certificates.of(one.certificate);
+      Broker broker("allow_anonymous true\ncertfile " + files[0] + "\nkeyfile " + files[1] + "\n");
+      Hearing bench;
+      const std::string ca = certificates / "ca.pem";
+      MqttSensor sensor(bench.loop, {.name = "phone"},
+                        bench.from(broker.port(), {.broker = {.tls = MqttTls{.ca = one.knows_authority ? ca : ""}},
+                                                   .topics = {"a/#"}}));
+      if (std::string(one.certificate) != "right" || !one.knows_authority) {
+        CHECK(bench.wait_for([&] { return sensor.health() == Health::faulted && !bench.errors.empty(); }));
+        CHECK(bench.has_error("certificate"));
+        CHECK(sensor.counts().published == 0);
+        continue;
+      }
+      Publisher publisher(broker.port(), ca);
+      until_heard(bench, publisher, "a/b");
+      for (int i = 0; i < 50; ++i) publisher.publish("a/b", R"({"level": )" + std::to_string(i) + "}");
+      CHECK(bench.wait_for([&] { return bench.heard.size() >= 50; }));
+      CHECK(bench.heard.size() == 50);
+      CHECK(bench.errors.empty());
     }
   }
 

@@ -57,6 +57,7 @@ class Broker {
     ::waitpid(process_, nullptr, 0);
     process_ = -1;
   }
+  void signal(int number) const { ::kill(process_, number); }
   std::uint16_t port() const { return port_; }
   std::string log() const { return content(directory_ / "log"); }
   std::string write(const std::string& name, const std::string& text) {

@@ -7,6 +7,7 @@
 
 #include <map>
 
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/sqlite.hpp"
@@ -50,6 +51,28 @@ void check_all_once(HttpBench& bench, const HttpServer& server) {
 }  // namespace
 
 TEST_SUITE_BEGIN("sinks");
+
+TEST_CASE("US-32 a server of HTTP gets the final account in the last request, when it is asked for") {
+  if (!is_program(python)) {
+    MESSAGE("skipped: there is no python3");
+    return;
+  }
+  HttpServer server;
+  HttpBench bench({.url = server.url(), .sink = {.topics = {"#", account_topic}}});
+  bench.publish(42);
+  CHECK(bench.is_all_sent());
+  bench.publish(3);
+  std::optional<std::uint64_t> lost;
+  bench.loop.drain(20s, [&](std::uint64_t count) { lost = count; });
+  CHECK(wait_for(bench.loop, [&] { return lost.has_value(); }));
+  CHECK(lost == 0);
+  const auto events = server.events();
+  REQUIRE(events.size() == 46);
+  CHECK(events.back()["topic"] == account_topic);
+  CHECK(events.back()["run"] == events.front()["run"]);
+  CHECK(events.back()["data"]["name"] == "chamber");
+  CHECK(events.back()["data"]["published"] == 45);
+}
 
 TEST_CASE("US-32 events go out by HTTP: JSON in arrays, with their keys, many on one connection") {
   NEEDS_PYTHON();

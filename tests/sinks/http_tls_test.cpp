@@ -7,6 +7,7 @@
 
 #include <fstream>
 
+#include "sinks/certificates.hpp"
 #include "sinks/http_bench.hpp"
 
 using namespace rtdata;
@@ -16,54 +17,9 @@ using Json = HttpServer::Json;
 
 namespace {
 
-const std::string openssl = "/usr/bin/openssl";
 const std::string nginx = "/usr/sbin/nginx";
 
 bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
-
-/// An authority, and certificates of a server on this machine: right, expired, self-signed, of another name; one of a
-/// client, with a password on its key. Made once.
-class Certificates {
- public:
-  static const Certificates& all() {
-    static const Certificates made;
-    return made;
-  }
-  std::string operator/(const std::string& name) const { return folder_.path() + "/" + name; }
-  std::vector<std::string> of(const std::string& name) const {
-    return {*this / (name + ".pem"), *this / (name + ".key")};
-  }
-
- private:
-  Certificates() {
-    const std::string key = " -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes ";
-    run("req -x509" + key + "-keyout ca.key -out ca.pem -days 30 -subj /CN=authority");
-    run("req -x509" + key +
-        "-keyout self.key -out self.pem -days 30 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1");
-    const auto signed_by_ca = [&](const std::string& name, const std::string& names, const std::string& days) {
-      run("req" + key + "-keyout " + name + ".key -out " + name + ".csr -subj /CN=" + name);
-      folder_.write(name + ".ext", "subjectAltName=" + names + "\n");
-      run("x509 -req -in " + name + ".csr -CA ca.pem -CAkey ca.key -CAcreateserial -days " + days + " -extfile " +
-          name + ".ext -out " + name + ".pem");
-    };
-    signed_by_ca("right", "DNS:localhost,IP:127.0.0.1", "30");
-    signed_by_ca("expired", "DNS:localhost,IP:127.0.0.1", "-1");
-    signed_by_ca("other", "DNS:other.example", "30");
-    signed_by_ca("client", "DNS:node7", "30");
-    run("ec -in client.key -aes128 -passout pass:key-s3cret -out locked.key");
-  }
-  void run(const std::string& arguments) const {
-    const std::string command = "cd " + folder_.path() + " && " + openssl + " " + arguments + " 2>>errors";
-    REQUIRE_MESSAGE(std::system(command.c_str()) == 0, folder_.read("errors"));
-  }
-  rtdata::test::Folder folder_;
-};
-
-#define NEEDS_PROGRAM(program)                     \
-  if (!is_program(program)) {                      \
-    MESSAGE("skipped: there is no " << (program)); \
-    return;                                        \
-  }
 
 /// A port of this machine that is free now.
 std::string free_port() {

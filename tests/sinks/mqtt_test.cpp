@@ -11,11 +11,14 @@
 
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 #include <set>
 #include <thread>
 
 #include "rtdata/data/codec.hpp"
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/mqtt.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sinks/broker.hpp"
@@ -93,6 +96,11 @@ struct Bench {
   }
 };
 
+struct Words {
+  text<1000> words;
+  RTDATA_FIELDS(Words, (words))
+};
+
 double value_of(const std::string& message) {
   auto codec = make_json_codec();
   return decode<Number>(*codec, std::as_bytes(std::span(message))).or_throw().data.value;
@@ -129,6 +137,30 @@ TEST_SUITE("sinks") {
         CHECK(bench.loop.close(2s) == 0);
       }
     }
+  }
+
+  TEST_CASE("US-32 a broker gets the final account as the last message, when it is asked for") {
+    NEEDS_BROKER();
+    Broker broker;
+    Bench bench;
+    Listener listener(broker.port());
+    MqttConfig config = bench.to(broker.port(), {.topic = "plant/{topic}"});
+    config.sink.topics = {"#", account_topic};
+    MqttSink sink(bench.loop, config);
+    Feed<Number> feed(bench.loop, {.name = "chamber", .topic = "a/b"});
+    for (int i = 1; i <= 5; ++i) feed.publish({static_cast<double>(i)});
+    CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() == 5; }));
+    feed.publish({6});
+    CHECK(bench.loop.close(5s) == 0);
+    for (int i = 0; i < 500 && listener.messages.size() < 7; ++i) {
+      listener.hear();
+      std::this_thread::sleep_for(10ms);  // the broker is another program
+    }
+    REQUIRE(listener.messages.size() == 7);
+    CHECK(listener.messages.back().first == std::string("plant/") + account_topic);
+    const auto account = nlohmann::json::parse(listener.messages.back().second);
+    CHECK(account["data"]["name"] == "chamber");
+    CHECK(account["data"]["published"] == 6);
   }
 
   TEST_CASE("US-32 a broker that is absent, killed and started again gets everything: nothing is lost") {
@@ -170,7 +202,7 @@ TEST_SUITE("sinks") {
     CHECK(values.size() == 1200);
   }
 
-  TEST_CASE("a topic that the broker's access control refuses is told, dropped and counted, and the others arrive") {
+  TEST_CASE("what the broker's access control does not permit is kept, told, and sent once it is permitted") {
     NEEDS_BROKER();
     Directory directory;
     std::ofstream(directory / "acl") << "topic read #\ntopic write good\n";
@@ -178,17 +210,85 @@ TEST_SUITE("sinks") {
     for (const std::uint8_t qos : {std::uint8_t{1}, std::uint8_t{2}}) {
       CAPTURE(int{qos});
       Bench bench;
+      std::ofstream(directory / "acl") << "topic read #\ntopic write good\n";
+      broker.kill();
+      broker.start();
+      Listener listener(broker.port());
       MqttSink sink(bench.loop, bench.to(broker.port(), {.qos = qos}));
       bench.publish(5, "good");
       bench.publish(3, "bad");
+      CHECK(bench.wait_for([&] { return sink.health() == Health::faulted; }));
+      CHECK(sink.status().reason.find("the broker refuses the event") != std::string::npos);
+      CHECK(sink.status().reason.find("ot authorized") != std::string::npos);
+      // However often it is tried: nothing is thrown away, and what the broker has is not sent again.
+      for (int turn = 0; turn < 60; ++turn) CHECK(bench.wait_for([&] { return listener.hear(), true; }));
+      CHECK(sink.counts().queued == 8);
+      CHECK(sink.counts().all_dropped() == 0);
+      CHECK(listener.messages.size() == 5);
+      std::ofstream(directory / "acl") << "topic read #\ntopic write good\ntopic write bad\n";
+      broker.signal(SIGHUP);  // it reads the file again
+      CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() >= 8; }));
       CHECK(bench.wait_for([&] { return sink.counts().queued == 0; }));
-      CHECK(sink.counts().stored == 5);
-      CHECK(sink.counts().dropped[refused] == 3);
-      CHECK(bench.has_error("the broker refuses the event"));
+      CHECK(sink.counts().stored == 8);
+      CHECK(listener.messages.size() == 8);
       CHECK(sink.health() == Health::ok);
       CHECK(sink.counts().balances());
       CHECK(bench.loop.close(2s) == 0);
     }
+  }
+
+  TEST_CASE("US-32 of MQTT 3.1.1 an event that is too large for the broker is found and refused, the others arrive") {
+    NEEDS_BROKER();
+    Broker broker("allow_anonymous true\nmax_packet_size 600\n");
+    for (const MqttVersion version : {MqttVersion::newest, MqttVersion::v311}) {
+      CAPTURE(static_cast<int>(version));
+      Bench bench;
+      Listener listener(broker.port());
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.version = version}));
+      bench.publish(20);
+      bench.loop.topic<Words>("words").publish({"short"});
+      bench.loop.topic<Words>("words").publish({std::string(900, 'x')});
+      bench.loop.topic<Words>("words").publish({"short, too"});
+      bench.publish(20);
+      CHECK(bench.wait_for([&] { return listener.hear(), sink.counts().queued == 0; }));
+      CHECK(sink.counts().stored == 42);
+      CHECK(sink.counts().dropped[refused] == 1);
+      // What was on its way when the broker ended a connection comes a second time.
+      std::set<std::pair<std::string, std::string>> once;
+      CHECK(bench.wait_for([&] {
+        listener.hear();
+        once.insert(listener.messages.begin(), listener.messages.end());
+        return once.size() >= 42;
+      }));
+      CHECK(once.size() == 42);
+      CHECK(
+          bench.has_error(version == MqttVersion::v311 ? "is larger than its limit for packets" : "size of the event"));
+      CHECK(bench.wait_for([&] { return sink.health() == Health::ok; }));
+      CHECK(sink.counts().balances());
+      CHECK(bench.loop.close(2s) == 0);
+    }
+  }
+
+  TEST_CASE("of MQTT 3.1.1 a broker that goes away again and again costs no event") {
+    NEEDS_BROKER();
+    Broker broker;
+    broker.kill();
+    Bench bench;
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.version = MqttVersion::v311}));
+    bench.publish(200);
+    for (int round = 0; round < 6; ++round) {
+      broker.start();
+      const MonotonicTime begin = bench.loop.now();
+      CHECK(bench.wait_for([&] { return bench.loop.now() - begin > 100ms * round; }));
+      bench.publish(20);
+      broker.kill();
+    }
+    broker.start();
+    CHECK(bench.wait_for([&] { return sink.counts().queued == 0; }));
+    CHECK(sink.counts().stored == 320);
+    CHECK(sink.counts().all_dropped() == 0);
+    CHECK(sink.counts().balances());
+    CHECK(bench.loop.close(2s) == 0);
   }
 
   TEST_CASE("a broker that refuses the password keeps the sink faulted, and costs no event") {

@@ -3,9 +3,12 @@
 
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <sstream>
 
 #include "rtdata/data/codec.hpp"
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/tcp.hpp"
 #include "rtdata/sinks/udp.hpp"
 #include "sensors/fake_gpsd.hpp"
@@ -156,6 +159,35 @@ TEST_SUITE("sinks") {
       CHECK(bench.errors.empty());
       CHECK(bench.loop.close(1s) == 0);
       CHECK(bench.missed == 0);
+    }
+  }
+
+  TEST_CASE("US-32 a TCP server gets the final account as the last of all, when it is asked for") {
+    for (const bool is_wanted : {true, false}) {
+      CAPTURE(is_wanted);
+      Bench bench;
+      TcpPeer peer;
+      TcpConfig config = to(peer.port());
+      if (is_wanted) config.sink.topics = {"#", account_topic};
+      TcpSink sink(bench.loop, config);
+      Feed<Number> feed(bench.loop, {.name = "chamber", .topic = "a/b"});
+      feed.publish({1});
+      REQUIRE(bench.wait_for([&] { return peer.accept(); }));
+      for (int i = 2; i <= 5; ++i) feed.publish({static_cast<double>(i)});
+      CHECK(bench.loop.close(2s) == 0);
+      std::string text;
+      for (int i = 0; i < 100; ++i) text += peer.received();
+      std::vector<nlohmann::json> lines;
+      std::istringstream stream(text);
+      for (std::string line; std::getline(stream, line);) lines.push_back(nlohmann::json::parse(line));
+      REQUIRE(lines.size() == (is_wanted ? 6 : 5));
+      if (!is_wanted) continue;
+      CHECK(lines.back()["topic"] == account_topic);
+      CHECK(lines.back()["run"] == lines.front()["run"]);
+      CHECK(lines.back()["data"]["name"] == "chamber");
+      CHECK(lines.back()["data"]["topic"] == "a/b");
+      CHECK(lines.back()["data"]["published"] == 5);
+      CHECK(lines.back()["data"]["lost_is_known"] == false);
     }
   }
 

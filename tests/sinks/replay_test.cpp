@@ -178,6 +178,42 @@ TEST_CASE("FW-5 a part of the time, and a run that was not closed, are replayed 
   CHECK(number(sealed, "SELECT sum(has_schedule) FROM rtdata_ledger") == 0);
 }
 
+namespace {
+
+struct First {
+  double a = 0;
+  RTDATA_FIELDS(First, (a))
+};
+struct Second {
+  double a = 0, b = 0;
+  RTDATA_FIELDS(Second, (a), (b))
+};
+
+}  // namespace
+
+TEST_CASE("a replay of topics that are not there names those that are, each once") {
+  const Folder folder;
+  const std::string path = folder / "changed.db";
+  for (const bool is_first : {true, false}) {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    if (is_first)
+      loop.topic<First>("x").publish({1});
+    else
+      loop.topic<Second>("x").publish({1, 2});
+    loop.advance(2s);
+    CHECK(loop.close() == 0);
+  }
+  Again again(path);
+  CHECK_THROWS_WITH_AS(Replay(again.loop, {.file = path, .run = 2, .topics = {"none"}}),
+                       doctest::Contains("its topics are x"), SetupError);
+  try {
+    Replay(again.loop, {.file = path, .run = 2, .topics = {"none"}});
+  } catch (const SetupError& error) {
+    CHECK(std::string(error.what()).find("x, x") == std::string::npos);
+  }
+}
+
 TEST_CASE("FW-5 a replay chooses topics, renames them and the origins, and is as fast as it is told to be") {
   const Folder folder;
   const std::string path = make(folder);

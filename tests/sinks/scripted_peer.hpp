@@ -26,6 +26,7 @@ class ScriptedPeer final : public rtdata::Sender {
     rtdata::SendingConfig sending = {.window = 2, .parcel_rows = 10, .timeout = std::chrono::seconds{1}};
     /// What becomes of a parcel; none: it is acknowledged at once.
     std::function<void(const rtdata::Parcel& parcel, rtdata::Answer answer)> on_send;
+    std::function<void()> on_begin;
     std::vector<Event> events;  // that were acknowledged by `take`
     std::vector<rtdata::Answer> held;
     std::vector<const rtdata::Parcel*> held_parcels;
@@ -61,7 +62,10 @@ class ScriptedPeer final : public rtdata::Sender {
 
   explicit ScriptedPeer(std::shared_ptr<Script> script) : script_(std::move(script)) {}
   rtdata::SendingConfig sending() const override { return script_->sending; }
-  void begin(rtdata::Loop&) override { ++script_->begun; }
+  void begin(rtdata::Loop&) override {
+    if (script_->on_begin) script_->on_begin();
+    ++script_->begun;
+  }
   rtdata::Result<void> encode(const rtdata::Record& record, std::vector<std::byte>& out) override {
     const auto value = record.view().value("value");
     if (value && *value == rtdata::Value{script_->unencodable})

@@ -191,6 +191,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("a sink whose loop goes first has stored what was queued") {
     for (const SinkKind& kind : sink_kinds()) {
       CAPTURE(kind.name);
+      if (kind.is_sender) continue;
       const auto store = kind.make();
       Sink sink;
       {

@@ -1,6 +1,9 @@
 #include "sinks/sink_kinds.hpp"
 
+#include <arpa/inet.h>
 #include <fcntl.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -16,6 +19,7 @@
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
 #include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/sinks/tcp.hpp"
 #include "sinks/sqlite/database.hpp"
 
 namespace sinks {
@@ -128,6 +132,53 @@ class ScriptedStore final : public Store {
   Duration lane_duration_;
 };
 
+/// A server that has a connection for each sink, and reads when it is asked for its rows.
+class TcpStore final : public Store {
+ public:
+  TcpStore() {
+    listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    if (::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 || ::listen(listener_, 16) != 0 ||
+        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size) != 0)
+      throw std::runtime_error("no server");
+    port_ = ntohs(address.sin_port);
+  }
+  ~TcpStore() override {
+    ::close(listener_);
+    for (const auto& [connection, text] : connections_) ::close(connection);
+  }
+  Sink make(Loop& loop, SinkConfig config) override {
+    return TcpSink(loop, {.host = "127.0.0.1", .port = port_, .sink = std::move(config)});
+  }
+  std::vector<Row> rows() override {
+    for (int one; (one = ::accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)) >= 0;)
+      connections_.emplace_back(one, "");
+    const auto codec = make_json_codec();
+    std::vector<Row> all;
+    for (auto& [connection, text] : connections_) {
+      char buffer[65536];
+      for (ssize_t got; (got = ::read(connection, buffer, sizeof buffer)) > 0;)
+        text.append(buffer, static_cast<std::size_t>(got));
+      std::istringstream lines(text);
+      for (std::string line; std::getline(lines, line);) {
+        const auto event = codec->decode(std::as_bytes(std::span(line)), *description_of<Number>()).or_throw();
+        Number number;
+        std::memcpy(&number, event.payload.data(), sizeof number);
+        all.push_back({event.topic, event.sequence.value(), number.value});
+      }
+    }
+    return all;
+  }
+
+ private:
+  int listener_ = -1;
+  std::uint16_t port_ = 0;
+  std::vector<std::pair<int, std::string>> connections_;
+};
+
 std::vector<SinkKind>& added_kinds() {
   static std::vector<SinkKind> kinds;
   return kinds;
@@ -150,6 +201,7 @@ const std::vector<SinkKind>& sink_kinds() {
       {"file, raw bytes", [] { return std::make_unique<FileStore>("raw"); }},
       {"SQLite", [] { return std::make_unique<SqliteStore>(); }},
       {"console", [] { return std::make_unique<ConsoleStore>(); }},
+      {"TCP", [] { return std::make_unique<TcpStore>(); }, true},
       {"slow writer", [] { return std::make_unique<ScriptedStore>(300ms, 0); }},
       {"failing writer", [] { return std::make_unique<ScriptedStore>(0ms, 3); }},
   };

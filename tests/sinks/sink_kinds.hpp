@@ -40,6 +40,7 @@ class Store {
 struct SinkKind {
   std::string name;
   std::function<std::unique_ptr<Store>()> make;
+  bool is_sender = false;  ///< what it sends needs a loop that runs
 };
 
 const std::vector<SinkKind>& sink_kinds();

@@ -6,7 +6,9 @@
 #include <map>
 #include <numeric>
 
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/scripted_peer.hpp"
@@ -156,6 +158,116 @@ TEST_SUITE("sinks") {
       CHECK(count_all_once(*peer) == 270);
       CHECK(run.loop.close(1s) == 0);
     }
+  }
+
+  TEST_CASE("a backlog is known by its events, bytes and age, and by when it is gone; also from the recording alone") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->sending.parcel_rows = 10;
+    const std::string path = folder / "run.db";
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      if (peer->sent % 2 == 0) answer.refuse(0, away);
+      peer->take(parcel, std::move(answer));
+    };
+    {
+      Run run(path, peer);
+      CHECK(run.sink.status().backlog.has_value());
+      CHECK(run.sink.status().backlog->age == 0s);
+      CHECK(run.sink.status().backlog->catch_up == Duration{0});
+      run.publish(300);
+      run.loop.advance(60s);
+      run.publish(100, "b");
+      run.loop.advance(10s);
+      const auto backlog = run.sink.status().backlog;
+      REQUIRE(backlog);
+      CHECK(run.sink.counts().queued == 400);
+      CHECK(backlog->bytes == 300 * sizeof(Number));  // of "b" it knows no more than the number, while it waits
+      CHECK(backlog->age >= 69s);
+      CHECK(backlog->age <= 71s);
+      CHECK_FALSE(backlog->catch_up);  // it is away
+      CHECK(run.loop.close(10s) == 0);
+      const auto last = run.loop.runtime().sinks();
+      const auto of = std::find_if(last.begin(), last.end(), [](const SinkStatus& one) { return one.name == "peer"; });
+      REQUIRE(of != last.end());
+      REQUIRE(of->backlog);
+      CHECK(of->counts.queued == 400);
+      CHECK(of->backlog->age >= 69s);
+    }
+    const auto stored = Recording::open(path).or_throw().backlogs().or_throw();
+    REQUIRE(stored.size() == 1);
+    CHECK(stored[0].sink == "peer");
+    CHECK(stored[0].events == 400);
+    CHECK(stored[0].bytes == 400 * sizeof(Number));
+    CHECK(stored[0].refused == 0);
+    REQUIRE(stored[0].oldest);
+    // 10 rows a parcel, and at most 100 bytes a second: 8 events of 8 bytes each.
+    is_away = false;
+    peer->sending.bytes_per_second = 8 * sizeof(Number);
+    {
+      Run run(path, peer);
+      CHECK(run.sink.counts().queued == 400);
+      run.loop.advance(20s);
+      const auto backlog = run.sink.status().backlog;
+      REQUIRE(backlog);
+      REQUIRE(backlog->catch_up);
+      const double left = static_cast<double>(run.sink.counts().queued);
+      const double seconds = std::chrono::duration<double>(*backlog->catch_up).count();
+      CHECK(left > 200);
+      CHECK(seconds > left / 8 * 0.8);
+      CHECK(seconds < left / 8 * 1.25);
+      CHECK(run.loop.close(1ms) == 0);
+    }
+    const auto after = Recording::open(path).or_throw().backlogs().or_throw();
+    REQUIRE(after.size() == 1);
+    CHECK(after[0].events + peer->events.size() == 400);
+    CHECK(after[0].refused > 0);
+  }
+
+  TEST_CASE("US-32 the final account goes out last at the end; it waits as all else does while the peer is away") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    bool is_away = false;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    const std::vector<std::string> topics{"#", account_topic};
+    const auto run_once = [&] {
+      Run run(path, peer, {.name = "peer", .topics = topics}, {.path = "", .sink = {.topics = topics}});
+      Feed<Number> feed(run.loop, {.name = "chamber", .topic = "room"});
+      for (int i = 1; i <= 7; ++i) feed.publish({static_cast<double>(i)});
+      run.loop.advance(3s);
+      feed.publish({8});
+      CHECK(run.loop.close(5s) == 0);
+      CHECK(run.loop.runtime().sinks().back().counts.balances());
+    };
+    run_once();
+    REQUIRE(peer->events.size() == 9);
+    CHECK(peer->events.back().topic == account_topic);
+    CHECK(std::count_if(peer->events.begin(), peer->events.end(),
+                        [](const auto& event) { return event.topic == account_topic; }) == 1);
+    is_away = true;
+    run_once();
+    CHECK(peer->events.size() == 9);
+    is_away = false;
+    run_once();
+    CHECK(peer->events.size() == 27);
+    CHECK(count_all_once(*peer) == 27);
+    auto recorded = Recording::open(path).or_throw();
+    auto accounts = recorded.events<FinalCounts>(account_topic).or_throw();
+    int count = 0;
+    while (const auto* event = accounts.next().or_throw()) {
+      ++count;
+      CHECK(event->data.name == "chamber");
+      CHECK(event->data.topic == "room");
+      CHECK(event->data.published == 8);
+      CHECK(event->data.lost == 0);
+    }
+    CHECK(count == 3);
+    CHECK(verdict_of(path) == Verdict::balanced);
   }
 
   TEST_CASE("a sink begins with what comes now, or at the beginning; another goes at its own speed") {

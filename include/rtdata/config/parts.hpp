@@ -95,10 +95,13 @@ struct PublishedTopic {
 /// What a part stores, and where.
 struct StoredTopics {
   std::vector<std::string> topics;
-  std::string path;            ///< the file it writes; "-" for standard output, empty for none
-  Duration close_deadline{0};  ///< how long closing may wait for it
-  bool is_recording = false;   ///< other sinks can go through it
-  std::string through = {};    ///< the recording that it goes through; empty: none
+  std::string path;             ///< the file it writes; "-" for standard output, empty for none
+  Duration close_deadline{0};   ///< how long closing may wait for it
+  bool is_recording = false;    ///< other sinks can go through it
+  bool is_sender = false;       ///< its peer is across a network
+  std::string through = {};     ///< the recording that it goes through; empty: none
+  Duration batch_time{0};       ///< how long an event waits at most until it is stored, while nothing fails
+  std::size_t queue_bytes = 0;  ///< memory for events that wait, at most
   /// Returns an error for each of the topics that the part cannot store; empty: not known before it is made.
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
   /// The file that a topic's events go to; empty: all go to `path`.

@@ -304,7 +304,9 @@ class Registry {
   /// made. A function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where
   /// `path` does not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string&
   /// file, const std::string& other)` there says which files go with one that it writes, such as a log or a lock: then
-  /// they are no other sink's.
+  /// they are no other sink's. A function `batch_time(const C&)` there says after which time such a sink stores, where
+  /// its SinkConfig does not. A C with a member `sending` (sender.hpp) or a static `is_sender` has its peer across a
+  /// network.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -318,7 +320,12 @@ class Registry {
       stores.topics = config.sink.topics;
       stores.close_deadline = config.sink.close_deadline;
       stores.through = config.sink.through;
+      stores.batch_time = config.sink.batch_time;
+      stores.queue_bytes = config.sink.queue_bytes;
+      if constexpr (requires { batch_time(config); }) stores.batch_time = batch_time(config);
       if constexpr (requires { C::is_recording; }) stores.is_recording = C::is_recording;
+      stores.is_sender = requires { config.sending; };
+      if constexpr (requires { C::is_sender; }) stores.is_sender = C::is_sender;
       if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
         stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
           return refused_topics(config, topics);

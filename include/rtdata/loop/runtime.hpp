@@ -86,6 +86,9 @@ struct TopicDrops {
 struct Backlog {
   std::uint64_t bytes = 0;  ///< of their payloads
   Time oldest{};            ///< the time of the oldest of them; 0: nothing waits
+  Duration age{0};          ///< how long that one has waited
+  /// When nothing waits any more at the pace of the last seconds; none: it does not become less.
+  std::optional<Duration> catch_up = {};
 };
 
 struct SinkStatus {

@@ -32,7 +32,8 @@ class ConfigItem;
 class Problems;
 
 struct PostgresqlConfig {
-  std::string url = {};       ///< postgresql://user@host:port/database?sslmode=...; the others add to it
+  static constexpr bool is_sender = true;  ///< its peer is across a network
+  std::string url = {};                    ///< postgresql://user@host:port/database?sslmode=...; the others add to it
   std::string host = {};      ///< a name, an address, or the folder of a Unix socket; libpq's default when empty
   int port = 0;               ///< 0: libpq's default, 5432
   std::string database = {};  ///< libpq's default when empty: the user's name

@@ -171,6 +171,16 @@ struct RecordedHealth {
   Time last{};              ///< when that was; `time` is when the first was
 };
 
+/// What a sink that goes through the recording (SinkConfig::through) still has to send.
+struct RecordedBacklog {
+  std::string sink;
+  std::string host;                 ///< the machine whose sink it is
+  std::uint64_t events = 0;         ///< that wait
+  std::uint64_t bytes = 0;          ///< of those, their payloads
+  std::optional<Time> oldest = {};  ///< of those, UTC; none: nothing waits
+  std::uint64_t refused = 0;        ///< events that its peer will never take: dropped, their keys are kept
+};
+
 /// Which rows. Everything is taken that is not left out.
 struct RowFilter {
   std::string topic = "#";               ///< a pattern; topics of "$rtdata/" only when it begins with "$"
@@ -309,6 +319,9 @@ class Recording {
   /// The origins with texts that were no UTF-8 and were stored with escapes. Formats before 5 have none.
   Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
   Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
+  /// Of each sink that goes through the recording, by its name: as of its last position in the file, which is that of
+  /// the last transaction.
+  Result<std::vector<RecordedBacklog>> backlogs() const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
   /// Every change of health, in order of time. Formats before 3 have none.
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;

@@ -123,7 +123,8 @@ class Sender : public Writer {
  public:
   Sender* as_sender() noexcept final { return this; }
 
-  // ---- on the loop's thread. What these throw is an error of the sink's.
+  // ---- on the loop's thread. What these throw is an error of the sink's; where a parcel was not answered yet, nothing
+  // waits for its time-out: everything under way is given up (`cancel`) and sent again later.
   /// Once, before all other calls.
   virtual SendingConfig sending() const { return {}; }
   /// Once, before the first parcel. Handles of this loop may be made; nothing that can block.

@@ -56,6 +56,9 @@ struct SqliteConfig {
 /// Returns an error, `where` its topic, for each topic that a recording cannot have a table for.
 std::vector<Error> refused_topics(const SqliteConfig& config, std::span<const TopicToRecord> topics);
 
+/// After which time it commits what came, while no sink that goes through it wants it sooner.
+Duration batch_time(const SqliteConfig& config);
+
 /// Whether `other` goes with the recording `file`: its log, the log's index, its journal or its lock.
 bool is_companion_file(const SqliteConfig& config, const std::string& file, const std::string& other);
 

@@ -20,10 +20,12 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/io/tls.hpp"
 #include "rtdata/sinks/sender.hpp"
 
 namespace rtdata {
@@ -48,7 +50,8 @@ struct TcpConfig {
   std::string format = "jsonl";
   bool sequence = false;  ///< "raw" alone: with the sequence number after the origin
   Acknowledge acknowledge = Acknowledge::none;
-  Duration connect_timeout = std::chrono::seconds{10};  ///< of each of the host's addresses
+  std::optional<TlsConfig> tls = {};                    ///< encrypted; none: as it is. Needs OpenSSL when built
+  Duration connect_timeout = std::chrono::seconds{10};  ///< of each of the host's addresses; the same for TLS
   SendingConfig sending = {.window = 4, .parcel_rows = 1000, .parcel_bytes = std::size_t{64} << 10};
   SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "tcp" by default
 
@@ -63,7 +66,9 @@ struct TcpConfig {
         parameter("acknowledge", &TcpConfig::acknowledge,
                   "how the peer confirms each event: not at all, by a byte (0x06, or 0x15: refused), by a line (ok, or "
                   "no and a reason)"),
-        parameter("connect_timeout", &TcpConfig::connect_timeout, "how long each of the host's addresses is waited for",
+        parameter("tls", &TcpConfig::tls, "encrypted; {} is enough where the server's certificate is a public one"),
+        parameter("connect_timeout", &TcpConfig::connect_timeout,
+                  "how long each of the host's addresses is waited for, and then the TLS handshake",
                   range(10ms, 10min)),
         include_member(&TcpConfig::sending), include_member(&TcpConfig::sink));
   }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "app/core/amounts.hpp"
 #include "app/core/table.hpp"
 
 namespace rtdata::app {
@@ -122,13 +123,17 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
 
   std::string text;
   if (!ending.unknown.empty()) text += "the account is NOT complete: " + ending.unknown + "; ";
-  if (ending.not_stored > 0) text += std::to_string(ending.not_stored) + " events were NOT stored; ";
+  if (ending.not_stored > 0)
+    text += std::to_string(ending.not_stored) +
+            (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
   text += losses.empty() ? (mute.empty() ? "nothing lost: " : "nothing lost that is known: ")
                          : "LOST: " + losses + "; taken: ";
   text += std::to_string(account.events) + (account.events == 1 ? " event" : " events");
   if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
-  if (account.waiting > 0) text += "; " + std::to_string(account.waiting) + " wait in a recording to be sent";
+  if (account.waiting > 0)
+    text += "; " + std::to_string(account.waiting) + (account.waiting == 1 ? " waits" : " wait") +
+            " in a recording to be sent";
   if (!ending.unknown.empty()) return text;
   text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";
   if (!account.not_detectable.empty())
@@ -175,9 +180,12 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
     const std::string where = path == paths.end() || path->second.empty() ? "-"
                               : path->second == "-"                       ? "standard output"
                                                                           : path->second;
+    std::string note = sink.health == Health::ok ? "" : sink.reason;
+    if (sink.backlog && sink.counts.queued > 0)
+      note += (note.empty() ? "" : "; ") + waiting_text({sink.counts.queued, sink.backlog->bytes, sink.backlog->age});
     sinks.add({sink.name, std::to_string(sink.counts.stored), dropped_text(sink.counts),
                std::string(name_of(sink.health)), where},
-              sink.health == Health::ok ? "" : sink.reason);
+              note);
   }
   if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text("", columns);
   return text;

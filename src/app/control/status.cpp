@@ -296,6 +296,10 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     Json& backlog = sinks.back()["backlog"];  // null: its events wait in memory
     if (sink.backlog) {
       backlog = {{"events", sink.counts.queued}, {"bytes", sink.backlog->bytes}};
+      backlog["age_s"] = std::chrono::duration<double>(sink.backlog->age).count();
+      backlog["catch_up_s"] = sink.backlog->catch_up
+                                  ? Json(std::chrono::duration<double>(*sink.backlog->catch_up).count())
+                                  : Json();
       backlog["oldest"] = sink.backlog->oldest == Time{} ? Json() : Json(to_nanoseconds(sink.backlog->oldest));
     }
   }

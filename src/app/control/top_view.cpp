@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/core/amounts.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "data/rounded_time.hpp"
@@ -145,12 +146,29 @@ std::vector<Block> sensors_of(const Json& status, std::string& heading, std::siz
   return blocks;
 }
 
+/// What waits in the recording that a sink goes through; empty: nothing.
+std::string backlog_of(const Json& sink) {
+  const auto backlog = sink.find("backlog");
+  if (backlog == sink.end() || !backlog->is_object() || backlog->value("events", std::uint64_t{0}) == 0) return {};
+  const auto span = [&](const char* key) -> std::optional<Duration> {
+    const auto seconds = backlog->find(key);
+    if (seconds == backlog->end() || !seconds->is_number()) return std::nullopt;
+    return std::chrono::duration_cast<Duration>(
+        std::chrono::duration<double>(std::clamp(seconds->get<double>(), 0.0, 1e9)));
+  };
+  const auto catch_up = span("catch_up_s");
+  return waiting_text(
+             {backlog->at("events").get<std::uint64_t>(), backlog->value("bytes", std::uint64_t{0}), span("age_s")}) +
+         (catch_up ? "; sent in about " + span_text(*catch_up) : "; it does not become less");
+}
+
 std::vector<Block> sinks_of(const Json& status, std::size_t columns) {
   std::vector<Block> blocks;
   for (const Json& sink : status.at("sinks")) {
     Block& block = blocks.emplace_back();
     block.lines.push_back(left(text_or_dash(sink.at("name")), 30) + right(count_text(sink.at("queued")), 10) +
                           right(count_text(sink.at("stored")), 10) + right(count_text(sink.at("dropped")), 10));
+    if (const std::string waits = backlog_of(sink); !waits.empty()) block.lines.push_back("  - " + waits);
     add_health(block.lines, sink, columns);
     block.badness = badness_of(sink, sink.value("dropped", std::uint64_t{0}));
   }

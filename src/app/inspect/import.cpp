@@ -249,7 +249,14 @@ Result<Found> look_at(const ImportOptions& options, char separator, const Notati
   const auto is_it = [&](std::string_view heading) {  // with its unit or without
     return heading == options.time_column || heading.substr(0, heading.find(" [")) == options.time_column;
   };
-  const auto at = std::find_if(headings.begin(), headings.end(), is_it);
+  const auto exact = std::count(headings.begin(), headings.end(), options.time_column);
+  const auto matching = std::count_if(headings.begin(), headings.end(), is_it);
+  if (exact > 1 || (exact == 0 && matching > 1))
+    return refused(
+        options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + options.time_column,
+        exact > 1 ? "give one of them another heading" : "write --time with the unit, as its heading has it");
+  const auto at = exact == 1 ? std::find(headings.begin(), headings.end(), options.time_column)
+                             : std::find_if(headings.begin(), headings.end(), is_it);
   if (at == headings.end()) {
     const std::string advice = separator_advice(options, separator);
     return refused(options.file, "it has no column " + options.time_column,
@@ -269,12 +276,16 @@ Result<Found> look_at(const ImportOptions& options, char separator, const Notati
     const auto time = time_of(when, notation, scale, start);
     if (!time) {
       double number = 0;
+      const bool is_beyond = is_number(when, notation.decimal, number);
       const bool has_comma = options.decimal.empty() && is_number(when, ',', number);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
       return Error{Errc::bad_data, "cannot import", table.where(),
                    "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
-                       (has_date ? ": " + time.error().why : ""),
-                   has_comma                                  ? "its numbers have decimal commas: write --decimal ,"
+                       (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
+                        : has_date ? ": " + time.error().why
+                                   : ""),
+                   is_beyond                                  ? "look at --scale"
+                   : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
                    : has_date && !time.error().advice.empty() ? time.error().advice
                                                               : "a number, or a time as 2026-03-01T12:00:00Z"};
     }

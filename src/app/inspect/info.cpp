@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
+#include "app/core/amounts.hpp"
 #include "app/core/recording_commands.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
@@ -13,6 +14,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+Time present() { return std::chrono::time_point_cast<Duration>(std::chrono::system_clock::now()); }
 std::string short_time(Time time) { return to_iso8601(time).substr(0, 19) + "Z"; }
 
 /// Three digits and a unit: "1.20ms".
@@ -157,6 +159,7 @@ struct Content {
   std::vector<RecordedHealth> health;
   std::vector<RecordedEscapes> escaped;
   std::vector<RecordedConfiguration> configurations;
+  std::vector<RecordedBacklog> backlogs;
   std::vector<RecordedGap> gaps;
   UtcLine line{{}};  // of the run that is shown
 };
@@ -192,6 +195,9 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto configurations = recording.configurations(content.shown->run);
   if (!configurations) return std::move(configurations).error();
   content.configurations = std::move(*configurations);
+  auto backlogs = recording.backlogs();
+  if (!backlogs) return std::move(backlogs).error();
+  content.backlogs = std::move(*backlogs);
   if (gaps == InfoOptions::Gaps::counted) return content;
   auto listed = recording.gaps(content.shown->run);
   if (!listed) return std::move(listed).error();
@@ -279,6 +285,12 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
                                               : change.object + (change.text.empty() ? ": removed" : ": added")) +
                        (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : "");
               });
+  print_first(content.backlogs, 20, "sinks that go through this recording", out, [](const RecordedBacklog& of) {
+    const auto age = of.oldest ? std::optional(std::max(present() - *of.oldest, Duration{0})) : std::nullopt;
+    return of.sink + " of " + of.host + ": " +
+           (of.events == 0 ? std::string("nothing waits") : waiting_text({of.events, of.bytes, age})) +
+           (of.refused == 0 ? "" : "; refused: " + std::to_string(of.refused) + ", see rtdata_refused");
+  });
   out << "\nfields\n";
   print_fields(content.topics, out);
 }
@@ -320,6 +332,15 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                           {"object", change.object},
                                           {"text", change.text},
                                           {"count", change.count}});
+  }
+  json["backlogs"] = Json::array();
+  for (const RecordedBacklog& of : content.backlogs) {
+    json["backlogs"].push_back(Json{{"sink", of.sink},
+                                    {"host", of.host},
+                                    {"events", of.events},
+                                    {"bytes", of.bytes},
+                                    {"oldest", of.oldest ? Json(to_nanoseconds(*of.oldest)) : Json()},
+                                    {"refused", of.refused}});
   }
   if (gaps == InfoOptions::Gaps::listed) {
     json["gaps"] = Json::array();

@@ -60,6 +60,9 @@ int check(const Registry& registry, const CheckOptions& options) {
   for (const Growth& growth : growth_of(plan)) {
     if (!growth.is_limited) std::cout << hide_secrets(growth.text(), plan.secrets) << "\n";
   }
+  for (const std::string& line : latencies(plan)) std::cout << hide_secrets(line, plan.secrets) << "\n";
+  if (const std::string waiting = only_in_memory(plan); !waiting.empty())
+    std::cout << "note: " << hide_secrets(waiting, plan.secrets) << "\n";
   if (const std::string quiet = unnoticed_silence(registry, plan); !quiet.empty())
     std::cout << "note: " << quiet << "\n";
   const auto counted = [](std::size_t count, const char* what) {

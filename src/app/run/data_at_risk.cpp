@@ -4,6 +4,8 @@
 #include <array>
 #include <cstdio>
 
+#include "app/core/amounts.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -35,6 +37,39 @@ std::string unnoticed_silence(const Registry& registry, const SystemPlan& plan) 
   if (count == 0) return names;
   return "without `silence`, such as \"10 s\", nobody notices when " +
          std::string(count == 1 ? "this device goes" : "these devices go") + " quiet: " + names;
+}
+
+std::vector<std::string> latencies(const SystemPlan& plan) {
+  std::vector<std::string> lines;
+  for (const PartPlan* recording : plan.of_kind("sink")) {
+    if (!recording->stores || !recording->stores->is_recording) continue;
+    Duration time = recording->stores->batch_time;
+    std::string followers, because;
+    for (const PartPlan* sink : plan.of_kind("sink")) {
+      if (!sink->stores || sink->stores->through != recording->name) continue;
+      followers += (followers.empty() ? "" : ", ") + sink->name;
+      if (sink->stores->batch_time >= time) continue;
+      time = sink->stores->batch_time;
+      because = sink->name;
+    }
+    if (followers.empty()) continue;
+    lines.push_back(recording->name + ": commits within " + to_string(time) + ", by `batch_time` of " +
+                    (because.empty() ? "its own" : because) + "; what goes through it: " + followers);
+  }
+  return lines;
+}
+
+std::string only_in_memory(const SystemPlan& plan) {
+  std::string names;
+  for (const PartPlan* sink : plan.of_kind("sink")) {
+    if (!sink->stores || !sink->stores->is_sender || !sink->stores->through.empty()) continue;
+    names += (names.empty() ? "" : ", ") + sink->name + " (" +
+             bytes_text(static_cast<double>(sink->stores->queue_bytes)) + ")";
+  }
+  if (names.empty()) return names;
+  return "events for " + names +
+         " wait in memory only: while the peer is away they are dropped when that is full, and what waits at the end "
+         "of the program is gone; with `through` they wait in a recording";
 }
 
 void warn_of_losses(SystemPlan& plan) {

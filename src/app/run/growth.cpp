@@ -9,6 +9,7 @@
 #include <map>
 #include <memory>
 
+#include "app/core/amounts.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/value.hpp"
 
@@ -119,15 +120,6 @@ bool is_limited(const PartPlan& sink) {
 }
 
 }  // namespace
-
-std::string bytes_text(double bytes) {
-  constexpr std::array units{"B", "kB", "MB", "GB", "TB"};
-  std::size_t unit = 0;
-  for (; bytes >= 999.5 && unit + 1 < units.size(); ++unit) bytes /= 1000;
-  std::array<char, 32> text{};
-  std::snprintf(text.data(), text.size(), bytes < 9.95 && unit > 0 ? "%.1f %s" : "%.0f %s", bytes, units[unit]);
-  return text.data();
-}
 
 std::string Growth::text() const {
   return sink->name + ": about " + bytes_text(bytes_per_day) + " a day, " +

@@ -39,7 +39,4 @@ void warn_of_growth(SystemPlan& plan, Duration span,
 /// What is looked ahead when nothing ends the run.
 inline constexpr Duration growth_span = std::chrono::hours{24 * 30};
 
-/// "950 B", "4.2 kB", "24 GB"
-std::string bytes_text(double bytes);
-
 }  // namespace rtdata::app

@@ -8,6 +8,8 @@
 #include "config/plan/part_reader.hpp"
 #include "config/read/mistakes.hpp"
 #include "loop/support/name.hpp"
+#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::config_detail {
@@ -266,7 +268,9 @@ void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
   }
   const PartPlan* recording = find("sink", part.stores->through);
   if (recording == nullptr || !recording->stores || !recording->stores->is_recording) return;
-  for (const std::string& topic : topic_names_) {
+  std::vector<std::string> names(topic_names_.begin(), topic_names_.end());
+  names.insert(names.end(), {account_topic, health_topic});
+  for (const std::string& topic : names) {
     if (!part.stores->wants(topic) || recording->stores->wants(topic)) continue;
     problems.add(at.problem("not-recorded", "the topic \"" + topic + "\" is not among those of the recording, at " +
                                                 place_of(recording->item) + ", so that this sink would never get it; " +

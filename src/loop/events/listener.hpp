@@ -46,6 +46,8 @@ class Recorder : public Listener {
   virtual const std::string& name() const noexcept = 0;
   /// Of what it was offered.
   virtual SinkCounts counts() const noexcept = 0;
+  /// Whether it takes a topic of this name, or goes through something that does.
+  virtual bool wants(std::string_view) const noexcept { return false; }
   /// Null: something else that records.
   virtual SinkNode* as_sink() noexcept { return nullptr; }
   /// Hands over all that is queued, closes; `done` is called later, on the loop, with what was lost.

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/runtime/final_account.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/tier/tier_core.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -139,6 +140,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     for (std::size_t i = 0; i < recorders.size(); ++i)
       done.emplace_back([self = shared_from_this()](std::uint64_t lost) { self->one_done(lost); });
     runtime_.reports.flush(detail::Reports::Repeated::all);
+    detail::publish_final_account(loop_.core());
     loop_.core().call_own("clock", [&] { runtime_.clock_log.look("end"); });
     pending_ = recorders.size() + 1;
     for (detail::Recorder* recorder : recorders) {

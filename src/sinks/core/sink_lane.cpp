@@ -196,6 +196,7 @@ Result<void> SinkQueue::do_task(SinkTurn::Task task) {
 
 SinkTurnResult SinkQueue::work(const SinkTurn& turn) noexcept {
   if (turn.pause.count() > 0) pause(turn.pause);
+  to_utc_ = turn.to_utc;
   SinkTurnResult now;
   now.task = turn.task;
   try {

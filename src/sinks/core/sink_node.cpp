@@ -94,9 +94,13 @@ void SinkNode::on_refusal(const Error& error) {
   tell_health();
 }
 
+bool SinkNode::wants(std::string_view topic) const noexcept {
+  return std::any_of(config_.topics.begin(), config_.topics.end(),
+                     [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+}
+
 Result<void> SinkNode::take_topic(TopicCore& topic) {
-  const auto matches = [&](const std::string& pattern) { return topic_matches(pattern, topic.name); };
-  if (std::none_of(config_.topics.begin(), config_.topics.end(), matches)) return {};
+  if (!wants(topic.name)) return {};
   if (topic.type.description == nullptr) {
     if (std::find(config_.topics.begin(), config_.topics.end(), topic.name) == config_.topics.end()) return {};
     return Error{Errc::bad_description, "cannot record", "topic " + topic.name, "its payload has no description",
@@ -140,7 +144,14 @@ SinkStatus SinkNode::status() const {
   SinkStatus now{config_.name, health_, reason_, queue_->counts(), queue_->dropped_by_topic(SinkQueue::Queued::waits)};
   if (is_fed()) {
     const FeedCounts fed = queue_->feed()->counts();
-    if (fed.is_known) now.backlog = {fed.bytes, fed.oldest};
+    if (fed.is_known) {
+      RuntimeCore& runtime = loop()->runtime;
+      const bool is_utc = queue_->sender() != nullptr;
+      const Time present = is_utc ? runtime.clock().realtime() : runtime.event_now();
+      now.backlog = {fed.bytes, fed.oldest,
+                     fed.oldest == Time{} ? Duration{0} : std::max(present - fed.oldest, Duration{0}),
+                     catch_up_.at(loop()->now(), fed.backlog)};
+    }
   }
   return now;
 }

@@ -17,6 +17,7 @@
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "sinks/core/catch_up.hpp"
 #include "sinks/core/sink_account.hpp"
 #include "sinks/core/sink_queue.hpp"
 #include "sinks/core/transfer.hpp"
@@ -42,6 +43,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   SinkStatus status() const override;
   void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override;
+  bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
 
   // ---- batches by time
@@ -144,6 +146,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   // ---- storing: sink_storing.cpp
   void wait_for_opening();
   SinkTurn::Task next_task() const noexcept;
+  Duration to_utc() noexcept;
   bool is_sync_due() const noexcept;
   /// Waits longer after each failure before the lane is put to work again.
   void retry_later(Work why);
@@ -161,6 +164,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) override;
   void all_settled() override;
   void sending_failed(const Error& error) override;
+  void sender_threw(const Error& error) override;
 
   // ---- through a recording: sink_through.cpp
   /// Finds the recording, and is fed by it from now on. Throws SetupError.
@@ -171,6 +175,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void commit_within(Duration time);
   /// The recording has committed something.
   void rows_came();
+  void note_backlog() noexcept;
   /// Of a recording: tells those that go through it.
   void tell_followers();
   /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
@@ -227,6 +232,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // sending
   std::shared_ptr<Transfer> transfer_;  // null: the writer is no Sender
+  Duration to_utc_{0};                  // from recorded times, of a sender that goes from memory
 
   // through a recording
   SinkNode* recording_ = nullptr;     // of this sink; null: none, or it has gone
@@ -234,6 +240,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_readable_ = false;          // this recording is open: its rows may be read
   bool has_all_rows_ = false;         // it closes, and all rows are committed
   bool are_positions_due_ = false;    // of followers: to be stored with the next batch
+  CatchUp catch_up_;                  // with what waits in its recording
 
   // the end
   std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain

@@ -86,7 +86,8 @@ struct SinkTurn {
     store_and_close,  ///< nothing follows
   };
   Task task = Task::store;
-  Duration pause{0};  ///< before the work
+  Duration pause{0};   ///< before the work
+  Duration to_utc{0};  ///< of a sender that goes from memory: from the recorded time to UTC
 };
 
 /// The result of a turn of work.
@@ -272,6 +273,7 @@ class SinkQueue {
   RecordingWriter* const recording_;  // the same; null: it is none
   Sender* const sender_;              // as well
   const SendingConfig sending_;
+  Duration to_utc_{0};  // lane; see SinkTurn
   const bool opens_at_set_up_;
   const StorePace pace_;
   std::size_t due_rows_ = 0;     // a batch by number

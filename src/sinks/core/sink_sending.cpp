@@ -29,7 +29,8 @@ Parcel& SinkQueue::add_parcel() {
 Result<void> SinkQueue::encode() {
   Parcel* parcel = nullptr;
   std::size_t in_batch = 0;
-  for (const Record& record : batch_) {
+  for (Record record : batch_) {
+    record.header.time += to_utc_;
     if (parcel == nullptr || parcel->rows_.size() >= sending_.parcel_rows ||
         parcel->bytes_.size() >= sending_.parcel_bytes) {
       parcel = &add_parcel();

@@ -43,6 +43,16 @@ SinkTurn::Task SinkNode::next_task() const noexcept {
   return is_sync_due() ? SinkTurn::Task::store_and_sync : SinkTurn::Task::store;
 }
 
+/// By the clock as it is now, which may have been set since the start. What it moves by less is the loop's own line.
+Duration SinkNode::to_utc() noexcept {
+  constexpr Duration least = std::chrono::milliseconds{1};
+  RuntimeCore& runtime = loop()->runtime;
+  const Duration now = runtime.clock().realtime() - runtime.event_now();
+  const Duration moved = now - to_utc_;
+  if (moved > least || moved < -least) to_utc_ = now;
+  return to_utc_;
+}
+
 void SinkNode::start_work() {
   if (work_ != Work::idle || !is_attached() || life_ == Life::closed) return;
   if (!is_to_open_ && !unsynced_since_) unsynced_since_ = loop()->now();
@@ -51,6 +61,7 @@ void SinkNode::start_work() {
     if (!is_last_told_) return retry_later(Work::waiting);
   }
   job_->turn.task = next_task();
+  if (queue_->sender() != nullptr && !is_fed()) job_->turn.to_utc = to_utc();
   work_ = is_to_open_ ? Work::opening : Work::storing;
   Work why = Work::waiting;
   try {
@@ -150,6 +161,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
 void SinkNode::go_on_after(const SinkTurnResult& turn) {
   if (!turn.topic_fault.empty()) fault_for_good(turn.topic_fault);
   if (!turn.result) {
+    catch_up_.restart();
     health_ = Health::faulted;
     error_already_reported_ = false;
     note([&] {
@@ -167,6 +179,7 @@ void SinkNode::go_on_after(const SinkTurnResult& turn) {
     reason_.clear();
   }
   backoff_.reset();
+  note_backlog();
   if (turn.has_synced() || turn.has_ended) unsynced_since_.reset();
   if (turn.has_closed()) {
     life_ = Life::closed;

@@ -67,8 +67,13 @@ void SinkNode::commit_within(Duration time) {
   loop()->schedule().add(*this);
 }
 
+void SinkNode::note_backlog() noexcept {
+  if (is_fed()) catch_up_.note(loop()->now(), queue_->feed()->counts().backlog);
+}
+
 void SinkNode::rows_came() {
   if (!is_attached() || recording_ == nullptr) return;
+  note_backlog();
   if (work_ == Work::idle) {
     start_work();
     return;
@@ -88,13 +93,15 @@ void SinkNode::tell_followers() {
 
 void SinkNode::begin_sending() {
   work_ = Work::sending;
+  note_backlog();
   transfer_->begin(queue_->parcels());
 }
 
 void SinkNode::parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) {
   queue_->settle(parcel, refused);
+  note_backlog();
   if (recording_ != nullptr) recording_->are_positions_due_ = true;
-  if (health_ == Health::ok || !fault_.empty()) return;
+  if (health_ == Health::ok || !fault_.empty() || transfer_->is_waiting()) return;
   health_ = Health::ok;
   reason_.clear();
   tell_health();
@@ -113,8 +120,14 @@ void SinkNode::all_settled() {
   tell_health();
 }
 
+void SinkNode::sender_threw(const Error& error) {
+  Call call(*this);
+  report(error, 1);
+}
+
 void SinkNode::sending_failed(const Error& error) {
   Call call(*this);
+  catch_up_.restart();
   health_ = Health::faulted;
   set_reason(error);
   report(error, 1);

@@ -27,7 +27,9 @@ Answer::~Answer() { forget(); }
 
 void Answer::forget() noexcept {
   try {
-    if (*this) again({Errc::io_failed, "cannot send", "", "the sender gave no answer", ""});
+    if (*this) {
+      if (const auto transfer = transfer_.lock()) transfer->left_unanswered(parcel_, std::exchange(transmission_, 0));
+    }
   } catch (...) {  // no memory for the report: its time-out comes
   }
 }
@@ -66,18 +68,24 @@ Transfer::Transfer(LoopCore& loop, Sender& sender, const SinkConfig& config, Own
       timer_(loop.face, [this] { timer_fired(); }) {}
 
 template <class Call>
-void Transfer::call_sender(const char* name, Call&& call) noexcept {
+std::optional<Error> Transfer::call_sender(const char* name, Call&& call) noexcept {
+  const auto threw = [name](const char* why) { return Error{Errc::handler_threw, "the sender threw", name, why, ""}; };
   try {
     try {
       call();
     } catch (const std::exception& e) {
-      if (owner_ != nullptr) owner_->sending_failed({Errc::handler_threw, "the sender threw", name, e.what(), ""});
+      return threw(e.what());
     } catch (...) {
-      if (owner_ != nullptr)
-        owner_->sending_failed({Errc::handler_threw, "the sender threw", name, "no std::exception", ""});
+      return threw("no std::exception");
     }
   } catch (...) {  // no memory for the report
+    return Error{};
   }
+  return std::nullopt;
+}
+
+void Transfer::report(const std::optional<Error>& error) noexcept {
+  if (error && owner_ != nullptr) owner_->sender_threw(*error);
 }
 
 void Transfer::begin(std::span<const Parcel> parcels) {
@@ -88,7 +96,6 @@ void Transfer::begin(std::span<const Parcel> parcels) {
   sent_.clear();
   sent_.reserve(2 * sending_.window);
   first_sent_ = 0;
-  if (!std::exchange(has_begun_, true)) call_sender("begin", [this] { sender_.begin(loop_.face); });
   go_on();
 }
 
@@ -107,8 +114,9 @@ void Transfer::end() noexcept {
   settled_ = under_way_ = answered_ = 0;
   timer_.close();
   if (!has_begun_) return;
-  if (is_awaited) call_sender("cancel", [this] { sender_.cancel(); });
-  call_sender("end", [this] { sender_.end(); });
+  // The owner has gone, and hears nothing of what these throw.
+  if (is_awaited) (void)call_sender("cancel", [this] { sender_.cancel(); });
+  (void)call_sender("end", [this] { sender_.end(); });
 }
 
 Transfer::Entry* Transfer::awaited(std::size_t parcel, std::uint64_t transmission) noexcept {
@@ -188,7 +196,17 @@ void Transfer::settle_some() {
   }
 }
 
+/// False: it threw, and is called again after a while.
+bool Transfer::begin_sender() {
+  if (has_begun_) return true;
+  const auto error = call_sender("begin", [this] { sender_.begin(loop_.face); });
+  has_begun_ = !error;
+  if (error) wait_after(*error, {});
+  return has_begun_;
+}
+
 void Transfer::send_some() {
+  if (blocked_until_ || next_ >= entries_.size() || !begin_sender()) return;
   int sent = 0;
   while (owner_ != nullptr && !blocked_until_ && under_way_ < sending_.window) {
     while (next_ < entries_.size() && entries_[next_].state != Entry::State::waiting) ++next_;
@@ -217,7 +235,37 @@ void Transfer::send(std::size_t parcel) {
     first_sent_ = 0;
   }
   sent_.push_back({parcel, transmissions_});
-  call_sender("send", [&] { sender_.send(parcels_[parcel], Answer(weak_from_this(), parcel, transmissions_)); });
+  const std::uint64_t transmission = sending_now_ = transmissions_;
+  is_left_unanswered_ = false;
+  const auto error = call_sender(
+      "send", [&] { sender_.send(parcels_[parcel], Answer(weak_from_this(), parcel, transmission)); });
+  sending_now_ = 0;
+  // What it did with the parcel before it threw, nobody knows.
+  if (error && awaited(parcel, transmission) != nullptr) return give_up(*error);
+  report(error);
+  if (std::exchange(is_left_unanswered_, false)) left_unanswered(parcel, transmission);
+}
+
+void Transfer::left_unanswered(std::size_t parcel, std::uint64_t transmission) {
+  // Within `send` it may be an exception that destroys the answer: that says more.
+  if (transmission == sending_now_)
+    is_left_unanswered_ = true;
+  else
+    again(parcel, transmission, {Errc::io_failed, "cannot send", "", "the sender gave no answer", ""}, {});
+}
+
+/// Everything that is under way.
+void Transfer::give_up(const Error& why) {
+  for (Entry& entry : entries_) {
+    if (entry.state != Entry::State::sent) continue;
+    entry.state = Entry::State::waiting;
+    entry.transmission = 0;
+    entry.refused.clear();
+  }
+  under_way_ = 0;
+  next_ = settled_;
+  report(call_sender("cancel", [this] { sender_.cancel(); }));
+  if (owner_ != nullptr) wait_after(why, {});
 }
 
 void Transfer::timer_fired() {
@@ -226,19 +274,8 @@ void Transfer::timer_fired() {
   if (blocked_until_ && *blocked_until_ <= now) blocked_until_.reset();
   if (const auto deadline = next_deadline(); deadline && *deadline <= now) {
     const auto self = shared_from_this();
-    for (Entry& entry : entries_) {
-      if (entry.state != Entry::State::sent) continue;
-      entry.state = Entry::State::waiting;
-      entry.transmission = 0;
-      entry.refused.clear();
-    }
-    under_way_ = 0;
-    next_ = settled_;
-    call_sender("cancel", [this] { sender_.cancel(); });
-    if (owner_ == nullptr) return;
-    wait_after({Errc::timed_out, "cannot send", config_.name, "no answer for " + to_string(sending_.timeout),
-                "look at the peer and the network; everything is sent again"},
-               {});
+    give_up({Errc::timed_out, "cannot send", config_.name, "no answer for " + to_string(sending_.timeout),
+             "look at the peer and the network; everything is sent again"});
     if (owner_ == nullptr) return;
   }
   go_on();

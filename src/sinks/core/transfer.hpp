@@ -27,6 +27,8 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
     virtual void all_settled() = 0;
     /// Nothing is sent for a while.
     virtual void sending_failed(const Error& error) = 0;
+    /// Although what it was called for is answered: nothing waits for that.
+    virtual void sender_threw(const Error& error) = 0;
 
    protected:
     ~Owner() = default;
@@ -62,13 +64,18 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   void send(std::size_t parcel);
   void settle_some();
   void wait_after(const Error& why, std::optional<Duration> after);
+  void give_up(const Error& why);
   void timer_fired();
   void set_timer();
   /// Of those that are under way, the first.
   std::optional<MonotonicTime> next_deadline() noexcept;
-  /// A call of the sender's: what it throws is reported to the owner.
+  bool begin_sender();
+  /// An answer was destroyed that nobody gave.
+  void left_unanswered(std::size_t parcel, std::uint64_t transmission);
+  /// A call of the sender's. Returns what it threw.
   template <class Call>
-  void call_sender(const char* name, Call&& call) noexcept;
+  std::optional<Error> call_sender(const char* name, Call&& call) noexcept;
+  void report(const std::optional<Error>& error) noexcept;
 
   LoopCore& loop_;
   Sender& sender_;
@@ -82,6 +89,8 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   std::size_t under_way_ = 0;
   std::size_t answered_ = 0;
   std::uint64_t transmissions_ = 0;
+  std::uint64_t sending_now_ = 0;  // the transmission that `send` is called for
+  bool is_left_unanswered_ = false;
   bool has_begun_ = false;
   bool is_going_on_ = false;
   bool is_more_to_do_ = false;

@@ -3,7 +3,9 @@
 #include <mqtt_protocol.h>
 
 #include <algorithm>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -32,10 +34,14 @@ detail::MqttOptions options_of(const MqttConfig& config) {
   return options;
 }
 
-/// Of MQTT 5: the message will never be taken.
+// A broker of MQTT 3.1.1 does not say which packet is too large for it: it ends the connection.
+constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for so long is a good one
+constexpr int most_losses = 3;                          // with the same event, each of a good connection
+
+/// Of MQTT 5: the message will never be taken. Not so where it is not permitted, since that can be put right.
 bool is_refusal(int reason) {
   return reason >= 0x80 && reason != MQTT_RC_QUOTA_EXCEEDED && reason != MQTT_RC_RECEIVE_MAXIMUM_EXCEEDED &&
-         reason != MQTT_RC_PACKET_ID_IN_USE && reason != MQTT_RC_SERVER_BUSY;
+         reason != MQTT_RC_PACKET_ID_IN_USE && reason != MQTT_RC_SERVER_BUSY && reason != MQTT_RC_NOT_AUTHORIZED;
 }
 
 class Publishing final : public detail::MqttConnection {
@@ -43,12 +49,22 @@ class Publishing final : public detail::MqttConnection {
   Publishing(Loop& loop, const MqttConfig& config, bool is_text)
       : MqttConnection(loop, "sink " + config.sink.name, broker_of(config), options_of(config)),
         config_(config),
-        is_text_(is_text) {
+        is_text_(is_text),
+        good_at_(loop, [this] {
+          is_on_trial_ = false;
+          work();
+        }) {
     slots_.resize(slot_count);
   }
 
   void send(const Parcel& parcel, Answer answer) {
-    under_way_.push_back({++parcels_, &parcel, std::move(answer)});
+    Progress progress;
+    if (const auto found = begun_.find(&parcel); found != begun_.end()) {
+      if (found->second.is_of(parcel)) progress = std::move(found->second);
+      begun_.erase(found);
+    }
+    progress.begin(parcel);
+    under_way_.push_back({++parcels_, &parcel, std::move(answer), std::move(progress)});
     if (is_idle()) {
       connect();
     } else {
@@ -56,21 +72,46 @@ class Publishing final : public detail::MqttConnection {
     }
   }
   void cancel() {
-    under_way_.clear();
+    keep_progress(std::exchange(under_way_, {}));
     drop();
   }
   void end() {
     under_way_.clear();
+    good_at_.close();
     MqttConnection::end();
   }
 
  private:
+  /// What is done of a parcel, so that only the rest of it is sent again.
+  struct Progress {
+    const SlotInfo* info = nullptr;  // of its first row
+    std::uint64_t sequence = 0;      // the same
+    std::vector<bool> is_done;       // by row
+    std::vector<std::pair<std::size_t, Error>> refused;
+
+    bool is_of(const Parcel& parcel) const noexcept {
+      const Parcel::Row& first = parcel.rows().front();
+      return info == first.info && sequence == first.sequence && is_done.size() == parcel.rows().size();
+    }
+    void begin(const Parcel& parcel) {
+      info = parcel.rows().front().info;
+      sequence = parcel.rows().front().sequence;
+      is_done.resize(parcel.rows().size());
+    }
+    void refuse(std::size_t row, Error why) {
+      is_done[row] = true;
+      refused.emplace_back(row, std::move(why));
+    }
+  };
   struct UnderWay {
     std::uint64_t id;
     const Parcel* parcel;
     Answer answer;
+    Progress progress;
     std::size_t next = 0;     // row to be given to the library
     std::size_t waiting = 0;  // rows that are with it
+    std::optional<Error> forbidden = {};
+    bool is_done() const noexcept { return waiting == 0 && next == parcel->rows().size(); }
   };
   /// A message that is with the library.
   struct Message {
@@ -80,6 +121,7 @@ class Publishing final : public detail::MqttConnection {
   };
 
   bool has_more() const override {
+    if (is_on_trial_ || (is_careful_ && messages_ > 0)) return false;
     if (messages_ >= most_under_way || slot_of(next_number()).number != 0) return false;
     return std::any_of(under_way_.begin(), under_way_.end(),
                        [](const UnderWay& one) { return one.next < one.parcel->rows().size(); });
@@ -88,9 +130,21 @@ class Publishing final : public detail::MqttConnection {
   const Message& slot_of(int number) const noexcept { return slots_[static_cast<unsigned>(number) % slot_count]; }
   Message& slot_of(int number) noexcept { return slots_[static_cast<unsigned>(number) % slot_count]; }
 
+  void connected() override {
+    is_good_ = true;
+    is_on_trial_ = is_careful_;
+    if (is_careful_) good_at_.start(patience);
+  }
+
   int give(std::size_t& left) override {
+    if (is_on_trial_) return MOSQ_ERR_SUCCESS;
     for (UnderWay& one : under_way_) {
       while (one.next < one.parcel->rows().size()) {
+        if (one.progress.is_done[one.next]) {
+          ++one.next;
+          continue;
+        }
+        if (is_careful_ && messages_ > 0) return MOSQ_ERR_SUCCESS;
         if (left == 0 || messages_ >= most_under_way) return MOSQ_ERR_SUCCESS;
         const int expected = next_number();
         if (slot_of(expected).number != 0) return MOSQ_ERR_SUCCESS;  // an old one is unanswered
@@ -115,8 +169,8 @@ class Publishing final : public detail::MqttConnection {
         if (status != MOSQ_ERR_INVAL && status != MOSQ_ERR_PAYLOAD_SIZE && status != MOSQ_ERR_OVERSIZE_PACKET &&
             status != MOSQ_ERR_MALFORMED_UTF8)
           return status;
-        one.answer.refuse(row, {Errc::bad_data, "cannot be sent by MQTT", topic_of(one.parcel->rows()[row]),
-                                client_->reason(status), "look at the topic and the size of the event"});
+        one.progress.refuse(row, {Errc::bad_data, "cannot be sent by MQTT", topic_of(one.parcel->rows()[row]),
+                                  client_->reason(status), "look at the topic and the size of the event"});
       }
     }
     return MOSQ_ERR_SUCCESS;
@@ -136,27 +190,44 @@ class Publishing final : public detail::MqttConnection {
                                    [&](const UnderWay& one) { return one.id == ended.parcel; });
       if (of == under_way_.end()) continue;
       --of->waiting;
-      if (is_refusal(reason)) {
-        of->answer.refuse(ended.row,
-                          {Errc::not_permitted, "the broker refuses the event", topic_of(of->parcel->rows()[ended.row]),
-                           ::mosquitto_reason_string(reason), "look at its access control"});
+      const auto refusal = [&](const char* advice) {
+        return Error{Errc::not_permitted, "the broker refuses the event", topic_of(of->parcel->rows()[ended.row]),
+                     ::mosquitto_reason_string(reason), advice};
+      };
+      if (reason == MQTT_RC_NOT_AUTHORIZED) {
+        if (!of->forbidden)
+          of->forbidden = refusal("permit it in its access control, or leave the topic out of `topics`; events wait");
+      } else if (is_refusal(reason)) {
+        of->progress.refuse(ended.row, refusal("look at the topic and what the broker's log says"));
       } else if (reason >= 0x80) {
         is_short_of_room = true;
         why = reason;
+      } else {
+        of->progress.is_done[ended.row] = true;
+        losses_ = 0;
       }
     }
     client->published.clear();
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", ::mosquitto_reason_string(why));
     for (bool is_any = true; is_any && client_ == client;) {
-      const auto done = std::find_if(under_way_.begin(), under_way_.end(), [](const UnderWay& one) {
-        return one.waiting == 0 && one.next == one.parcel->rows().size();
-      });
+      const auto done = std::find_if(under_way_.begin(), under_way_.end(),
+                                     [](const UnderWay& one) { return one.is_done(); });
       is_any = done != under_way_.end();
       if (!is_any) break;
-      Answer answer = std::move(done->answer);
+      UnderWay one = std::move(*done);
       under_way_.erase(done);
-      answer.acknowledge();
+      if (one.forbidden) {
+        begun_.insert_or_assign(one.parcel, std::move(one.progress));
+        one.answer.again(std::move(*one.forbidden), config_.sink.retry_longest);
+        continue;
+      }
+      is_careful_ = is_careful_ && !one.progress.refused.empty();
+      for (auto& [row, error] : one.progress.refused) one.answer.refuse(row, std::move(error));
+      one.answer.acknowledge();
     }
+  }
+  void keep_progress(std::vector<UnderWay> ended) {
+    for (UnderWay& one : ended) begun_.insert_or_assign(one.parcel, std::move(one.progress));
   }
 
   const std::string& topic_of(const Parcel::Row& row) {
@@ -178,11 +249,46 @@ class Publishing final : public detail::MqttConnection {
   }
 
   void lost(const Error& error) override {
-    auto ended = std::move(under_way_);
-    under_way_.clear();
-    for (UnderWay& one : ended) one.answer.again(error);
+    if (const auto with = std::exchange(lost_with_, {})) look_at_loss(*with, error);
+    std::vector<UnderWay> ended = std::exchange(under_way_, {});
+    std::vector<Answer> answers;
+    for (UnderWay& one : ended) answers.push_back(std::move(one.answer));
+    keep_progress(std::move(ended));
+    for (Answer& answer : answers) answer.again(error);
+  }
+  /// A good connection was lost while these messages were unanswered. Sent one by one, that of an event which the
+  /// broker cannot take shows.
+  void look_at_loss(const std::vector<Message>& with, const Error& error) {
+    if (is_v5() || error.code != make_error_code(Errc::disconnected)) return;
+    if (!is_careful_) {
+      is_careful_ = ++losses_ >= most_losses - 1;
+      return;
+    }
+    const auto of = std::find_if(under_way_.begin(), under_way_.end(),
+                                 [&](const UnderWay& one) { return one.id == with.front().parcel; });
+    if (with.size() != 1 || of == under_way_.end()) return;
+    const std::pair key{of->parcel, with.front().row};
+    suspected_ = std::exchange(suspect_, key) == key ? suspected_ + 1 : 1;
+    if (suspected_ < most_losses) return;
+    of->progress.refuse(
+        with.front().row,
+        {Errc::does_not_fit, "the broker does not take the event", topic_of(of->parcel->rows()[with.front().row]),
+         "it has ended " + std::to_string(most_losses) + " connections on which nothing else was sent",
+         "of MQTT 3.1.1 it does not say why: most probably the event, of " +
+             std::to_string(of->parcel->bytes(with.front().row).size()) +
+             " bytes, is larger than its limit for packets"});
+    suspected_ = 0;
   }
   void forget() override {
+    if (std::exchange(is_good_, false) && !is_on_trial_ && messages_ > 0) {
+      lost_with_.emplace();
+      for (const Message& message : slots_)
+        if (message.number != 0) lost_with_->push_back(message);
+    } else {
+      lost_with_.reset();
+    }
+    good_at_.stop();
+    is_on_trial_ = false;
     std::fill(slots_.begin(), slots_.end(), Message{});
     messages_ = 0;
     last_number_ = 0;
@@ -191,10 +297,20 @@ class Publishing final : public detail::MqttConnection {
   const MqttConfig config_;
   const bool is_text_;
   std::vector<UnderWay> under_way_;
+  std::map<const Parcel*, Progress> begun_;  // and are to be sent again
   std::uint64_t parcels_ = 0;
   std::vector<Message> slots_;
   std::size_t messages_ = 0;  // in them
   int last_number_ = 0;
+  // Of MQTT 3.1.1: which event it is that the broker ends connections for.
+  Timer good_at_;
+  bool is_good_ = false;      // the broker has accepted the connection
+  bool is_on_trial_ = false;  // whether it lasts, before anything is sent on it
+  bool is_careful_ = false;   // one message at a time
+  int losses_ = 0;            // of connections, since a message was confirmed
+  std::optional<std::vector<Message>> lost_with_;
+  std::pair<const Parcel*, std::size_t> suspect_{};
+  int suspected_ = 0;
   std::vector<std::pair<const SlotInfo*, std::string>> topics_;  // by slot
 };
 

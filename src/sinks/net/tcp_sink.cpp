@@ -8,14 +8,15 @@
 #include <utility>
 #include <vector>
 
-#include "io/tcp_stream.hpp"
+#include "io/tls_stream.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sinks/core/peer_config.hpp"
 
 namespace rtdata {
 namespace {
 
-using detail::TcpStream;
+using detail::TlsContext;
+using detail::TlsStream;
 
 constexpr const char* what = "cannot make tcp sink";
 constexpr std::size_t most_read = 4096;         // at once
@@ -29,9 +30,10 @@ constexpr Duration probation = std::chrono::milliseconds{500};
 /// What is under way on the loop: shared, since an answer may end the sink while one of its functions runs.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
-  Connection(Loop& loop, const TcpConfig& config)
+  Connection(Loop& loop, const TcpConfig& config, std::shared_ptr<const TlsContext> tls)
       : loop_(loop),
         config_(config),
+        tls_(std::move(tls)),
         stream_(
             loop.core(), "sink " + config.sink.name, [this](const Result<void>& result) { opened(result); },
             [this] { ready(); }),
@@ -42,7 +44,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (trouble_) return answer.again(*std::exchange(trouble_, {}), Duration{0});
     under_way_.push_back({&parcel, std::move(answer)});
     if (stream_.is_open()) return write();
-    if (!stream_.is_connecting()) stream_.connect(config_.host, config_.port, config_.connect_timeout);
+    if (!stream_.is_connecting()) stream_.connect(config_.host, config_.port, config_.connect_timeout, tls_);
   }
   /// Half an event may have been sent: no other can follow it.
   void cancel() {
@@ -76,7 +78,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
     const auto self = shared_from_this();
     if (!result) return fail(result.error());
     opened_at_ = loop_.now();
-    is_on_probation_ = std::exchange(is_distrusted_, false);
+    // A server with TLS may refuse this machine's certificate only after the handshake.
+    is_on_probation_ = std::exchange(is_distrusted_, false) || (tls_ != nullptr && !is_confirmed());
     if (is_on_probation_) return more_.start(std::min<Duration>(probation, config_.sending.timeout / 2));
     write();
   }
@@ -84,11 +87,11 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void ready() {
     const auto self = shared_from_this();
     char bytes[most_read];
-    for (int i = 0; i < most_reads && stream_.is_open(); ++i) {
+    for (int i = 0; stream_.is_open() && (i < most_reads || stream_.has_unread()); ++i) {
       const ssize_t got = stream_.read(bytes, sizeof bytes);
       if (got < 0 && errno == EINTR) continue;
       if (got < 0 && errno == EAGAIN) break;
-      if (got < 0) return fail(system_error(errno, "lost the connection", peer(), "it is connected to again"));
+      if (got < 0) return fail(stream_.failure(errno));
       if (got == 0)
         return fail(
             {Errc::disconnected, "lost the connection", peer(), "the peer has closed it", "it is connected to again"});
@@ -116,12 +119,12 @@ class Connection : public std::enable_shared_from_this<Connection> {
       if (done < 0 && errno == EAGAIN) {
         is_full = true;
       } else if (done < 0) {
-        const Error error = system_error(errno, "lost the connection", peer(), "it is connected to again");
+        const Error error = stream_.failure(errno);
         is_writing_ = false;
         return fail(error);
       } else {
         next->written += static_cast<std::size_t>(done);
-        left -= static_cast<std::size_t>(done);
+        left -= std::min(left, static_cast<std::size_t>(done));
         if (!is_confirmed() && next->written == next->parcel->bytes().size()) acknowledge_first();
       }
     }
@@ -206,7 +209,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
   Loop& loop_;
   const TcpConfig config_;
-  TcpStream stream_;
+  const std::shared_ptr<const TlsContext> tls_;  // null: not encrypted
+  TlsStream stream_;
   Timer more_;  // goes on in the next turn of the loop
   std::vector<UnderWay> under_way_;
   std::string line_;  // of an acknowledgement, begun
@@ -224,7 +228,15 @@ class TcpSender final : public Sender {
   TcpSender(TcpConfig config, std::unique_ptr<Codec> codec) : config_(std::move(config)), codec_(std::move(codec)) {}
 
   SendingConfig sending() const override { return config_.sending; }
-  void begin(Loop& loop) override { connection_ = std::make_shared<Connection>(loop, config_); }
+  /// On the lane: it reads files. Before `begin`.
+  Result<void> open() override {
+    if (!config_.tls) return {};
+    auto loaded = TlsContext::load(*config_.tls);
+    if (!loaded) return std::move(loaded).error();
+    tls_ = std::move(*loaded);
+    return {};
+  }
+  void begin(Loop& loop) override { connection_ = std::make_shared<Connection>(loop, config_, tls_); }
   void send(const Parcel& parcel, Answer answer) override { connection_->send(parcel, std::move(answer)); }
   void cancel() override { connection_->cancel(); }
   void end() override {
@@ -238,6 +250,7 @@ class TcpSender final : public Sender {
  private:
   const TcpConfig config_;
   const std::unique_ptr<Codec> codec_;  // lane
+  std::shared_ptr<const TlsContext> tls_;
   std::shared_ptr<Connection> connection_;
 };
 
@@ -248,6 +261,13 @@ TcpConfig named(TcpConfig config) {
 
 std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& formats) {
   detail::require_host(what, config.host, config.port);
+  if (config.tls && !detail::has_tls())
+    throw SetupError({Errc::not_found, what, config.sink.name, "this library was built without OpenSSL",
+                      "install libssl-dev and build it again, or leave `tls` out"});
+  if (config.tls) {
+    for (const TlsMistake& mistake : mistakes_of(*config.tls))
+      throw SetupError({Errc::bad_argument, what, "tls." + mistake.key, mistake.message, ""});
+  }
   auto codec = config.format == "raw" && config.sequence ? make_raw_codec({.sequence = RawConfig::Sequence::include})
                                                          : detail::codec_to_send(what, config.format, formats);
   return std::make_unique<TcpSender>(named(config), std::move(codec));
@@ -258,6 +278,11 @@ std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& 
 void check_config(const TcpConfig& config, const ConfigItem& item, Problems& problems) {
   detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
+  if (!config.tls) return;
+  if (!detail::has_tls())
+    detail::add_obstacle("this program was built without OpenSSL, and encrypts nothing", "tls", item, problems);
+  for (const TlsMistake& mistake : mistakes_of(*config.tls))
+    detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
 }
 
 TcpSink::TcpSink(Loop& loop, TcpConfig config, const CodecRegistry& formats)

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <set>
 #include <utility>
 
 #include "data/time_text.hpp"
@@ -86,10 +87,13 @@ Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, con
   }
   auto all = recording.topics();
   if (!all) return std::move(all).error();
+  std::set<std::string> all_names;  // one whose fields changed is there several times
+  for (const RecordedTopic& topic : *all) all_names.insert(topic.topic);
   std::string names;
+  for (const std::string& name : all_names)
+    if (names.size() < 200) names += (names.empty() ? "" : ", ") + name;
   std::vector<RecordedTopic> chosen;
   for (RecordedTopic& topic : *all) {
-    if (names.size() < 200) names += (names.empty() ? "" : ", ") + topic.topic;
     const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
                                        [&](const std::string& pattern) { return topic_matches(pattern, topic.topic); });
     // Of one whose fields changed between runs, those of this run.

@@ -144,7 +144,10 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
     auto row = stored->step();
     if (!row) return std::move(row).error();
     if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
-    if (position.row == 0) return position;
+    if (position.row == 0) {
+      positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
+      return position;
+    }
     constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
     auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
     if (!same) return std::move(same).error();
@@ -347,6 +350,8 @@ void SqliteFeed::note_committed() {
       known->last_row = std::max(known->last_row, committed.last_row);
     } else if (is_wanted(committed.topic)) {
       rows_of_new_tables_ += static_cast<std::uint64_t>(committed.last_row);
+      // So that the file says that it is to be sent, also if it is not looked at before the end.
+      if (new_tables_.insert(name).second) positions_->set(config_.sink, name, {});
     }
   }
   update_counts();

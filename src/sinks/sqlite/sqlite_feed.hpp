@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -92,6 +93,7 @@ class SqliteFeed final : public detail::RowFeed {
   std::map<std::int64_t, Run> runs_;
   std::map<std::string, std::uint32_t> topic_numbers_;
   std::uint64_t rows_of_new_tables_ = 0;  // that it has not looked at yet
+  std::set<std::string> new_tables_;      // that have been committed to and not been looked at when they were
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   std::int64_t first_run_with_escapes_ = 0;

@@ -23,7 +23,7 @@ constexpr Duration card_batch_time = std::chrono::seconds{10};
 SinkConfig named(const SqliteConfig& config) {
   SinkConfig sink = config.sink;
   if (sink.name.empty()) sink.name = config.path;
-  if (config.profile == SqliteProfile::card) sink.batch_time = std::max<Duration>(sink.batch_time, card_batch_time);
+  sink.batch_time = batch_time(config);
   return sink;
 }
 
@@ -64,6 +64,11 @@ Result<void> check_path(const std::string& path) {
 }
 
 }  // namespace sqlite
+
+Duration batch_time(const SqliteConfig& config) {
+  return config.profile == SqliteProfile::card ? std::max<Duration>(config.sink.batch_time, card_batch_time)
+                                               : config.sink.batch_time;
+}
 
 std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRecord> topics) {
   std::vector<Error> refused;

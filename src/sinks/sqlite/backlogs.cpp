@@ -1,0 +1,98 @@
+// What the sinks that go through a recording still have to send, from their positions in the file.
+#include <map>
+
+#include "rtdata/sinks/recording.hpp"
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/positions.hpp"
+#include "sinks/sqlite/recording_file.hpp"
+
+namespace rtdata {
+namespace {
+
+using sqlite::Position;
+using sqlite::quoted;
+
+struct Stored {
+  std::string sink, table, host;
+  Position position;
+};
+
+Result<std::vector<Stored>> positions_in(const detail::RecordingFile& file) {
+  std::vector<Stored> stored;
+  auto query = file.prepare(
+      "SELECT sink, table_name, host, row, run, origin, sequence FROM rtdata_position ORDER BY sink, table_name");
+  if (!query) return std::move(query).error();
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return stored;
+    stored.push_back({std::string(query->text(0)),
+                      std::string(query->text(1)),
+                      std::string(query->text(2)),
+                      {query->integer(3), query->integer(4), std::string(query->text(5)), query->integer(6)}});
+  }
+}
+
+/// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
+Result<std::int64_t> row_of(const detail::RecordingFile& file, const std::string& table, const Position& position) {
+  if (position.row == 0) return std::int64_t{0};
+  const std::string from = " FROM " + quoted(table) + " WHERE run = ?2 AND origin = ?3 AND sequence = ?4";
+  auto query = file.prepare("SELECT coalesce((SELECT rowid" + from + " AND rowid = ?1), (SELECT rowid" + from +
+                            "), (SELECT ?1 WHERE (SELECT min(rowid) FROM " + quoted(table) + ") > ?1), 0)");
+  if (!query) return std::move(query).error();
+  query->bind(1, position.row).bind(2, position.run).bind(3, position.origin).bind(4, position.sequence);
+  auto row = query->step();
+  if (!row) return std::move(row).error();
+  return query->integer(0);
+}
+
+}  // namespace
+
+Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
+  std::vector<RecordedBacklog> backlogs;
+  const auto number = [&](const std::string& sql) { return file_->database.integer(sql); };
+  auto has_tables = number("SELECT count(*) FROM sqlite_schema WHERE name IN ('rtdata_position', 'rtdata_refused')");
+  if (!has_tables) return std::move(has_tables).error();
+  if (*has_tables != 2) return backlogs;
+  auto stored = positions_in(*file_);
+  if (!stored) return std::move(stored).error();
+  auto topics = this->topics();
+  if (!topics) return std::move(topics).error();
+  for (Stored& one : *stored) {
+    if (backlogs.empty() || backlogs.back().sink != one.sink) {
+      RecordedBacklog& made = backlogs.emplace_back();
+      made.sink = one.sink;
+      made.host = one.host;
+      auto refused = file_->prepare("SELECT count(*) FROM rtdata_refused WHERE sink = ?");
+      if (!refused) return std::move(refused).error();
+      refused->bind(1, one.sink);
+      auto row = refused->step();
+      if (!row) return std::move(row).error();
+      made.refused = static_cast<std::uint64_t>(refused->integer(0));
+    }
+    RecordedBacklog& backlog = backlogs.back();
+    for (const RecordedTopic& topic : *topics) {
+      if (topic.table != one.table) continue;
+      auto after = row_of(*file_, one.table, one.position);
+      if (!after) return std::move(after).error();
+      const std::string rows = " FROM " + quoted(one.table) + " WHERE rowid > " + std::to_string(*after);
+      auto waits = number("SELECT count(*)" + rows);
+      if (!waits) return std::move(waits).error();
+      if (*waits == 0) continue;
+      backlog.events += static_cast<std::uint64_t>(*waits);
+      backlog.bytes += static_cast<std::uint64_t>(*waits) * topic.description->size();
+      auto oldest = file_->prepare("SELECT run, time" + rows + " ORDER BY rowid LIMIT 1");
+      if (!oldest) return std::move(oldest).error();
+      auto row = oldest->step();
+      if (!row) return std::move(row).error();
+      if (!*row) continue;
+      auto line = utc_line(oldest->integer(0));
+      const Time recorded = from_nanoseconds(oldest->integer(1));
+      const Time time = line ? line->utc(recorded) : recorded;
+      backlog.oldest = backlog.oldest ? std::min(*backlog.oldest, time) : time;
+    }
+  }
+  return backlogs;
+}
+
+}  // namespace rtdata
