@@ -51,12 +51,12 @@ TEST_SUITE("fsm") {
     CHECK(kinds(graph) == std::vector{FaultKind::duplicate});
 
     graph = flight();
-    graph.edges.insert(graph.edges.begin(), {0, 2, "", "", true, false});
+    graph.edges.insert(graph.edges.begin(), {0, 2, "", "", true});
     CHECK(kinds(graph) == std::vector{FaultKind::never_taken});
     graph.edges[0].on = "abort";  // another event
     CHECK(kinds(graph).empty());
     graph.edges[0].on = "";
-    graph.edges[0].is_timed = true;  // until then the other may be taken
+    graph.edges[0].after = std::chrono::seconds{1};  // until then the other may be taken
     CHECK(kinds(graph).empty());
   }
 
