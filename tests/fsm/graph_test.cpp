@@ -20,7 +20,7 @@ std::vector<FaultKind> kinds(const Graph& graph) {
 Graph flight() {
   return {"flight",
           {{"pad"}, {"boost"}, {"landed", true}},
-          {{0, 1, "altitude > 20", "", false, false}, {1, 2, "touchdown", "touchdown", false, false}},
+          {{0, 1, "altitude > 20", "", false}, {1, 2, "touchdown", "touchdown", false}},
           0};
 }
 
