@@ -21,9 +21,11 @@ std::vector<bool> reached_from(const Graph& graph, std::size_t start) {
   return reached;
 }
 
-/// `earlier` is taken whenever `later` could be: both wait for the same, and `earlier` for nothing else.
-bool hides(const Graph::Edge& earlier, const Graph::Edge& later) {
-  return earlier.from == later.from && earlier.on == later.on && earlier.is_unconditional && !earlier.is_timed;
+/// `one` is taken whenever `other` could be: both wait for the same, and `one` for nothing else. `is_first`: it is
+/// tried before `other`. Without an event, it is tried as soon as its time is there.
+bool hides(const Graph::Edge& one, const Graph::Edge& other, bool is_first) {
+  if (one.from != other.from || one.on != other.on || !one.is_unconditional) return false;
+  return is_first ? one.after <= other.after : one.on.empty() && one.after < other.after;
 }
 
 /// A text in quotes, as both languages have it.
@@ -102,19 +104,19 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
       faults.push_back(
           {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, and something leads out of it"});
   }
-  for (std::size_t later = 0; later < graph.edges.size(); ++later) {
-    const Graph::Edge& edge = graph.edges[later];
-    for (std::size_t earlier = 0; earlier < later; ++earlier) {
-      const Graph::Edge& before = graph.edges[earlier];
-      if (before.from == edge.from && before.to == edge.to && before.on == edge.on && before.label == edge.label) {
+  for (std::size_t i = 0; i < graph.edges.size(); ++i) {
+    const Graph::Edge& edge = graph.edges[i];
+    for (std::size_t k = 0; k < graph.edges.size(); ++k) {
+      const Graph::Edge& other = graph.edges[k];
+      if (k < i && other.from == edge.from && other.to == edge.to && other.on == edge.on && other.label == edge.label) {
         faults.push_back(
-            {Kind::duplicate, Graph::none, later, "the transition " + of_edge(graph, edge) + " is there twice"});
+            {Kind::duplicate, Graph::none, i, "the transition " + of_edge(graph, edge) + " is there twice"});
         break;
       }
-      if (hides(before, edge)) {
-        faults.push_back({Kind::never_taken, Graph::none, later,
-                          "the transition " + of_edge(graph, edge) + " is never taken: the one before it, " +
-                              of_edge(graph, before) + ", has no condition"});
+      if (k != i && hides(other, edge, k < i)) {
+        faults.push_back({Kind::never_taken, Graph::none, i,
+                          "the transition " + of_edge(graph, edge) + " is never taken: the one " +
+                              of_edge(graph, other) + ", which comes before it, has no condition"});
         break;
       }
     }

@@ -155,14 +155,14 @@ class MachineNode final : public Node {
   }
 
   // Its life
-  void start(std::string_view name) {
+  void start(std::string_view name, std::string_view cause, Duration in_state) {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
     Entry& state = entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
     if (!config_.failure.empty()) (void)entry(config_.failure, "cannot have as the state after failures");
     const rtdata::detail::Call call(*this);
     is_busy_ = true;
-    go(state, "start", loop()->face.time());
+    go(state, cause, loop()->face.time(), in_state);
     ended();
     take_waiting();
   }
@@ -206,8 +206,8 @@ class MachineNode final : public Node {
       for (const auto& way : state->ways) {
         if (way->is_removed) continue;
         const Transition& config = way->config;
-        graph.edges.push_back({index(*state), index(way->to), config.cause, config.on,
-                               !config.when && !way->to.has_check, config.after > Duration{0}});
+        graph.edges.push_back(
+            {index(*state), index(way->to), config.cause, config.on, !config.when && !way->to.has_check, config.after});
       }
     }
     return graph;
@@ -336,7 +336,7 @@ class MachineNode final : public Node {
   }
 
   /// Goes to a state, and on to the failure state when an action threw.
-  void go(Entry& target, std::string_view cause, Time time) {
+  void go(Entry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
     Entry* to = &target;
     Entry* const failure = config_.failure.empty() ? nullptr : find(config_.failure);
     const char* why = nullptr;
@@ -349,7 +349,8 @@ class MachineNode final : public Node {
       }
       if (!is_open()) return;
     }
-    if (!arrive_in(*to, why != nullptr ? why : cause, time) && is_open() && failure != nullptr && failure != to) {
+    if (!arrive_in(*to, why != nullptr ? why : cause, time, before) && is_open() && failure != nullptr &&
+        failure != to) {
       // The state whose arrive threw is left like any other.
       const Moment moment{time, current_->name, Duration{0}};
       going_to_ = failure;
@@ -360,7 +361,8 @@ class MachineNode final : public Node {
     going_to_ = nullptr;
     arm();
   }
-  bool arrive_in(Entry& to, std::string_view cause, Time time) {
+  /// `before`: how long it was there already, before this machine was made.
+  bool arrive_in(Entry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
     StateChange change;
     if (current_ != nullptr) {
       change.from = current_->name;
@@ -370,11 +372,11 @@ class MachineNode final : public Node {
     change.cause = cut(cause);
     current_ = &to;
     going_to_ = &to;
-    arrived_ = loop()->now();
+    arrived_ = loop()->now() - before;
     for (const auto& way : to.ways) way->since.reset();
     feed_.publish(change, time);  // before what it causes
     if (!is_open()) return false;
-    return call("arrive", to, [&] { to.code->arrive({time, to.name, Duration{0}}); });
+    return call("arrive", to, [&] { to.code->arrive({time, to.name, before}); });
   }
   /// Wakes up when the next way of the current state may be tried.
   void arm() {
@@ -493,8 +495,8 @@ std::size_t Machine::remove_transitions(std::string_view from, std::string_view 
   return m != nullptr ? m->remove_transitions(from, to) : 0;
 }
 void Machine::start() { start_in({}); }
-void Machine::start_in(std::string_view state) {
-  if (auto* m = open_node(node())) m->start(state);
+void Machine::start_in(std::string_view state, std::string_view cause, Duration in_state) {
+  if (auto* m = open_node(node())) m->start(state, cause, in_state);
 }
 void Machine::raise(std::string_view event) {
   if (auto* m = open_node(node())) m->raise(event);

@@ -21,7 +21,7 @@ below = {
     "sinks": {"data", "loop", "io"},
     "fsm": {"data", "loop", "io", "process", "sensors/feed.hpp", "sensors/sensor.hpp"},  # a machine publishes by a feed
     "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
-    "app": {"data", "loop", "io", "process", "sensors", "sinks", "config"},
+    "app": {"data", "loop", "io", "process", "sensors", "sinks", "fsm", "config"},
 }
 # Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call
 # upwards, since objects of a loop register with its runtime; elsewhere they may not either.

@@ -20,7 +20,7 @@ std::vector<FaultKind> kinds(const Graph& graph) {
 Graph flight() {
   return {"flight",
           {{"pad"}, {"boost"}, {"landed", true}},
-          {{0, 1, "altitude > 20", "", false, false}, {1, 2, "touchdown", "touchdown", false, false}},
+          {{0, 1, "altitude > 20", "", false}, {1, 2, "touchdown", "touchdown", false}},
           0};
 }
 
@@ -51,12 +51,12 @@ TEST_SUITE("fsm") {
     CHECK(kinds(graph) == std::vector{FaultKind::duplicate});
 
     graph = flight();
-    graph.edges.insert(graph.edges.begin(), {0, 2, "", "", true, false});
+    graph.edges.insert(graph.edges.begin(), {0, 2, "", "", true});
     CHECK(kinds(graph) == std::vector{FaultKind::never_taken});
     graph.edges[0].on = "abort";  // another event
     CHECK(kinds(graph).empty());
     graph.edges[0].on = "";
-    graph.edges[0].is_timed = true;  // until then the other may be taken
+    graph.edges[0].after = std::chrono::seconds{1};  // until then the other may be taken
     CHECK(kinds(graph).empty());
   }
 

@@ -112,7 +112,8 @@ WordFound find_word(const TypeInfo& type, std::string_view word);
 /// The places in `types` of those that have most to do with it; empty: none has.
 std::vector<std::size_t> types_for_word(const std::vector<TypeInfo>& types, std::string_view word);
 
-/// The schema of an item of any of these types, which asks for the parameters of the one that it names.
-std::string schema(const std::vector<TypeInfo>& types, std::string_view key = "type");
+/// The schema of an item of any of these types, which asks for the parameters of the one that it names. `by_default`:
+/// the type of an item that names none; empty: each has to.
+std::string schema(const std::vector<TypeInfo>& types, std::string_view key = "type", std::string_view by_default = "");
 
 }  // namespace rtdata

@@ -41,8 +41,12 @@ class TypeRegistryBase {
   void leave_out(std::string type, std::string why);
   /// Why a type is left out; null: it is not known as one that is.
   const std::string* why_left_out(std::string_view type) const noexcept;
+  /// The type of items that do not say theirs; it may be added later. Without a call of this, each item says it.
+  void set_default(std::string type) { default_ = std::move(type); }
+  /// As the item says, or the default. Empty: neither.
+  std::string type_named_by(const ConfigItem& item) const;
   /// The JSON Schema (draft-07) of an item of any type.
-  std::string schema() const { return rtdata::schema(types()); }
+  std::string schema() const { return rtdata::schema(types(), "type", default_); }
 
  protected:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
@@ -73,6 +77,7 @@ class TypeRegistryBase {
   TypeInfo info_of(const Type& type) const;
 
   std::string what_;
+  std::string default_;  // empty: none
   std::vector<ParameterInfo> common_;
   std::vector<Type> types_;
   std::vector<std::pair<std::string, std::string>> left_out_;  // type and reason

@@ -11,6 +11,8 @@
 #include <string>
 #include <vector>
 
+#include "rtdata/data/time.hpp"
+
 namespace rtdata::fsm {
 
 struct Graph {
@@ -25,7 +27,7 @@ struct Graph {
     std::string label = {};         ///< "burnout", "altitude > 5, for 300 ms"
     std::string on = {};            ///< the event that it waits for; empty: any
     bool is_unconditional = false;  ///< taken as soon as it is tried: those behind it that are tried with it never are
-    bool is_timed = false;          ///< with a time in the state before which it is not tried
+    Duration after{0};              ///< the time in the state before which it is not tried
   };
   std::string name;  ///< of the machine
   std::vector<Node> states;
@@ -41,7 +43,7 @@ struct GraphFault {
     dead_end,     ///< nothing leads out of the state, and it is not final
     left_final,   ///< a final state that something leads out of
     duplicate,    ///< two transitions that are the same
-    never_taken,  ///< an earlier one is always taken before it
+    never_taken,  ///< another one is always taken before it
   };
   Kind kind;
   std::size_t state = Graph::none;  ///< index in `states`

@@ -176,7 +176,8 @@ class Machine : public Handle {
   /// Goes to the start state, or to the one that is given, and runs its `arrive`. SetupError (not-found) when there is
   /// no such state. Of a machine that was started: nothing.
   void start();
-  void start_in(std::string_view state);
+  /// `in_state`: how long it has been there already, of a machine that goes on with what another began.
+  void start_in(std::string_view state, std::string_view cause = "start", Duration in_state = Duration{0});
   /// A named event. Before the start it is ignored, and counted so. One that no transition knows is reported.
   void raise(std::string_view event);
   /// Tries the transitions without an event, as after a change of something that is no input.

@@ -224,6 +224,9 @@ class Sink : public Handle {
   void on_error(Callback<void(const ErrorReport&)> handler);
   /// Hands over what is queued now, without waiting for the batch to fill.
   void flush();
+  /// Hands over what is queued now; `done` is called on the loop when that is stored and, as far as the writer can see
+  /// to it, survives a power cut. When storing fails, it is tried again first; of a sink that is closed, never.
+  void sync(Callback<void()> done);
 };
 
 }  // namespace rtdata

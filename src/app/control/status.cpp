@@ -13,6 +13,7 @@
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/tier/tier_core.hpp"
 #include "rtdata/data/value.hpp"
+#include "rtdata/fsm/configured.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -178,6 +179,14 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   shot->loops = runtime.loops();
   shot->sinks = runtime.sinks();
   shot->topics = runtime.topics();
+  if (info_->made != nullptr) {
+    for (const std::string& name : info_->made->names("machine")) {
+      const auto* machine = info_->made->find<fsm::ConfiguredMachine>("machine", name);
+      if (machine == nullptr) continue;
+      const auto [state, since] = machine->now();
+      shot->machines[name] = {std::string(state), std::max(shot->at - since, Duration{0})};
+    }
+  }
   shot->callbacks = loop_.callbacks();
   shot->callbacks_loop = loop_.config().name;
   ask_tiers(*shot);
@@ -250,6 +259,13 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     one["lateness_ns"] = seen.lateness != nullptr ? lateness_json(*seen.lateness) : Json();
     one["health"] = health_json(sensor.health, sensor.reason);
     one["value"] = has_value ? Json(value_text(*description, seen.payload.data())) : Json();
+    if (const auto machine = now.machines.find(sensor.name); machine != now.machines.end()) {
+      const auto& [state, in_state] = machine->second;
+      one["state"] = state;
+      one["in_state_s"] = std::chrono::duration<double>(in_state).count();
+      const auto tenths = std::chrono::floor<std::chrono::duration<std::int64_t, std::deci>>(in_state);
+      one["value"] = state + " for " + to_string(Duration{tenths});
+    }
     sensors.push_back(std::move(one));
   }
 

@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/config/parts.hpp"
 #include "rtdata/io/bus.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -51,6 +52,7 @@ class StatusSource {
       const Bus* bus = nullptr;        ///< if it is one; lives until the next `set`
     };
     std::vector<Part> parts = {};
+    const Parts* made = nullptr;  ///< where the machines are; null: there are none. Outlives this.
   };
   StatusSource(Loop& loop, Info info);
   /// Another configuration.
@@ -94,6 +96,11 @@ class StatusSource {
     std::vector<LoopStatus> loops;
     std::vector<SinkStatus> sinks;
     std::vector<TopicStatus> topics;
+    struct MachineState {
+      std::string state;
+      Duration in_state{0};
+    };
+    std::map<std::string, MachineState, std::less<>> machines;
     std::vector<CallbackStatus> callbacks;  // of this loop
     std::string callbacks_loop;
     std::vector<AskedTier> tiers;

@@ -35,6 +35,14 @@ struct CheckOptions {
 };
 int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
+enum class DrawAs { mermaid, dot };
+struct GraphOptions {
+  std::string file;
+  std::string machine;  ///< only this one; empty: all
+  DrawAs draw_as = DrawAs::mermaid;
+};
+/// exit_other: there is no such machine; exit_configuration: the file has mistakes.
+int graph(const Registry& registry, const GraphOptions& options);
 struct ForwardOptions {
   std::string database;
   std::string file;  ///< the configuration whose sinks send

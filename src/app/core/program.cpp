@@ -121,6 +121,19 @@ Action prepare_check(CLI::App& command) {
   };
 }
 
+Action prepare_graph(CLI::App& command) {
+  const auto options = std::make_shared<app::GraphOptions>();
+  command.footer(
+      "examples:\n  rtdata graph rocket.json                     for a ```mermaid block of Markdown\n"
+      "  rtdata graph rocket.json --dot | dot -Tsvg   by Graphviz\nexit status:\n"
+      "  0  drawn\n  1  there is no such machine\n  2  mistakes in the configuration");
+  command.add_option("FILE", options->file, "The configuration")->required();
+  command.add_option("--machine", options->machine, "Only this one")->type_name("NAME");
+  command.add_flag_callback(
+      "--dot", [options] { options->draw_as = app::DrawAs::dot; }, "In the language of Graphviz, instead of Mermaid");
+  return [options](const Registry& registry) { return app::graph(registry, *options); };
+}
+
 Action prepare_types(CLI::App& command) {
   struct Given {
     std::string type;
@@ -439,6 +452,7 @@ constexpr Command commands[] = {
     {"doctor", "Say what of this machine costs timing or data, and what to do", prepare_doctor},
     {"bench", "Measure what this machine can do: jitter, events, recording", prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", prepare_check},
+    {"graph", "Draw the machines of a configuration", prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", prepare_types},
 #ifdef RTDATA_WITH_SQLITE
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", prepare_verify},

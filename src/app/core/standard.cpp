@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "app/core/machines.hpp"
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/serial.hpp"
@@ -279,6 +280,7 @@ Registry standard_registry() {
           check_limit_field(config, payload_of, part.item, problems);
         };
       });
+  app::add_machines(registry);
   registry.add_sensor<W1Config>(
       "w1", "temperature of a DS18B20 or the like on 1-Wire",
       [](const W1Config&) { return Result(description_of<W1Temperature>()); },

@@ -31,12 +31,16 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
 
 std::string counts_text(const Registry& registry, const SystemPlan& plan) {
   std::string text;
+  std::string more;  // of kinds that not every configuration has
   for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
     if (kind->does == PartKind::Does::nothing_known) continue;
     const std::size_t count = plan.of_kind(kind->name).size();
-    text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
+    const bool is_usual = kind->name == "sensor" || kind->name == "sink";
+    std::string& to = is_usual ? text : more;
+    if (count == 0 && !is_usual) continue;
+    to += (to.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
   }
-  return text;
+  return more.empty() ? text : text + ", " + more;
 }
 
 int check(const Registry& registry, const CheckOptions& options) {

@@ -7,6 +7,7 @@
 #include <iostream>
 #include <memory>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "app/core/configuration_commands.hpp"
@@ -16,6 +17,7 @@
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/topic.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/recording.hpp"
 
@@ -29,15 +31,32 @@ bool is_same_file(const std::string& a, const std::string& b) {
          of_a.st_ino == of_b.st_ino;
 }
 
-/// The parts of a configuration that take events; those that make them, and what they need, are left out.
-SystemPlan sinks_of(const Registry& registry, const ReplayOptions& options) {
-  SystemPlan plan = plan_system(registry, load_config(options.configuration));
+/// It makes its events of those of other parts.
+bool follows_others(const PartPlan& part) {
+  return part.kind == "machine" || (part.kind == "sensor" && (part.type == "derived" || part.type == "limit"));
+}
+
+/// A machine begins in its start state, whatever the recordings of the configuration say.
+void forget_pauses(ConfigItem& root) {
+  ConfigItem* machines = root.is_object() ? root.find("machines") : nullptr;
+  if (machines == nullptr || !machines->is_array()) return;
+  for (std::size_t i = 0; i < machines->size(); ++i)
+    if (ConfigItem* one = machines->find(i); one->is_object()) one->remove("resume");
+}
+
+/// The parts of a configuration that take events; those that read devices, and what they need, are left out.
+SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
+  ConfigDocument document = load_config(options.configuration);
+  forget_pauses(document.root);
+  SystemPlan plan = plan_system(registry, std::move(document));
   if (!plan.good()) return plan;
   std::size_t sensors = 0;
   std::erase_if(plan.parts, [&](const PartPlan& part) {
+    if (follows_others(part)) return false;
     if (part.kind == "sensor") ++sensors;
     return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier";
   });
+  for (PartPlan& part : plan.parts) std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "tier"; });
   plan.settings.tiers.clear();
   if (sensors > 0) {
     std::cerr << "rtdata: " << sensors << (sensors == 1 ? " sensor" : " sensors") << " of " << options.configuration
@@ -51,6 +70,21 @@ SystemPlan sinks_of(const Registry& registry, const ReplayOptions& options) {
     }
   }
   return plan;
+}
+
+/// Leaves out the parts whose events the replay gives.
+void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunInfo& run, const ReplayConfig& config) {
+  std::set<std::string> given;
+  for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) {
+    const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
+                                       [&](const std::string& pattern) { return topic_matches(pattern, entry.topic); });
+    if (is_wanted) given.insert(config.prefix + entry.origin);
+  }
+  std::erase_if(plan.parts, [&](const PartPlan& part) {
+    if (!follows_others(part) || !given.contains(part.name)) return false;
+    std::cerr << "rtdata: " << part.object() << " is not made: " << config.file << " has events under that name\n";
+    return true;
+  });
 }
 
 /// The pairs of clocks of a run's boot, so that what is recorded again has the same UTC.
@@ -93,7 +127,7 @@ class ReplayRun {
     }
     std::optional<SystemPlan> plan;
     if (!options_.configuration.empty()) {
-      plan = sinks_of(registry_, options_);
+      plan = takers_of(registry_, options_);
       if (!plan->good()) {
         std::cerr << plan->report() << std::flush;
         return exit_configuration;
@@ -133,7 +167,9 @@ class ReplayRun {
     std::optional<System> system;
     std::optional<ConsoleSink> console;
     if (plan != nullptr) {
-      system.emplace(loop, registry_, *plan);
+      SystemPlan parts = *plan;
+      leave_out_recorded(parts, recording, run, options_.config);
+      system.emplace(loop, registry_, parts);
     } else {
       console.emplace(loop, ConsoleConfig{});
     }

@@ -163,6 +163,7 @@ class Run {
     for (const PartPlan& part : plan.parts)
       for (const PartUse& use : part.uses) users[{use.kind, use.name}].push_back(part.object());
     for (const PartPlan& part : plan.parts) {
+      if (part.kind == "machine") info.made = &system.parts();
       if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
       info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}],
                             system.parts().find<Bus>(part.kind, part.name)});

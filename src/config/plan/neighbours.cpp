@@ -66,6 +66,15 @@ void Neighbours::add(const PartPlan& part, Problems& problems) {
 void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   if (part.name.empty() || (!part.stores && !detail::is_name(part.name))) return;
   const auto [known, is_new] = names_.try_emplace({part.kind, part.name}, &part);
+  if (is_new && part.publishes) {
+    const auto [other, is_new_origin] = origins_.try_emplace(part.name, &part);
+    if (is_new_origin) return;
+    problems.add(problem_of_name(part, "duplicate-name",
+                                 "there is a " + other->second->kind + " \"" + part.name + "\" already, at " +
+                                     place_of_name(*other->second) + ", and events are recorded under that name; " +
+                                     "give each a `name` of its own"));
+    return;
+  }
   if (is_new) return;
   const PartPlan& first = *known->second;
   const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
@@ -281,7 +290,9 @@ void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
 void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const {
   const PartPlan* sink = find("sink", part.stored_by);
   if (sink == nullptr || !sink->stores || !part.publishes) return;
-  const ConfigItem& at = child_or_self(part.item, "stored_by");
+  const auto use = std::find_if(part.uses.begin(), part.uses.end(),
+                                [&](const PartUse& one) { return one.kind == "sink" && one.name == part.stored_by; });
+  const ConfigItem& at = use != part.uses.end() ? use->item : child_or_self(part.item, "stored_by");
   const std::string name = "the sink " + ConfigItem::of(part.stored_by).to_json() + ", at " + place_of(sink->item) +
                            ",";
   if (!sink->stores->through.empty()) {

@@ -78,6 +78,7 @@ class Neighbours {
   const Registry& registry_;
   std::optional<FileIdentity> configuration_;
   std::map<std::pair<std::string, std::string>, const PartPlan*> names_;
+  std::map<std::string, const PartPlan*> origins_;                         // what publishes, by its name
   std::map<std::pair<std::string, std::string>, const PartPlan*> places_;  // on buses, by bus and place
   std::map<std::string, const PartPlan*, std::less<>> topics_;
   std::map<std::string, const PartPlan*> topic_by_lower_case_;

@@ -36,7 +36,7 @@ PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem
 PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigItem& item) {
   PartPlan plan;
   plan.kind = kind.name;
-  plan.type = text_or_empty(item, "type");
+  plan.type = kind.types.type_named_by(item);
   plan.name = kind.written == PartKind::Written::by_name ? name : text_or_empty(item, "name");
   plan.item = item;
   if (kind.does == PartKind::Does::publishes) {
@@ -100,7 +100,7 @@ const PartKind* find_kind(const Registry& registry, std::string_view name) {
 }
 
 const std::vector<ParameterInfo>& PartReader::parameters_of_item(const PartKind& kind, const ConfigItem& item) {
-  const auto [known, is_new] = parameters_.try_emplace({kind.name, text_or_empty(item, "type")});
+  const auto [known, is_new] = parameters_.try_emplace({kind.name, kind.types.type_named_by(item)});
   if (!is_new) return known->second;
   if (const std::optional<TypeInfo> type = kind.types.find(known->first.second)) {
     known->second = type->parameters;

@@ -59,6 +59,9 @@ Registry::Registry() {
   add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
   add_kind("sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
+  add_kind("machine", "machines", "state machines", PartKind::Written::list, PartKind::Does::publishes);
+  kinds_.back().common = parameters_of<config_detail::Placement>();
+  kinds_.back().types.set_default("machine");
 }
 
 void Registry::add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,

@@ -230,13 +230,16 @@ Json head(std::string_view title, std::string_view doc) {
   return json;
 }
 
-Json named_schema(const TypeInfo& type, std::string_view key) {
+enum class Named { always, by_default };
+
+Json named_schema(const TypeInfo& type, std::string_view key, Named named = Named::always) {
   Json json = object_schema(type.parameters);
   Json properties = Json::object();
   properties[std::string(key)] = Json{{"const", type.name}, {"description", type.doc}};
   properties.update(json["properties"]);
   json["properties"] = std::move(properties);
-  Json required = Json::array({std::string(key)});
+  Json required = Json::array();
+  if (named == Named::always) required.push_back(std::string(key));
   if (json.contains("required"))
     for (const Json& name : json["required"]) required.push_back(name);
   json["required"] = std::move(required);
@@ -294,18 +297,21 @@ std::string TypeInfo::schema(std::string_view key) const {
   return text_of(json);
 }
 
-std::string schema(const std::vector<TypeInfo>& types, std::string_view key) {
+std::string schema(const std::vector<TypeInfo>& types, std::string_view key, std::string_view by_default) {
   const std::string name(key);
   Json json = head("", "");
   json["type"] = "object";
-  json["required"] = {name};
+  if (by_default.empty()) json["required"] = {name};
   Json names = Json::array();
   Json cases = Json::array();
   for (const TypeInfo& type : types) {
     names.push_back(type.name);
     Json condition = Json::object();
     condition["properties"][name]["const"] = type.name;
-    cases.push_back(Json{{"if", std::move(condition)}, {"then", named_schema(type, key)}});
+    const bool is_default = type.name == by_default;
+    if (!by_default.empty() && !is_default) condition["required"] = {name};
+    cases.push_back(Json{{"if", std::move(condition)},
+                         {"then", named_schema(type, key, is_default ? Named::by_default : Named::always)}});
   }
   json["properties"][name]["enum"] = std::move(names);
   if (!cases.empty()) json["allOf"] = std::move(cases);

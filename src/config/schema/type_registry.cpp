@@ -54,6 +54,13 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   const ConfigItem* type = nullptr;
   for (const ConfigChild& child : item.children())
     if (child.key == "type") type = &child.item;
+  if (type == nullptr && !default_.empty()) {
+    for (std::size_t i = 0; i < types_.size(); ++i)
+      if (types_[i].name == default_) return i;
+    const std::string* why = why_left_out(default_);
+    problems.add(item.problem("unknown-type", "a " + what_ + " cannot be made" + (why != nullptr ? ": " + *why : "")));
+    return none;
+  }
   if (type == nullptr) {
     problems.add(
         item.problem("missing-key", "\"type\" is missing: the type of the " + what_ +
@@ -86,6 +93,12 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;
+}
+
+std::string TypeRegistryBase::type_named_by(const ConfigItem& item) const {
+  for (const ConfigChild& child : item.children())
+    if (child.key == "type") return child.item.as_string() != nullptr ? *child.item.as_string() : "";
+  return default_;
 }
 
 std::vector<std::string> TypeRegistryBase::other_keys() const {

@@ -4,8 +4,8 @@
 #include <cstring>
 #include <utility>
 
+#include "process/expression_fields.hpp"
 #include "rtdata/data/config_value.hpp"
-#include "rtdata/data/value.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "sensors/core/feed_node.hpp"
 
@@ -36,88 +36,10 @@ std::string refusal_of(const DerivedConfig& config) {
   return "";
 }
 
-bool is_number(const Leaf& leaf) noexcept { return leaf.kind != Kind::text && leaf.kind != Kind::character; }
-
-/// What a name of an expression stands for.
-struct Meaning {
-  std::size_t topic = 0;  ///< 0: `on`, else one of `with`
-  std::string path = {};  ///< of the field; empty: the topic alone was named
-};
-
-Meaning meaning_of(const DerivedConfig& config, const std::string& name) {
-  Meaning meaning{0, name};
-  std::size_t longest = 0;
-  for (std::size_t i = 0; i <= config.with.size(); ++i) {
-    const std::string topic = Expression::normal_name(i == 0 ? config.on : config.with[i - 1]);
-    if (topic.size() <= longest || !name.starts_with(topic)) continue;
-    if (name.size() > topic.size() && name[topic.size()] != '.') continue;
-    longest = topic.size();
-    meaning = {i, name.size() == topic.size() ? "" : name.substr(topic.size() + 1)};
-  }
-  return meaning;
-}
-
-/// The field that is meant, if it is a number. Null otherwise.
-const Leaf* leaf_of(const Description& description, const Meaning& meaning, const std::string& name) {
-  const auto number_at = [&](std::string_view path) {
-    const Leaf* leaf = description.find(path);
-    return leaf != nullptr && is_number(*leaf) ? leaf : nullptr;
-  };
-  if (meaning.topic == 0 && description.find(name) != nullptr) return number_at(name);  // a field called as the topic
-  if (!meaning.path.empty()) return number_at(meaning.path);
-  if (const Leaf* value = number_at("value")) return value;
-  const Leaf* only = nullptr;
-  for (const Leaf& leaf : description.leaves()) {
-    if (!is_number(leaf)) continue;
-    if (only != nullptr) return nullptr;
-    only = &leaf;
-  }
-  return only;
-}
-
-template <class T>
-double number_at(const std::byte* at) noexcept {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return static_cast<double>(value);
-}
-
-double number_of(Kind kind, const std::byte* at) noexcept {
-  switch (kind) {
-    case Kind::boolean:
-    case Kind::u8:
-      return number_at<std::uint8_t>(at);
-    case Kind::i8:
-      return number_at<std::int8_t>(at);
-    case Kind::i16:
-      return number_at<std::int16_t>(at);
-    case Kind::i32:
-      return number_at<std::int32_t>(at);
-    case Kind::i64:
-      return number_at<std::int64_t>(at);
-    case Kind::u16:
-      return number_at<std::uint16_t>(at);
-    case Kind::u32:
-      return number_at<std::uint32_t>(at);
-    case Kind::u64:
-      return number_at<std::uint64_t>(at);
-    case Kind::f32:
-      return number_at<float>(at);
-    default:
-      return number_at<double>(at);
-  }
-}
-
-/// All names that the fields use. Of texts with a mistake, none.
-std::vector<std::string> names_of(const std::vector<DerivedField>& fields) {
-  std::vector<std::string> names;
-  for (const DerivedField& field : fields) {
-    const auto used = Expression::names_in(field.expression);
-    if (!used) continue;
-    for (const std::string& name : *used)
-      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  }
-  return names;
+std::vector<std::string> topics_of(const DerivedConfig& config) {
+  std::vector<std::string> topics{config.on};
+  topics.insert(topics.end(), config.with.begin(), config.with.end());
+  return topics;
 }
 
 /// Where the text of an expression is written.
@@ -126,14 +48,6 @@ const ConfigItem& expression_item(const DerivedConfig& config, const ConfigItem&
   if (const ConfigItem* fields = item.find("fields"); at == nullptr && fields != nullptr)
     if (const ConfigItem* one = fields->find(field); one != nullptr) at = one->find("expression");
   return at != nullptr ? *at : item;
-}
-
-/// At its column in the file, as far as no escapes are before it.
-Problem problem_of(const ExpressionMistake& mistake, const ConfigItem& at) {
-  Problem problem = at.problem("bad-value", mistake.why + " (column " + std::to_string(mistake.column) + " of it)",
-                               mistake.suggestion);
-  if (problem.place.line > 0) problem.place.column += mistake.column;
-  return problem;
 }
 
 }  // namespace
@@ -146,16 +60,19 @@ class DerivedNode final : public FeedNode {
               const std::shared_ptr<const Description>& description)
       : FeedNode(loop.core(), feed, described_type(description)), age_(config.age), description_(description) {
     const std::vector<DerivedField> fields = fields_of(config);
-    const std::vector<std::string> names = names_of(fields);
+    std::vector<std::string> texts;
+    for (const DerivedField& field : fields) texts.push_back(field.expression);
+    const std::vector<std::string> names = names_of(texts);
+    const std::vector<std::string> topics = topics_of(config);
     payload_.resize(description->size());
     for (std::size_t i = 0; i < fields.size(); ++i)
       outputs_.push_back({Expression(fields[i].expression, names), &description->leaves()[i]});
-    for (std::size_t i = 0; i <= config.with.size(); ++i) {
+    for (std::size_t i = 0; i < topics.size(); ++i) {
       Source source;
-      source.topic = i == 0 ? config.on : config.with[i - 1];
+      source.topic = topics[i];
       for (std::size_t n = 0; n < names.size(); ++n)
-        if (Meaning meaning = meaning_of(config, names[n]); meaning.topic == i)
-          source.inputs.push_back({n, names[n], std::move(meaning), nullptr});
+        if (FieldName field = field_named(topics, names[n]); field.topic == i)
+          source.inputs.push_back({n, names[n], std::move(field), nullptr});
       sources_.push_back(std::move(source));
     }
   }
@@ -180,7 +97,7 @@ class DerivedNode final : public FeedNode {
   struct Input {
     std::size_t index;  // among the names of all expressions
     std::string name;
-    Meaning meaning;
+    FieldName field;
     const Leaf* leaf;
   };
   struct Source {
@@ -205,12 +122,11 @@ class DerivedNode final : public FeedNode {
     source.time = event.time();
     if (source.missing == nullptr) {
       for (const Input& input : source.inputs) {
-        const std::byte* const at = find_value(*input.leaf, event.payload().data());
-        const Kind kind = input.leaf->kind == Kind::enumeration ? input.leaf->enum_base : input.leaf->kind;
+        const std::optional<double> number = number_in(*input.leaf, event.payload().data());
         for (Output& output : outputs_) {
           if (!output.expression.uses(input.index)) continue;
-          if (at != nullptr)
-            output.expression.set(input.index, number_of(kind, at));
+          if (number)
+            output.expression.set(input.index, *number);
           else
             output.expression.set_unknown(input.index);
         }
@@ -223,7 +139,7 @@ class DerivedNode final : public FeedNode {
     source.description = description.serial();
     source.missing = nullptr;
     for (Input& input : source.inputs) {
-      input.leaf = leaf_of(description, input.meaning, input.name);
+      input.leaf = leaf_named(description, input.field, input.name);
       if (input.leaf == nullptr && source.missing == nullptr) source.missing = &input;
     }
   }
@@ -296,11 +212,8 @@ void check_config(const DerivedConfig& config, const ConfigItem& item, Problems&
   if (const auto described = derived_description(config); !described && !fields_of(config).empty())
     problems.add(item.problem("bad-value", described.error().why));
   const std::vector<DerivedField> fields = fields_of(config);
-  for (std::size_t i = 0; i < fields.size(); ++i) {
-    const std::string& text = fields[i].expression;
-    if (const auto mistake = Expression::check(text, names_of({fields[i]})))
-      problems.add(problem_of(*mistake, expression_item(config, item, i)));
-  }
+  for (std::size_t i = 0; i < fields.size(); ++i)
+    detail::check_expression(fields[i].expression, expression_item(config, item, i), problems);
 }
 
 void check_derived_names(const DerivedConfig& config,
@@ -308,45 +221,8 @@ void check_derived_names(const DerivedConfig& config,
                          const ConfigItem& item, Problems& problems) {
   const std::vector<DerivedField> fields = fields_of(config);
   for (std::size_t i = 0; i < fields.size(); ++i) {
-    std::vector<std::string> names = names_of({fields[i]});
-    // A constant where there is a field of that name: nobody would see that the field is not looked at.
-    const Description* const payload = payload_of(config.on);
-    for (const char* constant : {"e", "pi", "true", "false"}) {
-      if (payload == nullptr || payload->find(constant) == nullptr) continue;
-      const auto with_it = Expression::names_in(fields[i].expression, {constant});
-      if (!with_it || with_it->size() == names.size()) continue;
-      problems.add(
-          expression_item(config, item, i)
-              .problem("bad-value", "`" + std::string(constant) + "` is the constant, and a field of the topic \"" +
-                                        config.on + "\": the field is written '" + constant + "', in quotes; `" +
-                                        Expression::normal_name(config.on) + "." + constant + "` is the same"));
-    }
-    std::vector<std::string> good;
-    bool is_all_good = true;
-    for (const std::string& name : names) {
-      const Meaning meaning = meaning_of(config, name);
-      const Description* const description = payload_of(meaning.topic == 0 ? config.on
-                                                                           : config.with[meaning.topic - 1]);
-      if (description == nullptr || leaf_of(*description, meaning, name) != nullptr)
-        good.push_back(name);
-      else
-        is_all_good = false;
-    }
-    if (is_all_good) continue;
-    // What could have been meant.
-    for (std::size_t topic = 0; topic <= config.with.size(); ++topic) {
-      const std::string& of = topic == 0 ? config.on : config.with[topic - 1];
-      const Description* const description = payload_of(of);
-      if (description == nullptr) continue;
-      for (const Leaf& leaf : description->leaves()) {
-        if (!is_number(leaf)) continue;
-        const std::string full = Expression::normal_name(of) + "." + leaf.path;
-        for (const std::string& name : topic == 0 ? std::vector{leaf.path, full} : std::vector{full})
-          if (std::find(good.begin(), good.end(), name) == good.end()) good.push_back(name);
-      }
-    }
-    if (const auto mistake = Expression::check(fields[i].expression, good))
-      problems.add(problem_of(*mistake, expression_item(config, item, i)));
+    detail::check_field_names(fields[i].expression, topics_of(config), payload_of, expression_item(config, item, i),
+                              problems);
   }
 }
 

@@ -273,5 +273,11 @@ void Sink::flush() {
   s->loop()->check_thread("cannot flush", s->name());
   s->hand_over(detail::SinkNode::Hand::rows_and_account);
 }
+void Sink::sync(Callback<void()> done) {
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot sync", s->name());
+  s->sync(std::move(done));
+}
 
 }  // namespace rtdata

@@ -55,6 +55,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   enum class Hand { rows, rows_and_account };
   /// Hands over to the lane what is queued, now or as soon as it is free.
   void hand_over(Hand what);
+  /// Hands over what is queued; `done` is called when that survives a power cut.
+  void sync(Callback<void()> done);
   /// Puts the lane to work, unless it is or waits for a retry.
   void start_work();
   /// An origin that no account has yet: the next account comes soon, as after a changed schedule, so that a kill in the
@@ -148,6 +150,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   SinkTurn::Task next_task() const noexcept;
   Duration to_utc() noexcept;
   bool is_sync_due() const noexcept;
+  std::vector<Callback<void()>> take_synced(const SinkTurnResult& turn);
   /// Waits longer after each failure before the lane is put to work again.
   void retry_later(Work why);
   void stop_waiting();
@@ -191,7 +194,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void on_close() noexcept override;
   /// The lane waits, so that the deadline ends that too.
   void pause_before_storing(Duration duration);
-  void drop_callbacks() noexcept override { on_error_.reset(); }
+  void drop_callbacks() noexcept override {
+    on_error_.reset();
+    syncs_.clear();
+  }
 
   const SinkConfig config_;
   const std::shared_ptr<SinkQueue> queue_;
@@ -211,6 +217,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Backoff backoff_;                              // of retries
   bool is_due_ = false;                          // rows are to be handed over as soon as the lane is free
   std::optional<MonotonicTime> unsynced_since_;  // the first storing since the last sync
+  std::vector<Callback<void()>> syncs_;          // that are waited for
+  std::size_t syncs_begun_ = 0;                  // of these, what the turn of work that runs does
 
   // account
   bool is_between_parts_ = false;          // of an account

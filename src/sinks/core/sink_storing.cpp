@@ -1,5 +1,6 @@
 // How a sink's lane is put to work: opened, given what is queued, tried again after a failure.
 #include <algorithm>
+#include <iterator>
 
 #include "loop/support/deadline.hpp"
 #include "loop/support/no_thread.hpp"
@@ -31,7 +32,25 @@ void SinkNode::hand_over(Hand what) {
   }
 }
 
+void SinkNode::sync(Callback<void()> done) {
+  if (is_closing()) return;
+  syncs_.push_back(std::move(done));
+  hand_over(Hand::rows);
+  start_work();
+}
+
+/// Those that the turn of work which has ended was to do, if it did.
+std::vector<Callback<void()>> SinkNode::take_synced(const SinkTurnResult& turn) {
+  std::vector<Callback<void()>> done;
+  const auto end = syncs_.begin() + static_cast<std::ptrdiff_t>(std::exchange(syncs_begun_, 0));
+  if (!turn.has_synced()) return done;
+  std::move(syncs_.begin(), end, std::back_inserter(done));
+  syncs_.erase(syncs_.begin(), end);
+  return done;
+}
+
 bool SinkNode::is_sync_due() const noexcept {
+  if (!syncs_.empty()) return true;
   const Duration time = queue_->pace().sync_time;
   return time.count() > 0 && unsynced_since_ && span_between(*unsynced_since_, loop()->now()) >= time;
 }
@@ -61,6 +80,10 @@ void SinkNode::start_work() {
     if (!is_last_told_) return retry_later(Work::waiting);
   }
   job_->turn.task = next_task();
+  if (job_->turn.task == SinkTurn::Task::store_and_sync) {
+    if (!is_fed()) queue_->hand_over();
+    syncs_begun_ = syncs_.size();
+  }
   if (queue_->sender() != nullptr && !is_fed()) job_->turn.to_utc = to_utc();
   work_ = is_to_open_ ? Work::opening : Work::storing;
   Work why = Work::waiting;
@@ -130,8 +153,10 @@ Error SinkNode::no_thread() const {
 void SinkNode::work_done(LaneJob::Outcome outcome) {
   Call call(*this);
   if (std::exchange(work_, Work::idle) == Work::opening) work_timer_.stop();
+  std::vector<Callback<void()>> synced;
   if (outcome == LaneJob::Outcome::finished && is_attached()) {  // else too late: counted as lost
     const SinkTurnResult turn = std::exchange(job_->result, {});
+    synced = take_synced(turn);
     if (is_setting_up_ && !turn.result) {
       set_up_error_ = turn.result.error();
       return;
@@ -155,7 +180,9 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
     if (is_open() && turn.result) tell_followers();
   }
-  tell_health();  // at the end, since this sink may take the event itself
+  tell_health();                         // at the end, since this sink may take the event itself
+  for (Callback<void()>& done : synced)  // they may do anything to this sink
+    if (is_open()) loop()->call_own(object_name(), [&] { done(); });
 }
 
 void SinkNode::go_on_after(const SinkTurnResult& turn) {
@@ -187,7 +214,7 @@ void SinkNode::go_on_after(const SinkTurnResult& turn) {
     const bool is_done = queue_->is_idle() && !std::exchange(is_due_, false);
     has_all_rows_ = !is_end_due() && is_done;
     if (next_task() == SinkTurn::Task::store_and_close || !is_done) start_work();
-  } else if (is_due_ || is_account_due_ || !queue_->is_idle()) {
+  } else if (is_due_ || is_account_due_ || !queue_->is_idle() || !syncs_.empty()) {
     is_due_ = false;
     if (!is_fed()) queue_->hand_over();
     if (is_account_due_) begin_account();

@@ -1,0 +1,171 @@
+/// ConfiguredMachine: a state machine as a configuration says it, with expressions as conditions.
+///
+///     {"name": "flight", "inputs": ["baro"], "max_age": "500 ms", "start": "pad",
+///      "states": [{"name": "pad"}, {"name": "flying"}, {"name": "landed", "final": true}],
+///      "transitions": [
+///        {"from": "pad", "to": "flying", "when": "altitude > 20", "for": "300 ms"},
+///        {"from": "flying", "to": "landed", "event": "touchdown"},
+///        {"from": "flying", "to": "landed", "after": "20 min"}]}
+///
+/// It is an fsm::Machine (machine.hpp) whose transitions are tried with each event of its inputs. Names in `when` are
+/// FIELD, of the first of the inputs, TOPIC.FIELD, and TOPIC of one with a single number, as of derived topics
+/// (docs/expressions.md). A value that is older than `max_age` has no value: what needs it waits, and a condition that
+/// waits or fails does not hold. Conditions out of the current state take in each event of the inputs; their memories
+/// (`highest(x)`, `mean(x, 2)` ...) begin anew when the machine arrives in the state. What is to be remembered over
+/// several states is a derived topic.
+///
+/// With `resume` it goes on in the state in which an earlier run of a recording left it.
+///
+/// Owner: the holder. Thread: the loop's, but for what says otherwise; of a machine on a tier, the main loop's may
+/// destroy it, as a handle.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/fsm/machine.hpp"
+
+namespace rtdata::fsm {
+
+struct StateSettings {
+  std::string name;
+  bool is_final = false;
+
+  friend constexpr auto parameters(type_tag<StateSettings>) {
+    return parameter_list(
+        parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::recorded),
+        parameter("final", &StateSettings::is_final, "nothing leads out of it, and that is meant"));
+  }
+};
+
+struct TransitionSettings {
+  std::string from;
+  std::string to;
+  std::string when = {};
+  Duration hold{0};
+  Duration after{0};
+  std::string event = {};
+  std::string cause = {};
+
+  friend constexpr auto parameters(type_tag<TransitionSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("from", &TransitionSettings::from, "the state that it leads out of", required, TextIs::recorded),
+        parameter("to", &TransitionSettings::to, "the state that it leads to", required, TextIs::recorded),
+        parameter("when", &TransitionSettings::when, "an expression that must be true", TextIs::recorded),
+        parameter("for", &TransitionSettings::hold, "`when` must have been true that long",
+                  range(Duration{0}, Duration{24h * 365})),
+        parameter("after", &TransitionSettings::after, "the machine must have been in `from` that long",
+                  range(Duration{0}, Duration{24h * 365})),
+        parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other",
+                  TextIs::recorded),
+        parameter("cause", &TransitionSettings::cause, "what is recorded as the cause; default: made of the above",
+                  TextIs::recorded));
+  }
+};
+
+/// Where the machine goes on after a pause.
+struct ResumeSettings {
+  enum class UnknownAge { resume, start };
+  std::string recording;                   ///< a sink, of the same loop
+  Duration max_age{0};                     ///< of the pause
+  UnknownAge unknown_age{};                ///< what is done where the clock cannot say how long the pause was
+  Duration wait{std::chrono::seconds{1}};  ///< what acts on a change waits for the card, at most so long
+
+  friend constexpr auto parameters(type_tag<ResumeSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(parameter("recording", &ResumeSettings::recording, "the recording that has its changes",
+                                    required, names_part("sink", "sqlite")),
+                          parameter("max_age", &ResumeSettings::max_age, "after a longer pause it begins in `start`",
+                                    required, range(Duration{1ms}, Duration{24h * 365})),
+                          parameter("unknown_age", &ResumeSettings::unknown_age,
+                                    "what it does when the clock cannot say how long the pause was", required,
+                                    choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
+                          parameter("wait", &ResumeSettings::wait,
+                                    "how long what acts on a change waits for it to be on the card, at most",
+                                    range(Duration{1ms}, Duration{1min})));
+  }
+};
+
+struct MachineSettings {
+  std::string name;
+  std::string topic = {};
+  std::vector<std::string> inputs = {};
+  Duration max_age = std::chrono::seconds{10};
+  std::string start;
+  std::vector<StateSettings> states;
+  std::vector<TransitionSettings> transitions = {};
+  std::optional<ResumeSettings> resume = {};
+
+  friend constexpr auto parameters(type_tag<MachineSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("name", &MachineSettings::name, "unique; its changes are recorded under it", required, TextIs::name),
+        parameter("topic", &MachineSettings::topic, "of its changes; default: as `name`", TextIs::topic),
+        parameter("inputs", &MachineSettings::inputs,
+                  "topics with each of whose events the transitions are tried, and whose fields `when` knows",
+                  names_part("topic")),
+        parameter("max_age", &MachineSettings::max_age, "older values of inputs count as absent; 0 s: however old",
+                  range(Duration{0}, Duration{24h * 365})),
+        parameter("start", &MachineSettings::start, "the state in which it begins", required, TextIs::recorded),
+        parameter("states", &MachineSettings::states, "all its states", required),
+        parameter("transitions", &MachineSettings::transitions, "in the order in which they are tried"),
+        parameter("resume", &MachineSettings::resume, "goes on where an earlier run of a recording left it"));
+  }
+};
+
+/// What no parameter says by itself: states that are there, conditions that can be read, and what `find_faults` finds.
+void check_config(const MachineSettings& settings, const ConfigItem& item, Problems& problems);
+/// Whether the inputs have the fields that the conditions name. `payload_of`: what a topic carries, null when that is
+/// not known: then nothing is said of its fields.
+void check_machine_names(const MachineSettings& settings,
+                         const std::function<const Description*(std::string_view topic)>& payload_of,
+                         const ConfigItem& item, Problems& problems);
+/// The states and transitions; those whose states are not there are left out.
+Graph graph_of(const MachineSettings& settings);
+
+class ConfiguredMachine {
+ public:
+  /// Where a machine goes on. Nothing: in `start`.
+  struct Beginning {
+    std::string state;
+    Duration in_state{0};    ///< how long it has been in it already
+    std::string cause = {};  ///< of the change, which is published: "resumed after 1.2 s"
+  };
+  /// Calls `done` on the machine's loop when what was published up to now is on the card.
+  using Sync = std::function<void(Callback<void()> done)>;
+  /// `sync`: with it, who acts on changes (`on_state`) hears of one when it is on the card. SetupError: as Machine; a
+  /// mistake in the settings (bad-argument); without muParser, conditions (not-found).
+  ConfiguredMachine(Loop& loop, const MachineSettings& settings, const std::optional<Beginning>& beginning = {},
+                    Sync sync = {});
+  ConfiguredMachine(ConfiguredMachine&&) noexcept;
+  ConfiguredMachine& operator=(ConfiguredMachine&&) noexcept;
+  ~ConfiguredMachine();
+
+  /// A named event, taken in by its loop soon. Any thread. An error: no transition waits for one of that name.
+  Result<void> raise(std::string_view event);
+  struct Now {
+    std::string_view state;  ///< valid as long as the machine
+    MonotonicTime since{};   ///< to the microsecond
+  };
+  /// Any thread.
+  Now now() const noexcept;
+  /// For who acts on the states: called after each arrival, on the loop. With `resume`, once the change is on the card
+  /// or `wait` is over; of changes that come meanwhile, the last. One handler; an empty one ends it.
+  void on_state(Callback<void(std::string_view state)> handler);
+  MachineCounts counts() const noexcept;
+  const MachineSettings& settings() const noexcept;
+
+ private:
+  struct Core;
+  std::shared_ptr<Core> core_;
+};
+
+}  // namespace rtdata::fsm

@@ -1,0 +1,109 @@
+// Where a machine goes on after a pause: what a recording says of it.
+#include <algorithm>
+
+#include "app/core/machines.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using fsm::MachineSettings;
+using Beginning = fsm::ConfiguredMachine::Beginning;
+
+struct LastKnown {
+  std::string state;
+  Duration in_state{0};           // when the run ended, as far as it is recorded
+  std::optional<Duration> pause;  // since then; none: no clock can say it
+};
+
+/// Of the time between the end of what is recorded and now.
+std::optional<Duration> pause_since(const Recording& recording, const RunInfo& run, Time last, Loop& loop) {
+  Clock& clock = loop.runtime().core().clock();
+  if (run.boot_id == clock.boot_id()) {
+    const MonotonicTime then{last.time_since_epoch() - run.clock_offset};
+    return std::max(clock.monotonic() - then, Duration{0});
+  }
+  // Another boot: only times of day can be compared, and both must be known to be right.
+  if (!clock.accuracy()) return std::nullopt;
+  const auto pairs = recording.clock(run.run);
+  const bool was_right = pairs && std::any_of(pairs->begin(), pairs->end(),
+                                              [](const RecordedClock& pair) { return pair.accuracy.has_value(); });
+  const auto line = recording.utc_line(run.run);
+  if (!was_right || !line) return std::nullopt;
+  const Duration pause = clock.realtime() - line->utc(last);
+  if (pause < Duration{0}) return std::nullopt;
+  return pause;
+}
+
+Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& settings, const std::string& path) {
+  constexpr std::size_t most_runs = 100;
+  auto recording = Recording::open(path);
+  if (!recording) return std::move(recording).error();
+  auto runs = recording->runs();
+  if (!runs) return std::move(runs).error();
+  std::size_t looked_at = 0;
+  for (auto run = runs->rbegin(); run != runs->rend() && looked_at < most_runs; ++run, ++looked_at) {
+    RowFilter filter;
+    filter.topic = settings.topic.empty() ? settings.name : settings.topic;
+    filter.run = run->run;
+    filter.origin = settings.name;
+    auto changes = recording->events<fsm::StateChange>(filter);
+    if (!changes && changes.error().code == Errc::not_found) return std::optional<LastKnown>{};
+    if (!changes) return std::move(changes).error();
+    std::optional<LastKnown> last;
+    Time at{};
+    for (;;) {
+      auto next = changes->next();
+      if (!next) return std::move(next).error();
+      if (*next == nullptr) break;
+      last = LastKnown{std::string((*next)->data.to), Duration{0}, std::nullopt};
+      at = (*next)->time;
+    }
+    if (!last) continue;
+    const Time end = run->ended ? std::max(*run->ended, at) : at;
+    last->in_state = end - at;
+    last->pause = pause_since(*recording, *run, end, loop);
+    return last;
+  }
+  return std::optional<LastKnown>{};
+}
+
+}  // namespace
+
+std::optional<Beginning> resumed(Loop& loop, const MachineSettings& settings, const std::string& path) {
+  const auto tell = [&](LogLevel level, const std::string& text) {
+    loop.runtime().core().log(level, "machine " + settings.name, text);
+  };
+  const std::string begins = "it begins in " + settings.start;
+  const auto found = last_known(loop, settings, path);
+  if (!found) {
+    tell(LogLevel::warning, "its last state cannot be read, " + begins + ": " + found.error().text());
+    return std::nullopt;
+  }
+  if (!*found) {
+    tell(LogLevel::info, "the recording has no state of it, " + begins);
+    return std::nullopt;
+  }
+  const LastKnown& last = **found;
+  const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
+                                    [&](const fsm::StateSettings& state) { return state.name == last.state; });
+  if (!is_there) {
+    tell(LogLevel::warning, "its last state, " + last.state + ", is no state of it any more, " + begins);
+    return std::nullopt;
+  }
+  const bool is_fresh = last.pause ? *last.pause <= settings.resume->max_age
+                                   : settings.resume->unknown_age == fsm::ResumeSettings::UnknownAge::resume;
+  const std::string pause = last.pause
+                                ? "a pause of " + to_string(std::chrono::round<std::chrono::milliseconds>(*last.pause))
+                                : "a pause of unknown length, since no clock can be trusted";
+  if (!is_fresh) {
+    tell(LogLevel::warning, begins + ": it was in " + last.state + ", before " + pause);
+    return std::nullopt;
+  }
+  tell(LogLevel::warning, "it goes on in " + last.state + ", after " + pause);
+  return Beginning{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause};
+}
+
+}  // namespace rtdata::app

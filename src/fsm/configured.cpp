@@ -1,0 +1,334 @@
+#include "rtdata/fsm/configured.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "process/expression_fields.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::fsm {
+
+// Closed from its end: what hears of events goes before what they change.
+struct ConfiguredMachine::Core {
+  Core(Loop& its_loop, const MachineSettings& its_settings, Sync its_sync);
+  Core(const Core&) = delete;
+  Core& operator=(const Core&) = delete;
+
+  /// A name of the conditions, which stands for a field of an input.
+  struct Name {
+    std::size_t index;  // among the names of all conditions
+    std::string text;
+    rtdata::detail::FieldName field;
+    const Leaf* leaf = nullptr;
+    std::optional<double> value = {};
+  };
+  struct Input {
+    std::string topic;
+    std::vector<Name> names = {};
+    std::uint64_t description = 0;  // of which the leaves are; 0: none yet
+    bool has_come = false;
+    bool is_silence_told = false;
+    bool is_forgotten = false;  // its values are too old, and taken out of the conditions of the current state
+    MonotonicTime came{};       // at first: made
+  };
+  /// Of a transition.
+  struct When {
+    Expression expression;
+    std::string of;  // "from pad to boost", in reports
+    ExpressionResult result = {};
+    bool is_failure_told = false;
+  };
+
+  void build(const std::vector<std::string>& names);
+  void listen();
+  void take(Input& input, const EventView& event);
+  void bind(Input& input, const Description& description);
+  void forget_old();
+  void evaluate(When& when, Time time);
+  bool holds(std::size_t when, const Moment& moment);
+  void arrived(std::size_t state);
+  void tell_silence();
+  void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
+  bool is_old(const Input& input) const {
+    return !input.has_come || (settings.max_age > Duration{0} && loop.now() - input.came > settings.max_age);
+  }
+  // Who acts
+  void act();
+  void acted_on(std::uint64_t number);
+
+  Loop& loop;
+  const MachineSettings settings;
+  const Sync sync;
+  std::vector<std::string> events;  // that transitions wait for
+  std::vector<Input> inputs;
+  std::vector<When> whens;
+  std::vector<std::vector<std::size_t>> whens_of;  // of each state
+  std::size_t state = 0;
+  std::optional<Time> last_time;  // of an input's event
+  bool is_evaluated = false;  // those of the current state, with the event that is taken in
+  /// The state, and when the machine came to it, for all threads: 16 bits, and 48 bits of microseconds.
+  std::atomic<std::uint64_t> shown{0};
+
+  Callback<void(std::string_view)> handler;
+  std::uint64_t arrivals = 0;
+  std::uint64_t syncing = 0;  // the arrival that is to be on the card; 0: none is awaited
+  std::weak_ptr<Core> self;
+
+  Machine machine;
+  Timer patience;  // with the card
+  Ticker silence;
+  std::vector<Subscription> subscriptions;
+};
+
+namespace {
+
+constexpr int time_bits = 48;
+constexpr std::size_t most_states = 1u << 16;
+
+}  // namespace
+
+ConfiguredMachine::Core::Core(Loop& its_loop, const MachineSettings& its_settings, Sync its_sync)
+    : loop(its_loop),
+      settings(its_settings),
+      sync(std::move(its_sync)),
+      machine(loop, {.name = settings.name, .topic = settings.topic, .start = settings.start}) {
+  const auto refuse = [&](std::string why) {
+    throw SetupError({Errc::bad_argument, "cannot make a machine", "machine " + settings.name, std::move(why), ""});
+  };
+  if (settings.states.size() > most_states) refuse("it has more than " + std::to_string(most_states) + " states");
+  std::vector<std::string> texts;
+  for (const TransitionSettings& transition : settings.transitions) texts.push_back(transition.when);
+  const std::vector<std::string> names = rtdata::detail::names_of(texts);
+  if (!names.empty() && settings.inputs.empty()) refuse("it has no `inputs`, and names in conditions");
+  build(names);
+  for (const std::string& topic : settings.inputs) inputs.push_back({topic}), inputs.back().came = loop.now();
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    rtdata::detail::FieldName field = rtdata::detail::field_named(settings.inputs, names[i]);
+    const std::size_t of = field.topic;
+    inputs[of].names.push_back({i, names[i], std::move(field)});
+  }
+}
+
+void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
+  whens_of.resize(settings.states.size());
+  for (std::size_t i = 0; i < settings.states.size(); ++i) {
+    const StateSettings& one = settings.states[i];
+    machine.add_state(one.name, {.arrive = [this, i] { arrived(i); }, .is_final = one.is_final});
+  }
+  const Graph graph = graph_of(settings);
+  for (std::size_t i = 0; i < settings.transitions.size(); ++i) {
+    const TransitionSettings& one = settings.transitions[i];
+    Condition condition;
+    if (!one.when.empty()) {
+      const std::size_t number = whens.size();
+      whens.push_back({Expression(one.when, names), "from " + one.from + " to " + one.to});
+      for (std::size_t k = 0; k < settings.states.size(); ++k)
+        if (settings.states[k].name == one.from) whens_of[k].push_back(number);
+      condition = [this, number](const Moment& moment) { return holds(number, moment); };
+    }
+    if (!one.event.empty()) events.push_back(one.event);
+    machine.add_transition({.from = one.from,
+                            .to = one.to,
+                            .on = one.event,
+                            .when = std::move(condition),
+                            .hold = one.hold,
+                            .after = one.after,
+                            .cause = i < graph.edges.size() ? graph.edges[i].label : ""});
+  }
+}
+
+/// Apart, since a subscription may fail.
+void ConfiguredMachine::Core::listen() {
+  for (Input& input : inputs) {
+    subscriptions.push_back(
+        loop.subscribe(input.topic, [this, &input](const EventView& event) { take(input, event); }));
+    subscriptions.back().set_name("machine " + settings.name + " on " + input.topic);
+  }
+  if (sync)
+    patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
+      report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
+             "state " + settings.states[state].name, "it took longer than " + to_string(settings.resume->wait),
+             "look at the recording: after a power cut now, the machine would not go on in this state");
+      acted_on(syncing);
+    });
+  if (settings.max_age > Duration{0} && !inputs.empty()) {
+    const Duration period = std::max<Duration>(settings.max_age, std::chrono::milliseconds{100});
+    silence = Ticker(loop, {.period = period, .name = "machine " + settings.name},
+                     [this](const Tick&) { tell_silence(); });
+  }
+}
+
+void ConfiguredMachine::Core::take(Input& input, const EventView& event) {
+  if (!machine.is_started()) return;
+  if (input.description != event.description().serial()) bind(input, event.description());
+  const bool was_old = input.has_come && is_old(input);
+  input.has_come = true;
+  input.came = loop.now();
+  input.is_silence_told = input.is_forgotten = false;
+  const std::vector<std::size_t>& own = whens_of[state];
+  for (Name& name : input.names) {
+    name.value = name.leaf != nullptr ? rtdata::detail::number_in(*name.leaf, event.payload().data()) : std::nullopt;
+    for (const std::size_t number : own) {
+      Expression& expression = whens[number].expression;
+      if (!expression.uses(name.index)) continue;
+      if (name.value)
+        expression.set(name.index, *name.value);
+      else
+        expression.set_unknown(name.index);
+    }
+  }
+  last_time = event.time();
+  forget_old();
+  // All of them, since memories take in each event, whichever transitions are tried.
+  for (const std::size_t number : own) evaluate(whens[number], event.time());
+  is_evaluated = true;
+  const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
+  detail::input_event(detail::node_of_open(machine, input.topic), event.time(),
+                      was_old ? detail::Before::stale : detail::Before::fresh);
+  is_evaluated = false;
+}
+
+void ConfiguredMachine::Core::bind(Input& input, const Description& description) {
+  input.description = description.serial();
+  for (Name& name : input.names) {
+    name.leaf = rtdata::detail::leaf_named(description, name.field, name.text);
+    if (name.leaf != nullptr) continue;
+    report(Errc::not_found, "a condition has no value", "topic " + input.topic, "it has no number `" + name.text + "`",
+           "look at its fields, and at the conditions");
+  }
+}
+
+/// What has become too old is no value for the conditions of the current state any more.
+void ConfiguredMachine::Core::forget_old() {
+  for (Input& input : inputs) {
+    if (input.is_forgotten || !input.has_come || !is_old(input)) continue;
+    input.is_forgotten = true;
+    for (const Name& name : input.names)
+      for (const std::size_t number : whens_of[state]) whens[number].expression.set_unknown(name.index);
+  }
+}
+
+void ConfiguredMachine::Core::evaluate(When& when, Time time) {
+  when.result = when.expression.evaluate(time);
+  if (!when.result.has_failed()) {
+    when.is_failure_told = false;
+  } else if (!std::exchange(when.is_failure_told, true)) {
+    report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
+           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or look at what is measured");
+  }
+}
+
+bool ConfiguredMachine::Core::holds(std::size_t number, const Moment& moment) {
+  When& when = whens[number];
+  if (!is_evaluated) {  // time has passed, or a named event came
+    forget_old();
+    evaluate(when, moment.time);
+  }
+  return when.result.is_true();
+}
+
+void ConfiguredMachine::Core::arrived(std::size_t index) {
+  state = index;
+  is_evaluated = false;
+  const auto us = std::chrono::duration_cast<std::chrono::microseconds>(
+      (loop.now() - machine.in_state()).time_since_epoch());
+  shown.store((std::uint64_t{index} << time_bits) |
+                  (static_cast<std::uint64_t>(us.count()) & ((std::uint64_t{1} << time_bits) - 1)),
+              std::memory_order_release);
+  for (const std::size_t number : whens_of[state]) {
+    When& when = whens[number];
+    when.expression.reset();
+    when.is_failure_told = false;
+    for (const Input& input : inputs) {
+      if (is_old(input)) continue;
+      for (const Name& name : input.names)
+        if (name.value && when.expression.uses(name.index)) when.expression.set(name.index, *name.value);
+    }
+    if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
+  }
+  ++arrivals;
+  act();
+}
+
+void ConfiguredMachine::Core::act() {
+  if (!sync) return acted_on(arrivals);
+  if (syncing != 0) return;  // the last one follows
+  syncing = arrivals;
+  patience.start(settings.resume->wait);
+  sync([weak = self, number = syncing] {
+    if (const std::shared_ptr<Core> core = weak.lock(); core != nullptr && core->syncing == number)
+      core->acted_on(number);
+  });
+}
+
+void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
+  const std::shared_ptr<Core> kept = self.lock();
+  syncing = 0;
+  if (patience) patience.stop();
+  if (number != arrivals) return act();
+  if (handler) handler(settings.states[state].name);
+}
+
+void ConfiguredMachine::Core::tell_silence() {
+  for (Input& input : inputs) {
+    const bool is_silent = loop.now() - input.came > settings.max_age;
+    if (!is_silent || std::exchange(input.is_silence_told, true)) continue;
+    report(Errc::timed_out, "conditions wait", "topic " + input.topic,
+           input.has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
+                          : "it has brought nothing yet",
+           "they go on with its next event; a longer `max_age` bridges longer pauses");
+  }
+}
+
+void ConfiguredMachine::Core::report(Errc code, const char* what, const std::string& where, std::string why,
+                                     std::string advice) const {
+  rtdata::detail::LoopCore& core = loop.core();
+  const std::string object = "machine " + settings.name;
+  core.call_own("machine", [&] {
+    core.runtime.report(&core, object, {code, what, object + ", " + where, std::move(why), std::move(advice)});
+  });
+}
+
+ConfiguredMachine::ConfiguredMachine(Loop& loop, const MachineSettings& settings,
+                                     const std::optional<Beginning>& beginning, Sync sync)
+    : core_(std::make_shared<Core>(loop, settings, std::move(sync))) {
+  core_->self = core_;
+  core_->listen();
+  if (beginning) {
+    core_->machine.start_in(beginning->state, beginning->cause, beginning->in_state);
+  } else {
+    core_->machine.start();
+  }
+}
+ConfiguredMachine::ConfiguredMachine(ConfiguredMachine&&) noexcept = default;
+ConfiguredMachine& ConfiguredMachine::operator=(ConfiguredMachine&&) noexcept = default;
+ConfiguredMachine::~ConfiguredMachine() = default;
+
+Result<void> ConfiguredMachine::raise(std::string_view event) {
+  const std::vector<std::string>& known = core_->events;
+  if (std::find(known.begin(), known.end(), event) == known.end()) {
+    const std::string nearest = nearest_name(event, known);
+    return Error{Errc::bad_name, "cannot raise event", std::string(event),
+                 "no transition of machine " + core_->settings.name + " waits for it",
+                 nearest.empty() ? "" : "did you mean \"" + nearest + "\"?"};
+  }
+  core_->loop.post([weak = std::weak_ptr<Core>(core_), name = std::string(event)] {
+    if (const std::shared_ptr<Core> core = weak.lock()) core->machine.raise(name);
+  });
+  return {};
+}
+
+ConfiguredMachine::Now ConfiguredMachine::now() const noexcept {
+  const std::uint64_t shown = core_->shown.load(std::memory_order_acquire);
+  const auto us = static_cast<std::int64_t>(shown & ((std::uint64_t{1} << time_bits) - 1));
+  return {core_->settings.states[shown >> time_bits].name, MonotonicTime{std::chrono::microseconds{us}}};
+}
+
+void ConfiguredMachine::on_state(Callback<void(std::string_view)> handler) { core_->handler = std::move(handler); }
+MachineCounts ConfiguredMachine::counts() const noexcept { return core_->machine.counts(); }
+const MachineSettings& ConfiguredMachine::settings() const noexcept { return core_->settings; }
+
+}  // namespace rtdata::fsm

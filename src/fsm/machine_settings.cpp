@@ -1,0 +1,163 @@
+// What a configuration says of a machine: its mistakes, and its graph.
+#include <algorithm>
+#include <utility>
+
+#include "process/expression_fields.hpp"
+#include "rtdata/fsm/configured.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::fsm {
+namespace {
+
+/// The item of an element of a list, or the nearest above it that there is.
+const ConfigItem& element_of(const ConfigItem& item, std::string_view list, std::size_t index) {
+  const ConfigItem* all = item.find(list);
+  const ConfigItem* one = all != nullptr && all->is_array() ? all->find(index) : nullptr;
+  return one != nullptr ? *one : all != nullptr ? *all : item;
+}
+const ConfigItem& child_or(const ConfigItem& item, std::string_view key) {
+  const ConfigItem* child = item.find(key);
+  return child != nullptr ? *child : item;
+}
+
+/// Looks at one machine; each step only when those before found nothing that it builds on.
+class Checker {
+ public:
+  Checker(const MachineSettings& settings, const ConfigItem& item, Problems& problems)
+      : settings_(settings), item_(item), problems_(problems) {}
+
+  void check() {
+    check_inputs();
+    const std::size_t before = problems_.size();
+    check_states();
+    for (std::size_t i = 0; i < settings_.transitions.size(); ++i) check_transition(i);
+    if (problems_.size() == before) check_graph();
+  }
+
+ private:
+  void add(const ConfigItem& at, std::string id, std::string why, std::string suggestion = {}) {
+    problems_.add(at.problem(std::move(id), std::move(why), std::move(suggestion)));
+  }
+  void check_inputs() {
+    const auto& inputs = settings_.inputs;
+    for (std::size_t i = 0; i < inputs.size(); ++i) {
+      if (!is_topic_name(inputs[i])) {
+        add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is no topic");
+      } else if (std::find(inputs.begin(), inputs.begin() + std::ptrdiff_t(i), inputs[i]) !=
+                 inputs.begin() + std::ptrdiff_t(i)) {
+        add(element_of(item_, "inputs", i), "bad-value", "the topic \"" + inputs[i] + "\" is there twice");
+      }
+    }
+  }
+  void check_states() {
+    if (settings_.states.empty())
+      return add(child_or(item_, "states"), "bad-value", "a machine has at least one state");
+    for (std::size_t i = 0; i < settings_.states.size(); ++i) {
+      const std::string& name = settings_.states[i].name;
+      const ConfigItem& at = child_or(element_of(item_, "states", i), "name");
+      if (name.size() > max_name)
+        add(at, "bad-name", "the name of a state has at most " + std::to_string(max_name) + " bytes");
+      if (std::find(names_.begin(), names_.end(), name) != names_.end())
+        add(at, "duplicate-name", "there is a state \"" + name + "\" already");
+      names_.push_back(name);
+    }
+    check_known(settings_.start, child_or(item_, "start"));
+  }
+  void check_known(const std::string& state, const ConfigItem& at) {
+    if (std::find(names_.begin(), names_.end(), state) == names_.end())
+      add(at, "unknown-state", "there is no state \"" + state + "\" in `states`", nearest_name(state, names_));
+  }
+  void check_transition(std::size_t index) {
+    const TransitionSettings& transition = settings_.transitions[index];
+    const ConfigItem& at = element_of(item_, "transitions", index);
+    if (!names_.empty()) {
+      check_known(transition.from, child_or(at, "from"));
+      check_known(transition.to, child_or(at, "to"));
+    }
+    if (transition.event.size() > max_name) {
+      add(child_or(at, "event"), "bad-name", "the name of an event has at most " + std::to_string(max_name) + " bytes");
+    }
+    if (transition.hold > Duration{0} && transition.when.empty())
+      add(child_or(at, "for"), "bad-value", "`for` is how long `when` is true: give `when`, or use `after`");
+    if (transition.hold > Duration{0} && !transition.event.empty()) {
+      add(child_or(at, "for"), "bad-value",
+          "with `event`, the condition is asked once, when that comes: leave `for` or `event` out");
+    }
+    if (!transition.when.empty()) return check_condition(transition, child_or(at, "when"));
+    if (settings_.inputs.empty() && transition.event.empty() && transition.after == Duration{0})
+      add(at, "bad-value", "nothing can take it: the machine has no `inputs`; give it `event` or `after`");
+  }
+  void check_condition(const TransitionSettings& transition, const ConfigItem& at) {
+    const std::size_t before = problems_.size();
+    rtdata::detail::check_expression(transition.when, at, problems_);
+    if (problems_.size() != before) return;
+    const std::vector<std::string> names = rtdata::detail::names_of({transition.when});
+    if (settings_.inputs.empty() && !names.empty())
+      return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
+    if (Expression::available() && !Expression(transition.when, names).is_condition())
+      add(at, "bad-value", "it is a number, no condition; compare it with something");
+  }
+  void check_graph() {
+    for (const GraphFault& fault : find_faults(graph_of(settings_))) {
+      const bool is_of_state = fault.state != Graph::none;
+      if (fault.edge == Graph::none && !is_of_state) continue;  // no start: said when it was looked at
+      const ConfigItem& at = is_of_state ? child_or(element_of(item_, "states", fault.state), "name")
+                                         : element_of(item_, "transitions", fault.edge);
+      add(at, is_of_state ? "bad-state" : "bad-transition", fault.text);
+    }
+  }
+
+  const MachineSettings& settings_;
+  const ConfigItem& item_;
+  Problems& problems_;
+  std::vector<std::string> names_;
+};
+
+/// "altitude > 20, for 300 ms"
+std::string cause_of(const TransitionSettings& transition) {
+  if (!transition.cause.empty()) return transition.cause;
+  std::string cause = transition.event;
+  const auto add = [&](const std::string& more) { cause += (cause.empty() ? "" : ", ") + more; };
+  if (!transition.when.empty()) add(transition.when);
+  if (transition.hold > Duration{0}) add("for " + to_string(transition.hold));
+  if (transition.after > Duration{0}) add("after " + to_string(transition.after));
+  return cause;
+}
+
+}  // namespace
+
+void check_config(const MachineSettings& settings, const ConfigItem& item, Problems& problems) {
+  Checker(settings, item, problems).check();
+}
+
+void check_machine_names(const MachineSettings& settings,
+                         const std::function<const Description*(std::string_view topic)>& payload_of,
+                         const ConfigItem& item, Problems& problems) {
+  for (std::size_t i = 0; i < settings.transitions.size(); ++i) {
+    const std::string& when = settings.transitions[i].when;
+    if (when.empty()) continue;
+    rtdata::detail::check_field_names(when, settings.inputs, payload_of,
+                                      child_or(element_of(item, "transitions", i), "when"), problems);
+  }
+}
+
+Graph graph_of(const MachineSettings& settings) {
+  Graph graph;
+  graph.name = settings.name;
+  const auto index = [&](const std::string& name) {
+    const auto found = std::find_if(settings.states.begin(), settings.states.end(),
+                                    [&](const StateSettings& state) { return state.name == name; });
+    return found != settings.states.end() ? static_cast<std::size_t>(found - settings.states.begin()) : Graph::none;
+  };
+  graph.start = index(settings.start);
+  for (const StateSettings& state : settings.states) graph.states.push_back({state.name, state.is_final});
+  for (const TransitionSettings& transition : settings.transitions) {
+    const std::size_t from = index(transition.from), to = index(transition.to);
+    if (from == Graph::none || to == Graph::none) continue;
+    graph.edges.push_back(
+        {from, to, cause_of(transition), transition.event, transition.when.empty(), transition.after});
+  }
+  return graph;
+}
+
+}  // namespace rtdata::fsm

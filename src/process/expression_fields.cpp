@@ -1,0 +1,143 @@
+#include "process/expression_fields.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "rtdata/data/value.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+bool is_number(const Leaf& leaf) noexcept { return leaf.kind != Kind::text && leaf.kind != Kind::character; }
+
+template <class T>
+double number_at(const std::byte* at) noexcept {
+  T value;
+  std::memcpy(&value, at, sizeof value);
+  return static_cast<double>(value);
+}
+
+double number_of(Kind kind, const std::byte* at) noexcept {
+  switch (kind) {
+    case Kind::boolean:
+    case Kind::u8:
+      return number_at<std::uint8_t>(at);
+    case Kind::i8:
+      return number_at<std::int8_t>(at);
+    case Kind::i16:
+      return number_at<std::int16_t>(at);
+    case Kind::i32:
+      return number_at<std::int32_t>(at);
+    case Kind::i64:
+      return number_at<std::int64_t>(at);
+    case Kind::u16:
+      return number_at<std::uint16_t>(at);
+    case Kind::u32:
+      return number_at<std::uint32_t>(at);
+    case Kind::u64:
+      return number_at<std::uint64_t>(at);
+    case Kind::f32:
+      return number_at<float>(at);
+    default:
+      return number_at<double>(at);
+  }
+}
+
+}  // namespace
+
+FieldName field_named(const std::vector<std::string>& topics, const std::string& name) {
+  FieldName field{0, name};
+  std::size_t longest = 0;
+  for (std::size_t i = 0; i < topics.size(); ++i) {
+    const std::string topic = Expression::normal_name(topics[i]);
+    if (topic.size() <= longest || !name.starts_with(topic)) continue;
+    if (name.size() > topic.size() && name[topic.size()] != '.') continue;
+    longest = topic.size();
+    field = {i, name.size() == topic.size() ? "" : name.substr(topic.size() + 1)};
+  }
+  return field;
+}
+
+const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name) {
+  const auto number_at = [&](std::string_view path) {
+    const Leaf* leaf = description.find(path);
+    return leaf != nullptr && is_number(*leaf) ? leaf : nullptr;
+  };
+  if (field.topic == 0 && description.find(name) != nullptr) return number_at(name);  // a field called as the topic
+  if (!field.path.empty()) return number_at(field.path);
+  if (const Leaf* value = number_at("value")) return value;
+  const Leaf* only = nullptr;
+  for (const Leaf& leaf : description.leaves()) {
+    if (!is_number(leaf)) continue;
+    if (only != nullptr) return nullptr;
+    only = &leaf;
+  }
+  return only;
+}
+
+std::optional<double> number_in(const Leaf& leaf, const std::byte* payload) noexcept {
+  const std::byte* const at = find_value(leaf, payload);
+  if (at == nullptr) return std::nullopt;
+  return number_of(leaf.kind == Kind::enumeration ? leaf.enum_base : leaf.kind, at);
+}
+
+std::vector<std::string> names_of(const std::vector<std::string>& texts) {
+  std::vector<std::string> names;
+  for (const std::string& text : texts) {
+    const auto used = Expression::names_in(text);
+    if (!used) continue;
+    for (const std::string& name : *used)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  }
+  return names;
+}
+
+Problem problem_of(const ExpressionMistake& mistake, const ConfigItem& at) {
+  Problem problem = at.problem("bad-value", mistake.why + " (column " + std::to_string(mistake.column) + " of it)",
+                               mistake.suggestion);
+  if (problem.place.line > 0) problem.place.column += mistake.column;
+  return problem;
+}
+
+void check_expression(const std::string& text, const ConfigItem& at, Problems& problems) {
+  if (const auto mistake = Expression::check(text, names_of({text}))) problems.add(problem_of(*mistake, at));
+}
+
+void check_field_names(const std::string& text, const std::vector<std::string>& topics,
+                       const std::function<const Description*(std::string_view topic)>& payload_of,
+                       const ConfigItem& at, Problems& problems) {
+  const std::vector<std::string> names = names_of({text});
+  // A constant where there is a field of that name: nobody would see that the field is not looked at.
+  const Description* const first = topics.empty() ? nullptr : payload_of(topics[0]);
+  for (const char* constant : {"e", "pi", "true", "false"}) {
+    if (first == nullptr || first->find(constant) == nullptr) continue;
+    const auto with_it = Expression::names_in(text, {constant});
+    if (!with_it || with_it->size() == names.size()) continue;
+    problems.add(at.problem("bad-value", "`" + std::string(constant) +
+                                             "` is the constant, and a field of the topic \"" + topics[0] +
+                                             "\": the field is written '" + constant + "', in quotes; `" +
+                                             Expression::normal_name(topics[0]) + "." + constant + "` is the same"));
+  }
+  std::vector<std::string> good;
+  for (const std::string& name : names) {
+    const FieldName field = field_named(topics, name);
+    const Description* const description = topics.empty() ? nullptr : payload_of(topics[field.topic]);
+    if (!topics.empty() && (description == nullptr || leaf_named(*description, field, name) != nullptr))
+      good.push_back(name);
+  }
+  if (good.size() == names.size()) return;
+  // What could have been meant.
+  for (std::size_t i = 0; i < topics.size(); ++i) {
+    const Description* const description = payload_of(topics[i]);
+    if (description == nullptr) continue;
+    for (const Leaf& leaf : description->leaves()) {
+      if (!is_number(leaf)) continue;
+      const std::string full = Expression::normal_name(topics[i]) + "." + leaf.path;
+      for (const std::string& name : i == 0 ? std::vector{leaf.path, full} : std::vector{full})
+        if (std::find(good.begin(), good.end(), name) == good.end()) good.push_back(name);
+    }
+  }
+  if (const auto mistake = Expression::check(text, good)) problems.add(problem_of(*mistake, at));
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,207 @@
+// Machines of configurations: what check refuses, what they do with events, and going on after a pause.
+#include "rtdata/fsm/configured.hpp"
+
+#include <doctest/doctest.h>
+
+#include <string>
+#include <vector>
+
+#include "app/process.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/process/expression.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+
+namespace {
+
+using Lines = std::vector<std::string>;
+
+const std::string load = R"({"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"})";
+
+SystemPlan planned(const std::string& machines, const std::string& more = "") {
+  return plan_system(
+      standard_registry(),
+      parse_config("{\"sensors\": [" + load + "],\n\"machines\": [" + machines + "]" + more + "}", "f.json"));
+}
+/// A machine "m" on the topic "load"; each mistake is alone.
+std::string machine(const std::string& states, const std::string& transitions, const std::string& start = "a") {
+  return R"({"name": "m", "inputs": ["load"], "start": ")" + start + "\",\n\"states\": [" + states +
+         "],\n\"transitions\": [" + transitions + "]}";
+}
+const std::string a_and_b = R"({"name": "a"}, {"name": "b", "final": true})";
+Lines said_of(const std::string& machines, const std::string& more = "") {
+  Lines lines;
+  for (const Problem& problem : planned(machines, more).problems) lines.push_back(problem.text());
+  return lines;
+}
+
+struct Height {
+  double altitude = 0;
+  friend constexpr auto describe(type_tag<Height>) {
+    return record("height", field("altitude", &Height::altitude, "m"));
+  }
+};
+
+struct Bench {
+  Loop loop{Loop::Manual{}};
+  Lines errors;
+  Lines changes;
+  Feed<Height> baro;
+  Feed<Height> other;
+  Subscription seen;
+  std::optional<fsm::ConfiguredMachine> machine;
+
+  explicit Bench(const fsm::MachineSettings& settings,
+                 const std::optional<fsm::ConfiguredMachine::Beginning>& beginning = {}) {
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    baro = Feed<Height>(loop, {.name = "baro"});
+    other = Feed<Height>(loop, {.name = "other"});
+    seen = loop.subscribe<fsm::StateChange>("m", [this](const Event<fsm::StateChange>& e) {
+      changes.push_back(std::string(e->from) + ">" + std::string(e->to) + ": " + std::string(e->cause));
+    });
+    machine.emplace(loop, settings, beginning);
+    loop.advance(0ns);
+  }
+  Lines give(double altitude, Duration after = 100ms) {
+    loop.advance(after);
+    baro.publish(Height{altitude}, loop.time());
+    loop.advance(0ns);
+    loop.advance(0ns);
+    return std::exchange(changes, {});
+  }
+};
+
+}  // namespace
+
+#define NEEDS_EXPRESSIONS() \
+  if (!Expression::available()) return
+
+TEST_SUITE("fsm") {
+  TEST_CASE("US-41 check says each mistake of a machine, with its place") {
+    NEEDS_EXPRESSIONS();
+    const std::string go = R"({"from": "a", "to": "b", "when": "running > 3"})";
+    CHECK(said_of(machine(a_and_b, go)).empty());
+    const Lines unknown = said_of(machine(a_and_b, R"({"from": "a", "to": "c"})"));
+    REQUIRE(unknown.size() == 1);
+    CHECK_MESSAGE(unknown[0].find("machines[0].transitions[0].to: there is no state \"c\" in `states`") !=
+                      std::string::npos,
+                  unknown[0]);
+    CHECK(said_of(machine(a_and_b, go, "pad")).at(0).find("start: there is no state \"pad\" in `states`") !=
+          std::string::npos);
+    const auto says = [](const std::string& item, const std::string& path, const std::string& why) {
+      const Lines lines = said_of(item);
+      CAPTURE(why);
+      REQUIRE(lines.size() >= 1);
+      CHECK_MESSAGE(lines[0].find(path + ": " + why) != std::string::npos, lines[0]);
+    };
+    says(R"({"name": "m", "states": [{"name": "a", "final": true}]})", "machines[0]", "\"start\" is missing");
+    says(machine(a_and_b + R"(, {"name": "x", "final": true})", go), "machines[0].states[2].name",
+         "nothing leads from the start to state `x`");
+    says(machine(R"({"name": "a"}, {"name": "b"})", go), "machines[0].states[1].name",
+         "nothing leads out of state `b`; if that is meant, say that it is final");
+    says(machine(a_and_b, go + "," + go), "machines[0].transitions[1]",
+         "the transition from `a` to `b` is there twice");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "after": "5 s"}, {"from": "a", "to": "b", "after": "2 s"})"),
+         "machines[0].transitions[0]", "the transition from `a` to `b` is never taken");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "runing > 3"})"), "machines[0].transitions[0].when",
+         "there is no name `runing` (column 1 of it)");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running >"})"), "machines[0].transitions[0].when",
+         "it ends where a value is missing");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running"})"), "machines[0].transitions[0].when",
+         "it is a number, no condition; compare it with something");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
+         "`for` is how long `when` is true");
+    says(machine(a_and_b + R"(, {"name": "a"})", go), "machines[0].states[2].name", "there is a state \"a\" already");
+    says(R"({"name": "m", "inputs": ["laod"], "start": "a", "states": [{"name": "a", "final": true}]})",
+         "machines[0].inputs[0]", "nothing of this configuration publishes on \"laod\"");
+    says(R"({"name": "load", "topic": "x", "start": "a", "states": [{"name": "a", "final": true}]})",
+         "machines[0].name", "there is a sensor \"load\" already");
+    says(R"({"name": "m", "start": "a", "states": [{"name": "a", "final": true}],
+        "resume": {"recording": "db", "max_age": "10 s", "unknown_age": "start"}})",
+         "machines[0].resume.recording", "there is no sink \"db\"");
+  }
+
+  TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {
+    NEEDS_EXPRESSIONS();
+    Bench b({.name = "m", .inputs = {"baro"},
+             .max_age = 500ms,
+             .start = "up",
+             .states = {{"up"}, {"down"}, {"landed", true}},
+             .transitions = {{.from = "up", .to = "down", .when = "altitude < highest(altitude) - 5", .hold = 200ms},
+                             {.from = "down", .to = "up", .when = "altitude > lowest(altitude) + 5"},
+                             {.from = "down", .to = "landed", .after = 2s}}});
+    CHECK(std::exchange(b.changes, {}) == Lines{">up: start"});
+    for (const double altitude : {10.0, 90.0, 100.0, 94.0, 93.0}) CHECK(b.give(altitude).empty());
+    CHECK(b.give(92) == Lines{"up>down: altitude < highest(altitude) - 5, for 200 ms"});
+    CHECK(b.give(90).empty());
+    CHECK(b.give(96) == Lines{"down>up: altitude > lowest(altitude) + 5"});
+    CHECK(b.give(92).empty());  // 100 is forgotten: the highest since it is up is 96
+    CHECK(b.give(90).empty());
+    CHECK(b.give(89).empty());
+    CHECK(b.give(88).size() == 1);
+    b.loop.advance(2s);
+    CHECK(b.machine->now().state == "landed");
+    CHECK(b.errors.size() == 1);  // the silence of two seconds
+    CHECK(b.errors.at(0).find("topic baro: it has brought nothing for more than 500 ms") != std::string::npos);
+  }
+
+  TEST_CASE("US-41 a value that is too old counts as absent, and does not hide another that is there") {
+    NEEDS_EXPRESSIONS();
+    Bench b({.name = "m", .inputs = {"baro", "other"},
+             .max_age = 300ms,
+             .start = "a",
+             .states = {{"a"}, {"b", true}},
+             .transitions = {{.from = "a", .to = "b", .when = "altitude > 50 and other > 50"},
+                             {.from = "a", .to = "b", .when = "altitude > 500 or other > 500"}}});
+    b.changes.clear();
+    b.other.publish(Height{60}, b.loop.time());
+    CHECK(b.give(10, 200ms).empty());
+    CHECK(b.give(60, 200ms).empty());  // the other is 400 ms old
+    CHECK(b.give(501, 200ms) == Lines{"a>b: altitude > 500 or other > 500"});
+  }
+
+  TEST_CASE("US-41 events by name; a condition that fails is told once, and is false") {
+    NEEDS_EXPRESSIONS();
+    Bench b({.name = "m", .inputs = {"baro"},
+             .start = "a",
+             .states = {{"a"}, {"b", true}},
+             .transitions = {{.from = "a", .to = "b", .when = "1 / altitude > 5"},
+                             {.from = "a", .to = "b", .when = "altitude > 1", .event = "abort"}}});
+    b.changes.clear();
+    CHECK(b.give(0).empty());
+    CHECK(b.give(0).empty());
+    REQUIRE(b.errors.size() == 1);
+    CHECK_MESSAGE(b.errors[0].find("machine m, from a to b: division by zero") != std::string::npos, b.errors[0]);
+    CHECK(b.machine->raise("abrot").error().text() ==
+          "cannot raise event: abrot: no transition of machine m waits for it: did you mean \"abort\"?");
+    CHECK(b.machine->raise("abort"));
+    b.loop.advance(1ms);
+    CHECK(b.changes.empty());  // its condition does not hold
+    CHECK(b.give(2).empty());
+    CHECK(b.machine->raise("abort"));
+    b.loop.advance(1ms);
+    b.loop.advance(0ns);
+    CHECK(b.changes == Lines{"a>b: abort, altitude > 1"});
+  }
+
+  TEST_CASE("US-41 a machine goes on in a state, and has been in it for as long as it was") {
+    NEEDS_EXPRESSIONS();
+    Bench b({.name = "m", .start = "a",
+             .states = {{"a"}, {"b"}, {"c", true}},
+             .transitions = {{.from = "a", .to = "b", .event = "go"}, {.from = "b", .to = "c", .after = 3s}}},
+            fsm::ConfiguredMachine::Beginning{"b", 2s, "resumed"});
+    CHECK(std::exchange(b.changes, {}) == Lines{">b: resumed"});
+    b.loop.advance(999ms);
+    CHECK(b.machine->now().state == "b");
+    b.loop.advance(1ms);
+    CHECK(b.machine->now().state == "c");
+  }
+
+  TEST_CASE("US-41 the schema knows machines, which need no type") {
+    const std::string schema = standard_registry().schema();
+    CHECK(schema.find("\"machines\"") != std::string::npos);
+  }
+}
