@@ -36,7 +36,7 @@ SystemPlan sinks_of(const Registry& registry, const ReplayOptions& options) {
   std::size_t sensors = 0;
   std::erase_if(plan.parts, [&](const PartPlan& part) {
     if (part.kind == "sensor") ++sensors;
-    return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier";
+    return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier" || part.kind == "output";
   });
   plan.settings.tiers.clear();
   if (sensors > 0) {

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "process/expression_names.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/value.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -11,6 +12,11 @@
 
 namespace rtdata {
 namespace {
+
+using detail::is_number;
+using detail::leaf_of;
+using detail::Meaning;
+using detail::meaning_of;
 
 constexpr const char* cannot_derive = "cannot derive a value";
 
@@ -36,76 +42,10 @@ std::string refusal_of(const DerivedConfig& config) {
   return "";
 }
 
-bool is_number(const Leaf& leaf) noexcept { return leaf.kind != Kind::text && leaf.kind != Kind::character; }
-
-/// What a name of an expression stands for.
-struct Meaning {
-  std::size_t topic = 0;  ///< 0: `on`, else one of `with`
-  std::string path = {};  ///< of the field; empty: the topic alone was named
-};
-
-Meaning meaning_of(const DerivedConfig& config, const std::string& name) {
-  Meaning meaning{0, name};
-  std::size_t longest = 0;
-  for (std::size_t i = 0; i <= config.with.size(); ++i) {
-    const std::string topic = Expression::normal_name(i == 0 ? config.on : config.with[i - 1]);
-    if (topic.size() <= longest || !name.starts_with(topic)) continue;
-    if (name.size() > topic.size() && name[topic.size()] != '.') continue;
-    longest = topic.size();
-    meaning = {i, name.size() == topic.size() ? "" : name.substr(topic.size() + 1)};
-  }
-  return meaning;
-}
-
-/// The field that is meant, if it is a number. Null otherwise.
-const Leaf* leaf_of(const Description& description, const Meaning& meaning, const std::string& name) {
-  const auto number_at = [&](std::string_view path) {
-    const Leaf* leaf = description.find(path);
-    return leaf != nullptr && is_number(*leaf) ? leaf : nullptr;
-  };
-  if (meaning.topic == 0 && description.find(name) != nullptr) return number_at(name);  // a field called as the topic
-  if (!meaning.path.empty()) return number_at(meaning.path);
-  if (const Leaf* value = number_at("value")) return value;
-  const Leaf* only = nullptr;
-  for (const Leaf& leaf : description.leaves()) {
-    if (!is_number(leaf)) continue;
-    if (only != nullptr) return nullptr;
-    only = &leaf;
-  }
-  return only;
-}
-
-template <class T>
-double number_at(const std::byte* at) noexcept {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return static_cast<double>(value);
-}
-
-double number_of(Kind kind, const std::byte* at) noexcept {
-  switch (kind) {
-    case Kind::boolean:
-    case Kind::u8:
-      return number_at<std::uint8_t>(at);
-    case Kind::i8:
-      return number_at<std::int8_t>(at);
-    case Kind::i16:
-      return number_at<std::int16_t>(at);
-    case Kind::i32:
-      return number_at<std::int32_t>(at);
-    case Kind::i64:
-      return number_at<std::int64_t>(at);
-    case Kind::u16:
-      return number_at<std::uint16_t>(at);
-    case Kind::u32:
-      return number_at<std::uint32_t>(at);
-    case Kind::u64:
-      return number_at<std::uint64_t>(at);
-    case Kind::f32:
-      return number_at<float>(at);
-    default:
-      return number_at<double>(at);
-  }
+std::vector<std::string> topics_of(const DerivedConfig& config) {
+  std::vector<std::string> topics{config.on};
+  topics.insert(topics.end(), config.with.begin(), config.with.end());
+  return topics;
 }
 
 /// All names that the fields use. Of texts with a mistake, none.
@@ -154,7 +94,7 @@ class DerivedNode final : public FeedNode {
       Source source;
       source.topic = i == 0 ? config.on : config.with[i - 1];
       for (std::size_t n = 0; n < names.size(); ++n)
-        if (Meaning meaning = meaning_of(config, names[n]); meaning.topic == i)
+        if (Meaning meaning = meaning_of(topics_of(config), names[n]); meaning.topic == i)
           source.inputs.push_back({n, names[n], std::move(meaning), nullptr});
       sources_.push_back(std::move(source));
     }
@@ -206,11 +146,10 @@ class DerivedNode final : public FeedNode {
     if (source.missing == nullptr) {
       for (const Input& input : source.inputs) {
         const std::byte* const at = find_value(*input.leaf, event.payload().data());
-        const Kind kind = input.leaf->kind == Kind::enumeration ? input.leaf->enum_base : input.leaf->kind;
         for (Output& output : outputs_) {
           if (!output.expression.uses(input.index)) continue;
           if (at != nullptr)
-            output.expression.set(input.index, number_of(kind, at));
+            output.expression.set(input.index, number_of(*input.leaf, at));
           else
             output.expression.set_unknown(input.index);
         }
@@ -324,7 +263,7 @@ void check_derived_names(const DerivedConfig& config,
     std::vector<std::string> good;
     bool is_all_good = true;
     for (const std::string& name : names) {
-      const Meaning meaning = meaning_of(config, name);
+      const Meaning meaning = meaning_of(topics_of(config), name);
       const Description* const description = payload_of(meaning.topic == 0 ? config.on
                                                                            : config.with[meaning.topic - 1]);
       if (description == nullptr || leaf_of(*description, meaning, name) != nullptr)
