@@ -19,7 +19,7 @@
 namespace rtdata {
 namespace detail {
 
-inline constexpr std::size_t most_guarded = 1024;      // outputs
+inline constexpr std::size_t most_guarded = 1024;        // outputs
 inline constexpr std::size_t most_guarded_text = 65536;  // bytes of what one is made of
 
 /// Until when the guard waits for the output's loop, in ns of CLOCK_MONOTONIC. A line of cache each.

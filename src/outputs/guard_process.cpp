@@ -129,7 +129,8 @@ int receive_introduction(int socket, GuardIntroduction& introduction, std::strin
     got = ::recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
   } while (got < 0 && errno == EINTR);
   const cmsghdr* const head = got > 0 ? CMSG_FIRSTHDR(&message) : nullptr;
-  if (got < static_cast<ssize_t>(sizeof introduction) || head == nullptr || introduction.slot >= most_guarded) return -1;
+  if (got < static_cast<ssize_t>(sizeof introduction) || head == nullptr || introduction.slot >= most_guarded)
+    return -1;
   text.resize(static_cast<std::size_t>(got) - sizeof introduction);
   int received = -1;
   std::memcpy(&received, CMSG_DATA(head), sizeof received);

@@ -95,8 +95,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   Result<void> arm(std::string_view by) {
     if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
-    if (is_lost_)
-      return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
+    if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
     if (is_armed_) return {};
     beat();
     port_->arm();
@@ -320,8 +319,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     Call call(*this);
     if (!is_held_) return;
     if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
-    go_stale(Errc::timed_out,
-             "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.max_age),
+    go_stale(Errc::timed_out, "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
@@ -348,8 +346,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     return is_stale_ || is_overdue_ || has_tripped_ ? Health::degraded : Health::ok;
   }
   void settle() {
-    if (is_open() && health() != Health::ok && health_now() == Health::ok && !is_busy_)
-      set_health(Health::ok, nullptr);
+    if (is_open() && health() != Health::ok && health_now() == Health::ok && !is_busy_) set_health(Health::ok, nullptr);
   }
   void record(const Order& order, std::optional<double> done, std::string_view why) {
     OutputChange change{.asked = order.value, .done = done, .cause = order.cause, .armed = is_armed_, .by = order.by};

@@ -122,12 +122,13 @@ struct Bench {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
     seen = loop.subscribe<OutputChange>("o", [this](const Event<OutputChange>& event) {
-      constexpr const char* names[] = {"start", "set", "input", "stale", "lease", "arm", "disarm",
-                                       "watchdog", "failure", "stop"};
+      constexpr const char* names[] = {"start", "set",    "input",    "stale",   "lease",
+                                       "arm",   "disarm", "watchdog", "failure", "stop"};
       causes.push_back(std::string(names[static_cast<int>(event->cause)]) + (event->done ? "" : " not done"));
     });
     config.name = "o";
-    output = Output(loop, config, [this] { return make_file(path); }, path);
+    output = Output(
+        loop, config, [this] { return make_file(path); }, path);
   }
   /// Until the condition holds.
   template <class Condition>
@@ -275,7 +276,8 @@ TEST_SUITE("outputs") {
     }
     for (const std::string& path : paths) {
       Lines expected;
-      for (int round = 0; round < 3; ++round) expected.insert(expected.end(), {"open 0.0", "set 1.0", "set 0.0", "gone"});
+      for (int round = 0; round < 3; ++round)
+        expected.insert(expected.end(), {"open 0.0", "set 1.0", "set 0.0", "gone"});
       CHECK(lines_of(path) == expected);
     }
   }

@@ -37,8 +37,8 @@ std::string number(double value) {
 
 /// A change as a line: "set 1 > 1 by program", with why where it was not done, and "disarmed".
 std::string line_of(const OutputChange& change) {
-  constexpr const char* causes[] = {"start", "set",      "input",   "stale", "lease", "arm", "disarm",
-                                    "watchdog", "failure", "stop"};
+  constexpr const char* causes[] = {"start", "set",    "input",    "stale",   "lease",
+                                    "arm",   "disarm", "watchdog", "failure", "stop"};
   std::string line = std::string(causes[static_cast<int>(change.cause)]) + " " + number(change.asked) + " > " +
                      (change.done ? number(*change.done) : "-");
   if (!change.by.empty()) line += " by " + std::string(change.by);
@@ -232,8 +232,8 @@ TEST_SUITE("outputs") {
     CHECK(b.device.did == Lines{"open 0", "set 1", "set 2 failed", "gone", "open 0 failed", "open 0 failed",
                                 "open 0 failed", "open 0"});
     CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "set 2 > - by program: it is broken",
-                            "failure 0 > -: it is broken", "failure 0 > -: it is broken",
-                            "failure 0 > -: it is broken", "failure 0 > 0"});
+                            "failure 0 > -: it is broken", "failure 0 > -: it is broken", "failure 0 > -: it is broken",
+                            "failure 0 > 0"});
   }
 
   TEST_CASE("US-35 a device that hangs is given up, and the loop goes on") {

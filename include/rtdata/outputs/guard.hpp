@@ -15,7 +15,8 @@
 /// standard error.
 ///
 /// The guard makes, sets and destroys each output's Actuator on a thread of its own. It sets the safe value
-///   - when the loop has not turned for the output's `watchdog`: then it takes no other value until the output is armed;
+///   - when the loop has not turned for the output's `watchdog`: then it takes no other value until the output is
+///     armed;
 ///   - when the program has ended, in whatever way: at once; then it gives the device back and ends.
 /// A device that does not take its safe value is tried again, after the end of the program for 10 s.
 ///

@@ -1,7 +1,9 @@
 /// Output: something that is set (a GPIO line, a PWM channel, a device on a serial line), with a safe value.
 ///
-///     rtdata::Output pump(loop, {.name = "pump", .lease = 2s},
-///                         [] { return std::make_unique<rtdata::GpioActuator>(rtdata::GpioActuatorConfig{.line = 5}); });
+///     const auto make_pump = [] {
+///       return std::make_unique<rtdata::GpioActuator>(rtdata::GpioActuatorConfig{.line = 5});
+///     };
+///     rtdata::Output pump(loop, {.name = "pump", .lease = 2s}, make_pump);
 ///     pump.set(1, "operator").or_throw();
 ///
 ///     rtdata::Output fan(loop, {.name = "fan", .on = "room/air", .expression = "temperature > 28"}, make_fan);
@@ -95,12 +97,12 @@ struct OutputChange {
 enum class Arming : std::uint8_t { at_start, by_command };
 
 struct OutputConfig {
-  std::string name = {};               ///< the origin of its events
-  std::string topic = {};              ///< empty: as its name
-  double safe = 0;                     ///< in the actuator's unit; of a line or a condition 1 is on, 0 off
-  std::string on = {};                 ///< the topic that it follows; empty: it is set by `set`
-  std::vector<std::string> with = {};  ///< other topics, of which the latest values count
-  std::string expression = {};         ///< its value; empty: the only number of the topic `on`
+  std::string name = {};                            ///< the origin of its events
+  std::string topic = {};                           ///< empty: as its name
+  double safe = 0;                                  ///< in the actuator's unit; of a line or a condition 1 is on, 0 off
+  std::string on = {};                              ///< the topic that it follows; empty: it is set by `set`
+  std::vector<std::string> with = {};               ///< other topics, of which the latest values count
+  std::string expression = {};                      ///< its value; empty: the only number of the topic `on`
   std::optional<HysteresisConfig> hysteresis = {};  ///< on or off by the value of the expression
   std::optional<PidConfig> pid = {};                ///< controls the value of the expression
   Duration max_age = std::chrono::seconds{5};       ///< an input that brings nothing for longer is stale

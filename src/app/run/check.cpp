@@ -34,6 +34,7 @@ std::string counts_text(const Registry& registry, const SystemPlan& plan) {
   for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
     if (kind->does == PartKind::Does::nothing_known) continue;
     const std::size_t count = plan.of_kind(kind->name).size();
+    if (count == 0 && kind->name == "output") continue;  // most have none
     text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
   }
   return text;
