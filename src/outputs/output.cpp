@@ -85,6 +85,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
     }
+    if (is_failing_) {
+      record(order, {}, "the device has failed");
+      return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
+    }
     last_set_ = now();
     if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
     is_overdue_ = false;
@@ -201,7 +205,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       return record(order, {}, "it is on its way already");
     }
     if (!is_busy_) return send(order);
-    if (next_) record(*next_, {}, "superseded before the device was ready");
+    if (next_ && next_->cause == OutputCause::input) {
+      ++origin_.counts.received;
+      ++origin_.counts.filtered;
+    } else if (next_) {
+      record(*next_, {}, "superseded before the device was ready");
+    }
     next_ = order;
   }
   void send(const Order& order) {
@@ -309,7 +318,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     last_input_ = now();
     is_stale_ = false;
     if (!stale_.is_running()) stale_.start(config_.max_age);
-    if (is_armed_)
+    if (is_armed_ && !is_failing_)
       request({*value, OutputCause::input, fitted<48>(config_.on), now()});
     else
       input_->follow(config_.safe);

@@ -108,15 +108,16 @@ struct Terminal {
 TEST_SUITE("outputs") {
   TEST_CASE("US-35 check finds the mistakes of outputs") {
     const std::string pwm = R"({"name": "fan", "type": "pwm", )";
-    CHECK(problems_of(pwm + R"("on": "load", "expression": "load_1 > 2"})").empty());
+    CHECK(problems_of(pwm + R"("on": "load", "expression": "minutes_1 > 2"})").empty());
     CHECK(is_refused(pwm + R"("safe": 2})", "the safe value of a PWM channel is a duty cycle"));
     CHECK(is_refused(pwm + R"("on": "lod", "expression": "1"})", "lod"));
-    CHECK(is_refused(pwm + R"("on": "load", "expression": "load_1 >"})", "f.json:2"));
-    CHECK(is_refused(pwm + R"("on": "load", "expression": "lod_1 > 2"})", "lod_1"));
-    CHECK(is_refused(pwm + R"("expression": "load_1 > 2"})", "need the topic `on`"));
-    CHECK(is_refused(pwm + R"("on": "load", "expression": "load_1", "lease": "1 s"})", "max_age"));
-    CHECK(is_refused(pwm + R"("on": "load", "expression": "load_1", "hysteresis": {"on": 1, "off": 1}})", "the same"));
-    CHECK(is_refused(pwm + R"("on": "load", "expression": "load_1", "pid": {"setpoint": 1}})", "all gains are 0"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1 >"})", "f.json:2"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minute_1 > 2"})", "minute_1"));
+    CHECK(is_refused(pwm + R"("expression": "minutes_1 > 2"})", "need the topic `on`"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "lease": "1 s"})", "max_age"));
+    CHECK(
+        is_refused(pwm + R"("on": "load", "expression": "minutes_1", "hysteresis": {"on": 1, "off": 1}})", "the same"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "pid": {"setpoint": 1}})", "all gains are 0"));
     CHECK(is_refused(pwm + R"("armed": "never"})", "armed"));
     CHECK(is_refused(pwm + R"("chanel": 1})", "channel"));
     CHECK(is_refused(pwm + "}, " + R"({"name": "other", "type": "pwm"})", "duplicate-place"));
@@ -139,9 +140,9 @@ TEST_SUITE("outputs") {
     be_quiet(loop);
     const auto plan = [&](const std::string& second) {
       return plan_system(devices.registry, parse_config("{" + std::string(load) + R"(, "outputs": [
-          {"name": "a", "type": "memory", "device": "A", "on": "load", "expression": "load_1 >= 0"},
-          {"name": "b", "type": "memory", "device": "B")" +
-                                                            second + "}]}",
+          {"name": "a", "type": "memory", "device": "A", "on": "load", "expression": "minutes_1 >= 0"},
+          {"name": "b", "type": "memory", "device": "B")" + second +
+                                                            "}]}",
                                                         "f.json"));
     };
     const SystemPlan first = plan("");
@@ -188,13 +189,15 @@ TEST_SUITE("outputs") {
     CHECK_THROWS_AS((void)devices.registry.make_actuator("nonsense"), SetupError);
   }
 
-  TEST_CASE("US-35 US-17 rtdata run: its output is safe when it is killed, stopped, or ends, and its changes recorded") {
+  TEST_CASE(
+      "US-35 US-17 rtdata run: its output is safe when it is killed, stopped, or ends, and its changes recorded") {
     for (const int number : {SIGTERM, SIGKILL, SIGSEGV, SIGSTOP}) {
       CAPTURE(number);
       Folder folder;
       Terminal line;
-      folder.write("f.json", "{" + std::string(load) + R"(, "outputs": [{"name": "lamp", "type": "serial", "device": ")" +
-                                 line.name + R"(", "text": "<{value}>", "on": "load", "expression": "load_1 >= 0",
+      folder.write("f.json", "{" + std::string(load) +
+                                 R"(, "outputs": [{"name": "lamp", "type": "serial", "device": ")" + line.name +
+                                 R"(", "text": "<{value}>", "on": "load", "expression": "minutes_1 >= 0",
           "watchdog": "300 ms"}], "sinks": [{"type": "sqlite", "path": "run.db"}]})");
       Process run(folder, test::built("rtdata"), {"run", "f.json"});
       CHECK(line.reads("<1>"));

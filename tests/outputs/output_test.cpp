@@ -115,6 +115,18 @@ TEST_SUITE("outputs") {
     CHECK(b.told() == Lines{"set 4 > 4 by program"});
     CHECK(b.took == std::vector<double>{0, 0, 0.03, 0.06});
     CHECK(b.device.did == Lines{"open 0", "set 1", "set 4"});
+
+    Feed<Air> air(b.loop, {.name = "air"});
+    Device other;
+    Output follows(b.loop, {.name = "f", .on = "air"}, other.make());
+    for (double value : {1.0, 2.0, 3.0, 4.0}) {
+      air.publish({value});
+      b.loop.advance(1ms);
+    }
+    b.loop.advance(100ms);
+    CHECK(other.did == Lines{"open 0", "set 1", "set 4"});
+    CHECK(follows.counts().filtered == 2);
+    CHECK(follows.counts().published == 3);
   }
 
   TEST_CASE("US-35 a value holds for its lease, and setting it again extends that") {
@@ -223,6 +235,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.health() == Health::faulted);
     CHECK_FALSE(b.output.value().has_value());
     CHECK(b.errors == Lines{"it is broken"});
+    CHECK(b.output.set(2).error().code == Errc::io_failed);
     b.loop.advance(2500ms);
     CHECK(b.errors.size() == 1);
     b.device.fails = false;

@@ -43,7 +43,7 @@ class OutputGuard {
   /// Called in the guard, with what an output was given as `guarded`. May throw.
   using Make = std::function<std::unique_ptr<Actuator>(const std::string& what)>;
   explicit OutputGuard(const Make& make);
-  /// Waits for the guard's end, at most 2 s. Outputs that are still there lose it.
+  /// Waits for the guard's end, at most 2 s.
   ~OutputGuard();
   OutputGuard(const OutputGuard&) = delete;
   OutputGuard& operator=(const OutputGuard&) = delete;

@@ -29,8 +29,8 @@
 /// took; arming, disarming and what was refused are such events, too.
 ///
 /// The device is set on a lane, or in the guard: what is slow holds no loop. While one value is on its way, only the
-/// latest of those that come is kept; the others are told as superseded. At its start and end, an output waits for the
-/// device.
+/// latest of those that come is kept; the others are told as superseded, those of a topic counted as `filtered`. At its
+/// start and end, an output waits for the device.
 ///
 /// This is not a safety system: see docs/outputs.md for what it cannot do.
 ///
@@ -155,7 +155,8 @@ class Output : public AnySensor {
   Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {});
 
   /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), not-permitted (it is
-  /// disarmed), closed. What the device says comes later, as an event.
+  /// disarmed), io-failed (the device does not even take its safe value), closed. What the device says comes later, as
+  /// an event.
   Result<void> set(double value, std::string_view by = "program");
   /// From the next value on. When it is armed: nothing. Errors: closed; disconnected (the guard has ended: it stays
   /// safe until the program is started again).
