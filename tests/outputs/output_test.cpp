@@ -245,8 +245,8 @@ TEST_SUITE("outputs") {
     CHECK(b.device.did == Lines{"open 0", "set 1", "set 2 failed", "gone", "open 0 failed", "open 0 failed",
                                 "open 0 failed", "open 0"});
     CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "set 2 > - by program: it is broken",
-                            "failure 0 > -: it is broken", "failure 0 > -: it is broken", "failure 0 > -: it is broken",
-                            "failure 0 > 0"});
+                            "failure 0 > -: it is broken", "set 2 > - by program: the device has failed",
+                            "failure 0 > -: it is broken", "failure 0 > -: it is broken", "failure 0 > 0"});
   }
 
   TEST_CASE("US-35 a device that hangs is given up, and the loop goes on") {
