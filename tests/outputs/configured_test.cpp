@@ -120,8 +120,8 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "pid": {"setpoint": 1}})", "all gains are 0"));
     CHECK(is_refused(pwm + R"("armed": "never"})", "armed"));
     CHECK(is_refused(pwm + R"("chanel": 1})", "channel"));
-    CHECK(is_refused(pwm + "}, " + R"({"name": "other", "type": "pwm"})", "duplicate-place"));
-    CHECK(is_refused(pwm + "}, " + R"({"name": "fan", "type": "pwm", "channel": 1})", "duplicate"));
+    CHECK(is_refused(R"({"name": "fan", "type": "pwm"}, {"name": "other", "type": "pwm"})", "duplicate-place"));
+    CHECK(is_refused(R"({"name": "fan", "type": "pwm"}, {"name": "fan", "type": "pwm", "channel": 1})", "duplicate"));
     CHECK(is_refused(R"({"name": "x", "type": "serial", "device": "/dev/ttyX"},
                         {"name": "y", "type": "serial", "device": "/dev/ttyX"})",
                      "duplicate-place"));
