@@ -362,10 +362,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                 \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,       \
-      OfDerivedSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor,      \
-      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, \
+#define HANDLES                                                                                                      \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,            \
+      OfDerivedSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, \
+      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor,      \
       OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.

@@ -260,8 +260,8 @@ class Run {
     }
     for (const Problem& warning : next.warnings) tell_detail(LogLevel::warning, warning.text(), warning.id);
     if (guard_ == nullptr && !next.of_kind("output").empty())
-      return with_details(conclude(LogLevel::error,
-                                   "nothing was changed: the guard of outputs is started with the program: start it again"));
+      return with_details(conclude(
+          LogLevel::error, "nothing was changed: the guard of outputs is started with the program: start it again"));
     const PlanChange change = system.change_to(next);
     const bool is_refused = change.refused() != 0;
     if (is_refused) {
