@@ -68,7 +68,7 @@ struct ConfiguredMachine::Core {
   std::vector<std::vector<std::size_t>> whens_of;  // of each state
   std::size_t state = 0;
   std::optional<Time> last_time;  // of an input's event
-  bool is_evaluated = false;  // those of the current state, with the event that is taken in
+  bool is_evaluated = false;      // those of the current state, with the event that is taken in
   /// The state, and when the machine came to it, for all threads: 16 bits, and 48 bits of microseconds.
   std::atomic<std::uint64_t> shown{0};
 

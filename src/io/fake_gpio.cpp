@@ -203,7 +203,7 @@ std::unique_ptr<GpioRequest> FakeGpio::take_output(const std::string& path, unsi
   auto made = take(path, number, settings.consumer, error_number);
   if (made == nullptr) return nullptr;
   static_cast<Request&>(*made).is_active_low = settings.active_low;
-  made->set(settings.initial);
+  if (!settings.keep) made->set(settings.initial);
   return made;
 }
 

@@ -46,6 +46,10 @@ class Request final : public GpioRequest {
     return static_cast<int>(count);
   }
   bool is_there() noexcept override { return file_.is_the_same(); }
+  /// 0 or an errno.
+  int make_output(int flags, int value) noexcept {
+    return gpiod_line_set_config(line_, GPIOD_LINE_REQUEST_DIRECTION_OUTPUT, flags, value) < 0 ? errno : 0;
+  }
 
  private:
   const Chip chip_;  // must outlive its lines
@@ -104,20 +108,31 @@ class KernelGpio final : public GpioBackend {
     int flags = settings.active_low ? GPIOD_LINE_REQUEST_FLAG_ACTIVE_LOW : 0;
     if (settings.drive == GpioDrive::open_drain) flags |= GPIOD_LINE_REQUEST_FLAG_OPEN_DRAIN;
     if (settings.drive == GpioDrive::open_source) flags |= GPIOD_LINE_REQUEST_FLAG_OPEN_SOURCE;
+    if (settings.keep) {
+      const int active_low = flags & GPIOD_LINE_REQUEST_FLAG_ACTIVE_LOW;
+      auto taken = take(path, number, {settings.consumer.c_str(), GPIOD_LINE_REQUEST_DIRECTION_AS_IS, active_low}, 0,
+                        error_number);
+      if (taken == nullptr) return nullptr;
+      const int level = taken->value();
+      error_number = level < 0 ? -level : taken->make_output(flags, level);
+      if (error_number != 0) return nullptr;
+      return taken;
+    }
     return take(path, number, {settings.consumer.c_str(), GPIOD_LINE_REQUEST_DIRECTION_OUTPUT, flags},
                 settings.initial ? 1 : 0, error_number);
   }
 
  private:
-  static std::unique_ptr<GpioRequest> take(const std::string& path, unsigned number,
-                                           const gpiod_line_request_config& config, int initial, int& error_number) {
+  static std::unique_ptr<Request> take(const std::string& path, unsigned number,
+                                       const gpiod_line_request_config& config, int initial, int& error_number) {
     Chip chip(gpiod_chip_open(path.c_str()));
     gpiod_line* const line = chip != nullptr ? gpiod_chip_get_line(chip.get(), number) : nullptr;
     if (line == nullptr || gpiod_line_request(line, &config, initial) != 0) {
       error_number = errno;
       return nullptr;
     }
-    const bool has_edges = config.request_type != GPIOD_LINE_REQUEST_DIRECTION_INPUT &&
+    const bool has_edges = config.request_type != GPIOD_LINE_REQUEST_DIRECTION_AS_IS &&
+                           config.request_type != GPIOD_LINE_REQUEST_DIRECTION_INPUT &&
                            config.request_type != GPIOD_LINE_REQUEST_DIRECTION_OUTPUT;
     const int fd = has_edges ? gpiod_line_event_get_fd(line) : -1;
     if (fd >= 0) ::fcntl(fd, F_SETFL, ::fcntl(fd, F_GETFL) | O_NONBLOCK);

@@ -54,6 +54,13 @@ class Request final : public GpioRequest {
     return got;
   }
   bool is_there() noexcept override { return file_.is_the_same(); }
+  /// 0 or an errno.
+  int configure(gpiod_line_settings* settings) noexcept {
+    const LineConfig config(gpiod_line_config_new());
+    if (config == nullptr) return ENOMEM;
+    if (gpiod_line_config_add_line_settings(config.get(), &number_, 1, settings) != 0) return errno;
+    return gpiod_line_request_reconfigure_lines(lines_.get(), config.get()) == 0 ? 0 : errno;
+  }
 
  private:
   const Lines lines_;
@@ -116,18 +123,28 @@ class KernelGpio final : public GpioBackend {
                                            int& error_number) override {
     const Settings settings(gpiod_line_settings_new());
     if (settings == nullptr) return refuse(error_number);
-    gpiod_line_settings_set_direction(settings.get(), GPIOD_LINE_DIRECTION_OUTPUT);
     gpiod_line_settings_set_active_low(settings.get(), wanted.active_low);
-    gpiod_line_settings_set_drive(settings.get(), wanted.drive == GpioDrive::open_drain ? GPIOD_LINE_DRIVE_OPEN_DRAIN
-                                                  : wanted.drive == GpioDrive::open_source
-                                                      ? GPIOD_LINE_DRIVE_OPEN_SOURCE
-                                                      : GPIOD_LINE_DRIVE_PUSH_PULL);
-    gpiod_line_settings_set_output_value(settings.get(),
-                                         wanted.initial ? GPIOD_LINE_VALUE_ACTIVE : GPIOD_LINE_VALUE_INACTIVE);
+    if (wanted.keep) {
+      auto taken = take(path, number, wanted.consumer, settings.get(), false, error_number);
+      if (taken == nullptr) return nullptr;
+      const int level = taken->value();
+      set_up(settings.get(), wanted, level > 0);
+      error_number = level < 0 ? -level : taken->configure(settings.get());
+      if (error_number != 0) return nullptr;
+      return taken;
+    }
+    set_up(settings.get(), wanted, wanted.initial);
     return take(path, number, wanted.consumer, settings.get(), false, error_number);
   }
 
  private:
+  static void set_up(gpiod_line_settings* settings, const GpioOutput& wanted, bool value) noexcept {
+    gpiod_line_settings_set_direction(settings, GPIOD_LINE_DIRECTION_OUTPUT);
+    gpiod_line_settings_set_drive(settings, wanted.drive == GpioDrive::open_drain    ? GPIOD_LINE_DRIVE_OPEN_DRAIN
+                                            : wanted.drive == GpioDrive::open_source ? GPIOD_LINE_DRIVE_OPEN_SOURCE
+                                                                                     : GPIOD_LINE_DRIVE_PUSH_PULL);
+    gpiod_line_settings_set_output_value(settings, value ? GPIOD_LINE_VALUE_ACTIVE : GPIOD_LINE_VALUE_INACTIVE);
+  }
   static gpiod_line_bias bias_of(GpioBias bias) noexcept {
     switch (bias) {
       case GpioBias::none:
@@ -144,8 +161,8 @@ class KernelGpio final : public GpioBackend {
     error_number = errno;
     return nullptr;
   }
-  static std::unique_ptr<GpioRequest> take(const std::string& path, unsigned number, const std::string& consumer,
-                                           gpiod_line_settings* settings, bool with_edges, int& error_number) {
+  static std::unique_ptr<Request> take(const std::string& path, unsigned number, const std::string& consumer,
+                                       gpiod_line_settings* settings, bool with_edges, int& error_number) {
     const Chip chip(gpiod_chip_open(path.c_str()));  // the request goes on without it
     if (chip == nullptr) return refuse(error_number);
     const LineConfig config(gpiod_line_config_new());

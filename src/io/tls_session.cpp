@@ -192,7 +192,9 @@ void TlsSession::take(std::span<const std::byte> bytes) {
   BIO_write(impl_->in, bytes.data(), static_cast<int>(bytes.size()));
 }
 
-bool TlsSession::has_unread() const noexcept { return SSL_has_pending(impl_->ssl.get()) == 1 || BIO_pending(impl_->in) > 0; }
+bool TlsSession::has_unread() const noexcept {
+  return SSL_has_pending(impl_->ssl.get()) == 1 || BIO_pending(impl_->in) > 0;
+}
 
 std::span<const std::byte> TlsSession::output() const noexcept {
   char* data = nullptr;

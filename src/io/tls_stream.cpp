@@ -73,11 +73,11 @@ void TlsStream::shake_hands() {
     }
     if (receive()) continue;
     if (!end_) return watch();
-    return handshake_ended(*end_ != 0
-                               ? system_error(*end_, "cannot connect", peer(), "the connection was lost in the handshake")
-                               : Error{Errc::disconnected, "cannot connect", peer(),
-                                       "the peer has closed the connection in the handshake of TLS",
-                                       "does the server speak TLS at this port? Its log may say more"});
+    return handshake_ended(
+        *end_ != 0 ? system_error(*end_, "cannot connect", peer(), "the connection was lost in the handshake")
+                   : Error{Errc::disconnected, "cannot connect", peer(),
+                           "the peer has closed the connection in the handshake of TLS",
+                           "does the server speak TLS at this port? Its log may say more"});
   }
 }
 

@@ -1,50 +1,8 @@
 #include "process/expression_fields.hpp"
 
 #include <algorithm>
-#include <cstring>
-
-#include "rtdata/data/value.hpp"
 
 namespace rtdata::detail {
-namespace {
-
-bool is_number(const Leaf& leaf) noexcept { return leaf.kind != Kind::text && leaf.kind != Kind::character; }
-
-template <class T>
-double number_at(const std::byte* at) noexcept {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return static_cast<double>(value);
-}
-
-double number_of(Kind kind, const std::byte* at) noexcept {
-  switch (kind) {
-    case Kind::boolean:
-    case Kind::u8:
-      return number_at<std::uint8_t>(at);
-    case Kind::i8:
-      return number_at<std::int8_t>(at);
-    case Kind::i16:
-      return number_at<std::int16_t>(at);
-    case Kind::i32:
-      return number_at<std::int32_t>(at);
-    case Kind::i64:
-      return number_at<std::int64_t>(at);
-    case Kind::u16:
-      return number_at<std::uint16_t>(at);
-    case Kind::u32:
-      return number_at<std::uint32_t>(at);
-    case Kind::u64:
-      return number_at<std::uint64_t>(at);
-    case Kind::f32:
-      return number_at<float>(at);
-    default:
-      return number_at<double>(at);
-  }
-}
-
-}  // namespace
-
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name) {
   FieldName field{0, name};
   std::size_t longest = 0;
@@ -59,26 +17,8 @@ FieldName field_named(const std::vector<std::string>& topics, const std::string&
 }
 
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name) {
-  const auto number_at = [&](std::string_view path) {
-    const Leaf* leaf = description.find(path);
-    return leaf != nullptr && is_number(*leaf) ? leaf : nullptr;
-  };
-  if (field.topic == 0 && description.find(name) != nullptr) return number_at(name);  // a field called as the topic
-  if (!field.path.empty()) return number_at(field.path);
-  if (const Leaf* value = number_at("value")) return value;
-  const Leaf* only = nullptr;
-  for (const Leaf& leaf : description.leaves()) {
-    if (!is_number(leaf)) continue;
-    if (only != nullptr) return nullptr;
-    only = &leaf;
-  }
-  return only;
-}
-
-std::optional<double> number_in(const Leaf& leaf, const std::byte* payload) noexcept {
-  const std::byte* const at = find_value(leaf, payload);
-  if (at == nullptr) return std::nullopt;
-  return number_of(leaf.kind == Kind::enumeration ? leaf.enum_base : leaf.kind, at);
+  const bool is_called_as_topic = field.topic == 0 && description.find(name) != nullptr;
+  return number_field(description, is_called_as_topic ? std::string_view(name) : field.path);
 }
 
 std::vector<std::string> names_of(const std::vector<std::string>& texts) {
@@ -131,7 +71,7 @@ void check_field_names(const std::string& text, const std::vector<std::string>& 
     const Description* const description = payload_of(topics[i]);
     if (description == nullptr) continue;
     for (const Leaf& leaf : description->leaves()) {
-      if (!is_number(leaf)) continue;
+      if (number_field(*description, leaf.path) == nullptr) continue;
       const std::string full = Expression::normal_name(topics[i]) + "." + leaf.path;
       for (const std::string& name : i == 0 ? std::vector{leaf.path, full} : std::vector{full})
         if (std::find(good.begin(), good.end(), name) == good.end()) good.push_back(name);

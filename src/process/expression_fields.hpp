@@ -3,11 +3,11 @@
 
 #include <cstddef>
 #include <functional>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "process/number_field.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/process/expression.hpp"
@@ -23,8 +23,6 @@ struct FieldName {
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name);
 /// The field that is meant, if it is a number. Null otherwise.
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name);
-/// The number in a payload; nothing where an optional one is absent.
-std::optional<double> number_in(const Leaf& leaf, const std::byte* payload) noexcept;
 /// All names that the texts use, each once. Of texts with a mistake, none.
 std::vector<std::string> names_of(const std::vector<std::string>& texts);
 

@@ -49,7 +49,10 @@ TEST_SUITE("app") {
     CHECK(ctl({"rig", "stop", "load"}, 0) == "sensor load is stopped\n");
     CHECK(ctl({"stop", "load"}, 0) == "sensor load has stopped already\n");
     CHECK(ctl({"start", "load"}, 0) == "sensor load is started\n");
-    CHECK(ctl({"note", "the", "valve is \xc3\xbc" "ber"}, 0) == "noted\n");
+    CHECK(ctl({"note", "the",
+               "valve is \xc3\xbc"
+               "ber"},
+              0) == "noted\n");
     CHECK(ctl({"note", std::string(1000, 'x')}, 0) == "noted\n");
     CHECK(ctl({"ack", "alarm"}, 0) == "the alarm of alarm is acknowledged\n");
     CHECK(ctl({"ack", "alarm"}, 0) == "there is no alarm of alarm to acknowledge\n");
@@ -81,7 +84,9 @@ TEST_SUITE("app") {
     REQUIRE(commands.size() == 16);
     CHECK(has(commands[0].dump(), "rate load 50 Hz"));
     CHECK(has(commands[0].dump(), "uid " + std::to_string(::geteuid()) + ", pid "));
-    CHECK(has(commands[4].dump(), "note the valve is \xc3\xbc" "ber"));
+    CHECK(has(commands[4].dump(),
+              "note the valve is \xc3\xbc"
+              "ber"));
     CHECK(has(commands[5].dump(), "xxx..."));
     CHECK(has(commands[8].dump(), "sensor load is no limit"));
     CHECK(has(folder.read("rig.log"), "`rate load 50 Hz` by uid"));

@@ -61,7 +61,8 @@ std::string rig(const std::string& more, const std::string& resume = "") {
       , "states": [{"name": "a"}, {"name": "b"}, {"name": "c", "final": true}],
       "transitions": [{"from": "a", "to": "b", "when": "running >= 0", "for": "100 ms"},
                       {"from": "b", "to": "c", "after": "60 s"}])" +
-         resume + R"(}, {"name": "n", "tier": "fast", "inputs": ["load"], "start": "a", "states": [{"name": "a"}, {"name": "b"}],
+         resume +
+         R"(}, {"name": "n", "tier": "fast", "inputs": ["load"], "start": "a", "states": [{"name": "a"}, {"name": "b"}],
       "transitions": [{"from": "a", "to": "b", "when": "running >= 0"}, {"from": "b", "to": "a", "event": "back"}])" +
          more + R"(}],
     "sinks": [{"type": "sqlite", "path": "run.db"}]})";
@@ -122,7 +123,8 @@ TEST_SUITE("app") {
     CHECK(has(done(folder, {"replay", "rocket.db", "rocket.json"}).err, "records into it"));
   }
 
-  TEST_CASE("US-41 killed in the middle, a machine goes on where it was; after too long, or without a clock, as chosen") {
+  TEST_CASE(
+      "US-41 killed in the middle, a machine goes on where it was; after too long, or without a clock, as chosen") {
     if (!rtdata::Expression::available()) return;
     const Folder folder;
     folder.write("rig.json", resumes("1 min", "start"));

@@ -20,8 +20,10 @@ below = {
     "sensors": {"data", "loop", "io", "process"},  # every sensor processes its samples before it publishes them
     "sinks": {"data", "loop", "io"},
     "fsm": {"data", "loop", "io", "process", "sensors/feed.hpp", "sensors/sensor.hpp"},  # a machine publishes by a feed
-    "config": {"data", "loop", "io", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
-    "app": {"data", "loop", "io", "process", "sensors", "sinks", "fsm", "config"},
+    "control": {"data"},
+    "outputs": {"data", "loop", "io", "process", "control", "sensors/derived.hpp", "sensors/feed.hpp", "sensors/sensor.hpp", "sensors/core/feed_node.hpp"},  # an output is a feed of its changes
+    "config": {"data", "loop", "io", "control", "outputs/output.hpp", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
+    "app": {"data", "loop", "io", "process", "sensors", "sinks", "fsm", "outputs", "control", "config"},
 }
 # Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call
 # upwards, since objects of a loop register with its runtime; elsewhere they may not either.

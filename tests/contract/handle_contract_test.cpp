@@ -23,6 +23,7 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/derived.hpp"
@@ -218,6 +219,22 @@ struct OfMachine {
   }
   Timer timer;
 };
+struct OfOutput {
+  using Type = Output;  // its device refuses each value but the first
+  struct Refusing final : Actuator {
+    Result<void> open(std::optional<double>) override { return {}; }
+    Result<void> set(double) override { return Error{Errc::io_failed, "cannot set", "", "it is broken", ""}; }
+  };
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.name = "output"}, [] { return std::make_unique<Refusing>(); });
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type& handle) {
+    timer = Timer(loop, 0ns, [&handle] { (void)handle.set(1); });
+  }
+  Timer timer;
+};
 struct OfIioSensor {
   using Type = IioSensor;
   Type make(Loop& loop, Probe& probe) {
@@ -345,10 +362,10 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                 \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,       \
-      OfDerivedSensor, OfLimitSensor, OfMachine, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor,      \
-      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor, \
+#define HANDLES                                                                                                      \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,            \
+      OfDerivedSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, \
+      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor,      \
       OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.

@@ -86,9 +86,9 @@ TEST_SUITE("fsm") {
     CHECK(said_of(machine(a_and_b, go)).empty());
     const Lines unknown = said_of(machine(a_and_b, R"({"from": "a", "to": "c"})"));
     REQUIRE(unknown.size() == 1);
-    CHECK_MESSAGE(unknown[0].find("machines[0].transitions[0].to: there is no state \"c\" in `states`") !=
-                      std::string::npos,
-                  unknown[0]);
+    CHECK_MESSAGE(
+        unknown[0].find("machines[0].transitions[0].to: there is no state \"c\" in `states`") != std::string::npos,
+        unknown[0]);
     CHECK(said_of(machine(a_and_b, go, "pad")).at(0).find("start: there is no state \"pad\" in `states`") !=
           std::string::npos);
     const auto says = [](const std::string& item, const std::string& path, const std::string& why) {
@@ -126,7 +126,8 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {
     NEEDS_EXPRESSIONS();
-    Bench b({.name = "m", .inputs = {"baro"},
+    Bench b({.name = "m",
+             .inputs = {"baro"},
              .max_age = 500ms,
              .start = "up",
              .states = {{"up"}, {"down"}, {"landed", true}},
@@ -150,7 +151,8 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a value that is too old counts as absent, and does not hide another that is there") {
     NEEDS_EXPRESSIONS();
-    Bench b({.name = "m", .inputs = {"baro", "other"},
+    Bench b({.name = "m",
+             .inputs = {"baro", "other"},
              .max_age = 300ms,
              .start = "a",
              .states = {{"a"}, {"b", true}},
@@ -165,7 +167,8 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 events by name; a condition that fails is told once, and is false") {
     NEEDS_EXPRESSIONS();
-    Bench b({.name = "m", .inputs = {"baro"},
+    Bench b({.name = "m",
+             .inputs = {"baro"},
              .start = "a",
              .states = {{"a"}, {"b", true}},
              .transitions = {{.from = "a", .to = "b", .when = "1 / altitude > 5"},
@@ -189,7 +192,8 @@ TEST_SUITE("fsm") {
 
   TEST_CASE("US-41 a machine goes on in a state, and has been in it for as long as it was") {
     NEEDS_EXPRESSIONS();
-    Bench b({.name = "m", .start = "a",
+    Bench b({.name = "m",
+             .start = "a",
              .states = {{"a"}, {"b"}, {"c", true}},
              .transitions = {{.from = "a", .to = "b", .event = "go"}, {.from = "b", .to = "c", .after = 3s}}},
             fsm::ConfiguredMachine::Beginning{"b", 2s, "resumed"});

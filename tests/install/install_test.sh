@@ -112,7 +112,7 @@ project pkg_config
 cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 PKG_CONFIG_PATH="$pkgconfig" sh build.sh record rtdata-sqlite
 LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check ./record
-for own in 10_own_driver 11_own_bus; do
+for own in 10_own_driver 11_own_bus 14_own_output; do
     cp "$source/examples/$own.cpp" .
     PKG_CONFIG_PATH="$pkgconfig" sh build.sh "$own" rtdata
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" "./$own"

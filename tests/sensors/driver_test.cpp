@@ -357,7 +357,7 @@ TEST_SUITE("sensors") {
     }
     for (unsigned i = 0; i < 4; ++i) {  // each needs 76 ms of every 100
       all.emplace_back(bench.loop, SensorConfig{.name = "b" + std::to_string(i), .rate = 10_Hz}, bench.bus,
-                       I2cDevice::Place{0x70 + i},
+                       RegisterPlace{.address = 0x70 + i},
                        Barometer::Config{.pressure_oversampling = 16, .temperature_oversampling = 16});
     }
     bench.loop.advance(2s);

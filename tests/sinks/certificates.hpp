@@ -55,7 +55,7 @@ class Certificates {
 }  // namespace sinks
 
 #define NEEDS_PROGRAM(program)                     \
-  if (::access((program).c_str(), X_OK) != 0) {                      \
+  if (::access((program).c_str(), X_OK) != 0) {    \
     MESSAGE("skipped: there is no " << (program)); \
     return;                                        \
   }

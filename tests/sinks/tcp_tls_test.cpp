@@ -223,7 +223,8 @@ TEST_CASE("US-32 tcp with TLS: all arrives in order, over a server that is kille
   CHECK(bench.missed == 0);
 }
 
-TEST_CASE("NFR-1 tcp with TLS: a peer that breaks off in the handshake, or takes its time, costs no tick and no event") {
+TEST_CASE(
+    "NFR-1 tcp with TLS: a peer that breaks off in the handshake, or takes its time, costs no tick and no event") {
   for (const char* how : {"closes", "byte", "silent", "garbage"}) {
     CAPTURE(how);
     Bench bench;

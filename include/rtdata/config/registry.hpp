@@ -1,4 +1,5 @@
-/// Registry: the types of sensors, sinks and buses that configurations can name, and what each makes of its item.
+/// Registry: the types of sensors, sinks, buses and outputs that configurations can name, and what each makes of its
+/// item.
 ///
 ///     Registry registry;
 ///     registry.add_sensor<AnalogConfig>(
@@ -43,6 +44,7 @@
 #include "rtdata/config/parts.hpp"
 #include "rtdata/config/type_registry.hpp"
 #include "rtdata/io/bus.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/sensor_parameters.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -94,6 +96,8 @@ struct Joined {
                           include_member(&Joined::own));
   }
   friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
+    if constexpr (requires { check_config(joined.common, item, problems); })
+      check_config(joined.common, item, problems);
     if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
   }
 };
@@ -364,6 +368,38 @@ class Registry {
     });
   }
 
+  /// A type of outputs. `make(const C&)`: its device, a unique_ptr of an Actuator; it is called in the guard, if there
+  /// is one, and so uses no other parts. `complete(PartPlan&, const C&)`: the places that it takes.
+  template <Configurable C, class Make>
+  void add_output(const std::string& type, std::string doc, Make make) {
+    add_output<C>(type, std::move(doc), std::move(make), [](PartPlan&, const C&) {});
+  }
+  template <Configurable C, class Make, class Complete>
+  void add_output(const std::string& type, std::string doc, Make make, Complete complete, TypePage page = {}) {
+    using All = config_detail::Joined<OutputConfig, C>;
+    const auto plan_part = [make, complete, type](PartPlan& plan, const All& all) {
+      complete(plan, all.own);
+      plan.name = all.common.name;
+      plan.publishes = config_detail::published_topic(plan.name, all.common.topic,
+                                                      Result(description_of<OutputChange>()), {});
+      plan.check_topics = [config = all.common](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
+                                                Problems& problems) {
+        check_output_names(config, payload_of, part.item, problems);
+      };
+      ConfigItem guarded = write_config(all.own);
+      guarded.set("type", type);
+      plan.make = [make, all, guarded = guarded.to_json()](Loop& loop, const Parts&) {
+        const auto make_actuator = [make, own = all.own]() -> std::unique_ptr<Actuator> { return make(own); };
+        return PartObject::made_by<Output>([&] { return Output(loop, all.common, make_actuator, guarded); });
+      };
+    };
+    add_type<All>("output", type, std::move(doc), plan_part, std::move(page));
+    actuators_.add<C>(type, {}, [make](const C& config) -> std::unique_ptr<Actuator> { return make(config); });
+  }
+  /// For the guard (outputs/guard.hpp): the device of an output of a configuration. Throws ConfigError, and what `make`
+  /// throws.
+  std::unique_ptr<Actuator> make_actuator(const std::string& guarded) const;
+
   /// A kind of parts of the program's own, made after those that there are. `key`: of the file. `doc`: a phrase.
   void add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,
                 PartKind::Does does = PartKind::Does::nothing_known);
@@ -383,6 +419,7 @@ class Registry {
   const TypeRegistryBase& sensors() const { return types("sensor"); }
   const TypeRegistryBase& sinks() const { return types("sink"); }
   const TypeRegistryBase& buses() const { return types("bus"); }
+  const TypeRegistryBase& outputs() const { return types("output"); }
   /// In the order in which their parts are made.
   const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
   /// The JSON Schema (draft-07) of a whole configuration file.
@@ -407,6 +444,7 @@ class Registry {
   }
 
   std::vector<PartKind> kinds_;
+  TypeRegistry<std::unique_ptr<Actuator>> actuators_{"output"};  // the devices of its outputs alone
 };
 
 }  // namespace rtdata

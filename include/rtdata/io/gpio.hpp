@@ -85,6 +85,10 @@ constexpr auto describe(type_tag<GpioEdgeKind>) {
                      value("both", GpioEdgeKind::both));
 }
 enum class GpioDrive : std::uint8_t { push_pull, open_drain, open_source };
+constexpr auto describe(type_tag<GpioDrive>) {
+  return enumeration("drive", value("push-pull", GpioDrive::push_pull), value("open-drain", GpioDrive::open_drain),
+                     value("open-source", GpioDrive::open_source));
+}
 
 /// A line that is read.
 struct GpioInput {
@@ -116,7 +120,8 @@ struct GpioOutput {
   std::string chip = {};
   GpioDrive drive = GpioDrive::push_pull;
   bool active_low = false;
-  bool initial = false;           ///< what it is set to when it is taken
+  bool initial = false;           ///< what it is set to when it is taken, in the same step
+  bool keep = false;              ///< it is taken with the level that it has, not with `initial`
   std::optional<bool> safe = {};  ///< what it is set to at the end; none: it is left as it is
   std::string consumer = "rtdata";
 };

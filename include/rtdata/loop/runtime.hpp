@@ -25,6 +25,8 @@
 
 namespace rtdata {
 
+class OutputGuard;
+
 namespace detail {
 class RuntimeCore;
 }
@@ -117,6 +119,7 @@ class Runtime {
     /// Texts that errors, log records and reasons of health must not show: "(secret)" stands in their place.
     std::vector<std::string> secrets = {};
     Clock* clock = nullptr;          ///< null: the machine's. Must outlive the runtime.
+    OutputGuard* guard = nullptr;    ///< holds the devices of outputs (outputs/guard.hpp); null: nobody does. Likewise.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };
   Runtime();

@@ -48,8 +48,8 @@ int ctl(const std::vector<std::string>& given) {
   // The status that was asked for comes first.
   if (!found->answers) (void)found->client->receive(answer_limit);
   const nlohmann::ordered_json request{{"request", "command"}, {"words", words}};
-  const auto line = found->client->ask(
-      request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace), answer_limit);
+  const auto line = found->client->ask(request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),
+                                       answer_limit);
   const auto fail = [&](const std::string& why) {
     std::cerr << "rtdata: pid " << found->instance.pid << ": " << why << std::endl;
     return exit_other;

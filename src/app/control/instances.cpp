@@ -89,7 +89,8 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
   if (instances.empty()) {
     std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
     for (const std::string& folder : closed_folders())
-      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`" << std::endl;
+      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`"
+                << std::endl;
     return std::nullopt;
   }
   std::vector<const Found*> all, matching;
@@ -103,8 +104,8 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
     chosen = &one;
   }
   if (matching.empty()) {
-    std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \""
-              << wanted << "\"; there are:\n"
+    std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \"" << wanted
+              << "\"; there are:\n"
               << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
     return std::nullopt;
   }

@@ -537,12 +537,12 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
 }
 
 /// While it lives, std::cout remembers why a write failed. It keeps no text, so any thread may print as before.
-class Output final : public std::streambuf {
+class StandardOutput final : public std::streambuf {
  public:
-  Output() : to_(std::cout.rdbuf(this)) {}
-  Output(const Output&) = delete;
-  Output& operator=(const Output&) = delete;
-  ~Output() override { std::cout.rdbuf(to_); }
+  StandardOutput() : to_(std::cout.rdbuf(this)) {}
+  StandardOutput(const StandardOutput&) = delete;
+  StandardOutput& operator=(const StandardOutput&) = delete;
+  ~StandardOutput() override { std::cout.rdbuf(to_); }
   /// False: something that was printed is lost, and that was said; but not of a reader that went away.
   bool is_written() {
     std::cout.flush();
@@ -586,7 +586,7 @@ class Output final : public std::streambuf {
 
 int run_program(const Registry& registry, int argc, char** argv) {
   try {
-    Output output;
+    StandardOutput output;
     const int status = parse_and_run(registry, argc, argv);
     return output.is_written() || status != app::exit_good ? status : app::exit_other;
   } catch (const std::exception& error) {

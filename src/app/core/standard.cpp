@@ -7,6 +7,9 @@
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
+#include "rtdata/outputs/gpio.hpp"
+#include "rtdata/outputs/pwm.hpp"
+#include "rtdata/outputs/serial.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/derived.hpp"
@@ -339,9 +342,30 @@ Registry standard_registry() {
       "udp", "a datagram an event, for programs that draw what comes, such as PlotJuggler",
       [](const ShippedUdpConfig&) { return std::string(); },
       [](Loop& loop, const ShippedUdpConfig& config) { return UdpSink(loop, config); });
+#ifdef RTDATA_WITH_GPIO
+  registry.add_output<GpioActuatorConfig>(
+      "gpio", "a GPIO line", [](const GpioActuatorConfig& config) { return std::make_unique<GpioActuator>(config); },
+      [](PartPlan& plan, const GpioActuatorConfig& config) { plan.place = place_of(config.line.text, config.chip); });
+#endif
+  registry.add_output<PwmConfig>(
+      "pwm", "the duty cycle of a channel of a PWM chip of the kernel",
+      [](const PwmConfig& config) { return std::make_unique<PwmActuator>(config); },
+      [](PartPlan& plan, const PwmConfig& config) {
+        plan.place = {"PWM chip",
+                      std::to_string(config.chip) + ", channel " + std::to_string(config.channel) +
+                          (config.root == PwmConfig{}.root ? "" : ", below " + config.root),
+                      ""};
+      });
+  registry.add_output<SerialActuatorConfig>(
+      "serial", "a device on a serial line that is set by a text",
+      [](const SerialActuatorConfig& config) { return std::make_unique<SerialActuator>(config); },
+      [](PartPlan& plan, const SerialActuatorConfig& config) {
+        plan.place = {"", config.device, ""};
+      });
 #ifndef RTDATA_WITH_GPIO
   for (const char* type : {"counter", "edge", "gpio"})
     registry.leave_out("sensor", type, "this program was built without libgpiod");
+  registry.leave_out("output", "gpio", "this program was built without libgpiod");
 #endif
 #ifndef RTDATA_WITH_MODBUS
   for (const char* kind : {"bus", "sensor"})

@@ -54,7 +54,7 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
   std::erase_if(plan.parts, [&](const PartPlan& part) {
     if (follows_others(part)) return false;
     if (part.kind == "sensor") ++sensors;
-    return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier";
+    return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier" || part.kind == "output";
   });
   for (PartPlan& part : plan.parts) std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "tier"; });
   plan.settings.tiers.clear();

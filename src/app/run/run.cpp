@@ -28,6 +28,7 @@
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/outputs/guard.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -39,11 +40,16 @@ constexpr Duration line_period = std::chrono::seconds{10};     // in a pipe, and
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
  public:
-  Run(const Registry& registry, const RunOptions& options) : registry_(registry), options_(options), terminal_(16) {}
+  Run(const Registry& registry, const RunOptions& options)
+      : registry_(registry),
+        options_(options),
+        document_(load_config(options.file)),
+        guard_(start_guard(registry, document_)),
+        terminal_(16) {}
 
   int execute() {
     messages_.open(STDERR_FILENO);
-    SystemPlan plan = plan_system(registry_, load_config(options_.file));
+    SystemPlan plan = plan_system(registry_, std::move(document_));
     secrets_ = plan.secrets;
     warn_of_growth(plan, options_.duration.value_or(growth_span));
     warn_of_losses(plan);
@@ -96,7 +102,9 @@ class Run {
       if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
       say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
-    Runtime runtime(plan.runtime_config());
+    Runtime::Config runtime_config = plan.runtime_config();
+    runtime_config.guard = guard_.get();
+    Runtime runtime(std::move(runtime_config));
     runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
     Loop loop(runtime, plan.loop_config());
     note_sinks(plan);
@@ -252,6 +260,9 @@ class Run {
                                                         options_.file));
     }
     for (const Problem& warning : next.warnings) tell_detail(LogLevel::warning, warning.text(), warning.id);
+    if (guard_ == nullptr && !next.of_kind("output").empty())
+      return with_details(conclude(
+          LogLevel::error, "nothing was changed: the guard of outputs is started with the program: start it again"));
     const PlanChange change = system.change_to(next);
     const bool is_refused = change.refused() != 0;
     if (is_refused) {
@@ -516,10 +527,19 @@ class Run {
     return balances && not_stored_ == 0 ? exit_good : exit_other;
   }
 
+  /// Of a file with outputs. Before there are threads, and so before the file is checked: one with mistakes has none.
+  static std::unique_ptr<OutputGuard> start_guard(const Registry& registry, const ConfigDocument& document) {
+    const ConfigItem* const outputs = document.root.find("outputs");
+    if (outputs == nullptr || outputs->size() == 0) return nullptr;
+    return std::make_unique<OutputGuard>([&registry](const std::string& what) { return registry.make_actuator(what); });
+  }
+
   const Registry& registry_;
   const RunOptions& options_;
-  StopSignals signals_;               // first: the threads of the others are not to take the signals
-  std::vector<std::string> secrets_;  // of the configuration
+  ConfigDocument document_;                   // until it is checked
+  const std::unique_ptr<OutputGuard> guard_;  // null: the file has no outputs
+  StopSignals signals_;                       // before the others: their threads are not to take the signals
+  std::vector<std::string> secrets_;          // of the configuration
   std::map<std::string, std::string, std::less<>> told_;  // to people, last, of each object
   AsyncWriter terminal_;
   AsyncWriter messages_{64};

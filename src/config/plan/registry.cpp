@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "config/plan/misfit.hpp"
+#include "rtdata/config/format.hpp"
 #include "rtdata/config/settings.hpp"
 
 namespace rtdata {
@@ -62,6 +63,12 @@ Registry::Registry() {
   add_kind("machine", "machines", "state machines", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   kinds_.back().types.set_default("machine");
+  add_kind("output", "outputs", "what is set; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  kinds_.back().common = parameters_of<config_detail::Placement>();
+}
+
+std::unique_ptr<Actuator> Registry::make_actuator(const std::string& guarded) const {
+  return actuators_.create(parse_config(guarded, "output.json").root);
 }
 
 void Registry::add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,

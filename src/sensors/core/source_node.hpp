@@ -37,7 +37,7 @@ class SourceNode : public SensorEntry {
 
  protected:
   ~SourceNode() override;
-  std::string object_name() const { return "sensor " + origin_.name; }
+  virtual std::string object_name() const { return "sensor " + origin_.name; }
   using Fate = Processor::Fate;
   /// A sample that came: counts it as received and as what becomes of it, and publishes it, processed, if that is to
   /// be. Moving its payload may throw: then it is published, and dropped for those who subscribe.

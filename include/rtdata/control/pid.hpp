@@ -1,0 +1,123 @@
+/// Pid: a proportional-integral-derivative controller, in the parallel form.
+///
+///     rtdata::Pid pid({.setpoint = 60, .kp = 0.04, .ki = 0.002, .kd = 0.1, .least = 0, .most = 1});
+///     output.set(pid.update(temperature, event.time()));
+///
+/// output = kp * error + integral of (ki * error) - kd * rate of the measured value, with error = setpoint - measured,
+/// held between `least` and `most`. Gains are negative where more output makes the measured value less.
+///
+///   - The derivative is that of the measured value, so that a change of the set point gives it no kick, behind a low
+///     pass of first order with the time constant `derivative_filter`.
+///   - Anti-windup: while the output is at a limit, the integral takes in nothing that would push it further.
+///   - Bumpless: `set_gains` changes nothing at that moment; `follow` says what the actuator really has (by hand, at
+///     its safe value), and the first `update` after it goes on from there.
+///
+/// The time between two updates is that of their `time`, whatever the rate; one that is not after the last counts as no
+/// time. The first update has no integral and no derivative yet. A measured value that is not finite changes nothing:
+/// the last output is returned.
+///
+/// A value; one thread at a time. Takes no memory, throws nothing. Form and anti-windup by clamping: K. J. Astrom,
+/// T. Hagglund, "Advanced PID Control", sections 3.2 to 3.5.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata {
+
+struct PidConfig {
+  double setpoint = 0;
+  double kp = 0;  ///< output per unit of the measured value
+  double ki = 0;  ///< the same, a second
+  double kd = 0;  ///< output per unit a second
+  double least = 0;
+  double most = 1;
+  Duration derivative_filter{0};  ///< time constant; 0: none
+
+  friend constexpr auto parameters(type_tag<PidConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("setpoint", &PidConfig::setpoint, "what the measured value is to become", required),
+        parameter("kp", &PidConfig::kp, "proportional gain: output per unit; negative where more output makes it less"),
+        parameter("ki", &PidConfig::ki, "integral gain: output per unit and second"),
+        parameter("kd", &PidConfig::kd, "derivative gain: output per unit a second, of the measured value"),
+        parameter("least", &PidConfig::least, "least output"), parameter("most", &PidConfig::most, "largest output"),
+        parameter("derivative_filter", &PidConfig::derivative_filter,
+                  "time constant of the low pass before the derivative; 0: none", range(Duration{0}, Duration{1h})));
+  }
+  friend void check_config(const PidConfig& config, const ConfigItem& item, Problems& problems) {
+    if (!(config.least < config.most))
+      problems.add(item.problem("bad-value", "`least` is not below `most`: there is nothing to control with"));
+    if (config.kp == 0 && config.ki == 0 && config.kd == 0)
+      problems.add(item.problem("bad-value", "all gains are 0: give `kp`, `ki` or `kd`"));
+  }
+};
+
+class Pid {
+ public:
+  using Config = PidConfig;
+  explicit Pid(const Config& config) noexcept : config_(config), output_(clamped(0)) {}
+
+  double update(double measured, Time time) noexcept {
+    if (!std::isfinite(measured)) return output_;
+    const double error = config_.setpoint - measured;
+    double seconds = 0;
+    if (has_last_) seconds = std::max(std::chrono::duration<double>(time - last_time_).count(), 0.0);
+    if (seconds > 0) {
+      const double filter = std::chrono::duration<double>(config_.derivative_filter).count();
+      rate_ += ((measured - last_measured_) / seconds - rate_) * seconds / (filter + seconds);
+    }
+    const double fast = config_.kp * error - config_.kd * rate_;
+    if (is_following_) {
+      integral_ = output_ - fast;
+      is_following_ = false;
+    } else {
+      const double step = config_.ki * error * seconds;
+      const double wanted = fast + integral_ + step;
+      const bool pushes_further = (wanted > config_.most && step > 0) || (wanted < config_.least && step < 0);
+      if (!pushes_further) integral_ += step;
+    }
+    last_time_ = time;
+    last_measured_ = measured;
+    has_last_ = true;
+    return output_ = clamped(fast + integral_);
+  }
+  double output() const noexcept { return output_; }
+
+  double setpoint() const noexcept { return config_.setpoint; }
+  void set_setpoint(double setpoint) noexcept { config_.setpoint = setpoint; }
+  /// From the next update on, without a jump.
+  void set_gains(double kp, double ki, double kd) noexcept {
+    if (has_last_ && !is_following_)
+      integral_ += (config_.kp - kp) * (config_.setpoint - last_measured_) - (config_.kd - kd) * rate_;
+    config_.kp = kp;
+    config_.ki = ki;
+    config_.kd = kd;
+  }
+  /// The actuator has this value, whatever was computed: the next update gives the same, and goes on from there.
+  void follow(double output) noexcept {
+    output_ = clamped(output);
+    is_following_ = true;
+    has_last_ = false;
+    rate_ = 0;
+  }
+
+ private:
+  double clamped(double output) const noexcept { return std::clamp(output, config_.least, config_.most); }
+
+  Config config_;
+  double output_;
+  double integral_ = 0;  // as part of the output, so that a change of `ki` moves nothing
+  double rate_ = 0;      // of the measured value, a second
+  Time last_time_{};
+  double last_measured_ = 0;
+  bool has_last_ = false;
+  bool is_following_ = false;  // the next update gives `output_`
+};
+
+}  // namespace rtdata

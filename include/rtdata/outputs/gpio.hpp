@@ -1,0 +1,52 @@
+/// GpioActuator: a GPIO line as the device of an output. 0 is inactive, 1 active; it takes no other value.
+///
+/// The line is taken as an output with its level in one step: no pulse comes between. A line that is kept is taken with
+/// the level that it has. Given back, it has its last level as long as the chip leaves it so, which is its own affair.
+///
+/// Errors: those of a GPIO line (io/gpio.hpp); out-of-range.
+#pragma once
+
+#include <memory>
+#include <utility>
+
+#include "rtdata/io/gpio.hpp"
+#include "rtdata/outputs/output.hpp"
+
+namespace rtdata {
+
+struct GpioActuatorConfig {
+  GpioLineName line = {};
+  std::string chip = {};  ///< empty: the one that has the line
+  GpioDrive drive = GpioDrive::push_pull;
+  bool active_low = false;
+
+  friend constexpr auto parameters(type_tag<GpioActuatorConfig>) {
+    return parameter_list(
+        parameter("line", &GpioActuatorConfig::line,
+                  "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"", required),
+        parameter("chip", &GpioActuatorConfig::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
+        parameter("drive", &GpioActuatorConfig::drive, "how it drives its levels"),
+        parameter("active_low", &GpioActuatorConfig::active_low, "1 is low, as many relay boards want it"));
+  }
+  /// `item`: an output's, whose `safe` must be a level.
+  friend void check_config(const GpioActuatorConfig&, const ConfigItem& item, Problems& problems) {
+    check_level(item, problems);
+  }
+  static void check_level(const ConfigItem& item, Problems& problems);
+};
+
+class GpioActuator : public Actuator {
+ public:
+  explicit GpioActuator(GpioActuatorConfig config) : GpioActuator(std::move(config), make_kernel_gpio()) {}
+  GpioActuator(GpioActuatorConfig config, std::shared_ptr<GpioBackend> backend)
+      : config_(std::move(config)), backend_(std::move(backend)) {}
+  Result<void> open(std::optional<double> value) override;
+  Result<void> set(double value) override;
+
+ private:
+  GpioActuatorConfig config_;
+  std::shared_ptr<GpioBackend> backend_;
+  GpioLine line_;
+};
+
+}  // namespace rtdata

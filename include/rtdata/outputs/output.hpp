@@ -1,0 +1,177 @@
+/// Output: something that is set (a GPIO line, a PWM channel, a device on a serial line), with a safe value.
+///
+///     const auto make_pump = [] {
+///       return std::make_unique<rtdata::GpioActuator>(rtdata::GpioActuatorConfig{.line = 5});
+///     };
+///     rtdata::Output pump(loop, {.name = "pump", .lease = 2s}, make_pump);
+///     pump.set(1, "operator").or_throw();
+///
+///     rtdata::Output fan(loop, {.name = "fan", .on = "room/air", .expression = "temperature > 28"}, make_fan);
+///
+/// How the device is set is an `Actuator`: two functions, which are all that a kind of one's own has.
+///
+/// What an output is set to comes from one place: `set`, or the topics that its configuration names (`on`,
+/// `expression`; names and ages as of derived values, sensors/derived.hpp). Setting what it has already is no change,
+/// but extends the lease; it is counted as `repeated`.
+///
+/// It has its safe value
+///   - from the start on: the device is taken with it in one step, or with `keep` as it is;
+///   - from when `stop`, the end of its loop, closing, or the destructor of the handle begins (not with `keep`);
+///   - while its input has brought nothing for `max_age`, or its expression fails: it follows the input again when that
+///     is back;
+///   - when `lease` has passed since the last `set`, until the next one;
+///   - after a `set` that failed: tried again each second until the device takes it;
+///   - while it is disarmed: `set` is refused, and its input is not followed;
+///   - when its loop does not turn for `watchdog`, or the program ends in whatever way, if a guard holds the device
+///     (guard.hpp): then it is disarmed, and must be armed again. Without a guard nobody does that.
+///
+/// Each change is an event on its topic, an OutputChange: what was asked, what was done, why, by whom, and how long it
+/// took; arming, disarming and what was refused are such events, too.
+///
+/// The device is set on a lane, or in the guard: what is slow holds no loop. While one value is on its way, only the
+/// latest of those that come is kept; the others are told as superseded, those of a topic counted as `filtered`. At its
+/// start and end, an output waits for the device.
+///
+/// This is not a safety system: see docs/outputs.md for what it cannot do.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/control/hysteresis.hpp"
+#include "rtdata/control/pid.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/text.hpp"
+#include "rtdata/sensors/sensor.hpp"
+
+namespace rtdata {
+
+/// A device that can be set. The destructor gives it back as it is. Thread: one at a time, any: a lane's, or one of the
+/// guard's. What it throws counts as a failure.
+class Actuator {
+ public:
+  virtual ~Actuator() = default;
+  /// Takes the device with this value, in one step where the device can; without one as it is. Called once; after an
+  /// error another Actuator is made.
+  virtual Result<void> open(std::optional<double> value) = 0;
+  /// Returns when the device has the value.
+  virtual Result<void> set(double value) = 0;
+};
+using MakeActuator = std::function<std::unique_ptr<Actuator>()>;
+
+enum class OutputCause : std::uint8_t { start, set, input, stale, lease, arm, disarm, watchdog, failure, stop };
+constexpr auto describe(type_tag<OutputCause>) {
+  return enumeration("output_cause", value("start", OutputCause::start), value("set", OutputCause::set),
+                     value("input", OutputCause::input), value("stale", OutputCause::stale),
+                     value("lease", OutputCause::lease), value("arm", OutputCause::arm),
+                     value("disarm", OutputCause::disarm), value("watchdog", OutputCause::watchdog),
+                     value("failure", OutputCause::failure), value("stop", OutputCause::stop));
+}
+
+/// What an output publishes with each change.
+struct OutputChange {
+  double asked = 0;
+  std::optional<double> done = {};  ///< what the device has now; none: it was not set, `why` says why
+  OutputCause cause = OutputCause::start;
+  bool armed = false;  ///< after it
+  double took = 0;     ///< from when it was asked until the device had it
+  text<48> by = {};    ///< who asked: as `set`, `arm` and `disarm` were told, or the topic
+  text<160> why = {};  ///< empty: it was done
+  friend constexpr auto describe(type_tag<OutputChange>) {
+    return record("output_change", field("asked", &OutputChange::asked), field("done", &OutputChange::done),
+                  field("cause", &OutputChange::cause), field("armed", &OutputChange::armed),
+                  field("took", &OutputChange::took, "s"), field("by", &OutputChange::by),
+                  field("why", &OutputChange::why));
+  }
+};
+
+enum class Arming : std::uint8_t { at_start, by_command };
+
+struct OutputConfig {
+  std::string name = {};                            ///< the origin of its events
+  std::string topic = {};                           ///< empty: as its name
+  double safe = 0;                                  ///< in the actuator's unit; of a line or a condition 1 is on, 0 off
+  std::string on = {};                              ///< the topic that it follows; empty: it is set by `set`
+  std::vector<std::string> with = {};               ///< other topics, of which the latest values count
+  std::string expression = {};                      ///< its value; empty: the only number of the topic `on`
+  std::optional<HysteresisConfig> hysteresis = {};  ///< on or off by the value of the expression
+  std::optional<PidConfig> pid = {};                ///< controls the value of the expression
+  Duration max_age = std::chrono::seconds{5};       ///< an input that brings nothing for longer is stale
+  Duration lease{0};                                ///< `set` holds for so long; 0: until the next one
+  Duration watchdog = std::chrono::milliseconds{500};  ///< the guard waits for the loop for so long
+  Arming armed = Arming::at_start;
+  bool keep = false;  ///< taken and given back as it is; all other causes of its safe value stay
+
+  friend constexpr auto parameters(type_tag<OutputConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("name", &OutputConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
+        parameter("topic", &OutputConfig::topic, "where its changes are published; empty: as its name", TextIs::topic),
+        parameter("safe", &OutputConfig::safe, "its safe value; of a line 1 is on, 0 off"),
+        parameter("on", &OutputConfig::on, "the topic that it follows; empty: it is set by the program or a command",
+                  names_part("topic")),
+        parameter("with", &OutputConfig::with, "other topics, of which the latest values count", names_part("topic")),
+        parameter("expression", &OutputConfig::expression,
+                  "its value, or what is controlled; of a condition 1 or 0; empty: the only number of the topic `on`",
+                  TextIs::recorded),
+        parameter("hysteresis", &OutputConfig::hysteresis, "on or off by two thresholds of the expression's value"),
+        parameter("pid", &OutputConfig::pid, "a controller that brings the expression's value to its set point"),
+        parameter("max_age", &OutputConfig::max_age, "safe while its input has brought nothing for longer",
+                  range(Duration{1ms}, Duration{24h * 365})),
+        parameter("lease", &OutputConfig::lease, "safe when nobody has set it for longer; 0: a value holds",
+                  range(Duration{0}, Duration{24h * 365})),
+        parameter("watchdog", &OutputConfig::watchdog, "safe when the program hangs for longer",
+                  range(Duration{20ms}, Duration{1h})),
+        parameter("armed", &OutputConfig::armed, "whether it can be set from the start on",
+                  choices(value("at start", Arming::at_start), value("by command", Arming::by_command))),
+        parameter("keep", &OutputConfig::keep,
+                  "at start and stop the device keeps what it has, such as a relay while the program is replaced"));
+  }
+  friend void check_config(const OutputConfig& config, const ConfigItem& item, Problems& problems);
+};
+/// What no parameter says by itself.
+void check_config(const OutputConfig& config, const ConfigItem& item, Problems& problems);
+/// Whether the topics have what its expression names (sensors/derived.hpp).
+void check_output_names(const OutputConfig& config,
+                        const std::function<const Description*(std::string_view topic)>& payload_of,
+                        const ConfigItem& item, Problems& problems);
+
+class Output : public AnySensor {
+ public:
+  Output() noexcept = default;
+  /// Takes the device, and waits for that. `guarded`: what the runtime's guard makes its Actuator of (guard.hpp);
+  /// empty, or without a guard: this program holds the device itself, as `make` makes it.
+  /// SetupError: a name or topic that is taken; bad-argument for a configuration that cannot work; ExpressionError;
+  /// what the device says.
+  Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {});
+
+  /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), not-permitted (it is
+  /// disarmed), io-failed (the device does not even take its safe value), closed. What the device says comes later, as
+  /// an event.
+  Result<void> set(double value, std::string_view by = "program");
+  /// From the next value on. When it is armed: nothing. Errors: closed; disconnected (the guard has ended: it stays
+  /// safe until the program is started again).
+  Result<void> arm(std::string_view by);
+  /// Sets its safe value. When it is disarmed: nothing. Errors: closed.
+  Result<void> disarm(std::string_view by);
+
+  bool is_armed() const noexcept;
+  /// What the device has; none: it is not known.
+  std::optional<double> value() const noexcept;
+  /// A guard holds the device.
+  bool is_guarded() const noexcept;
+
+ private:
+  explicit Output(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

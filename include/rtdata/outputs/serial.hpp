@@ -1,0 +1,51 @@
+/// SerialActuator: a device on a serial line that is set by sending it a text, as the device of an output.
+///
+/// A value is set when the kernel has sent the text, and with `answer` when the device has sent that back, within
+/// `timeout`. A device that is kept is sent nothing when it is taken. What else the device sends is thrown away.
+///
+/// Errors: those of opening a serial line; timed-out; disconnected; io-failed.
+#pragma once
+
+#include <string>
+
+#include "rtdata/io/serial_settings.hpp"
+#include "rtdata/outputs/output.hpp"
+
+namespace rtdata {
+
+struct SerialActuatorConfig {
+  std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
+  SerialSettings serial = {};
+  std::string text = "{value}\n";  ///< `{value}` is the value, as short as it is exact: 1, 0.5
+  std::string answer = {};         ///< the device sends it when it has the value; empty: it is not waited for
+  Duration timeout = std::chrono::milliseconds{500};
+
+  friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("device", &SerialActuatorConfig::device, "the serial device", required, TextIs::device),
+        include_member(&SerialActuatorConfig::serial),
+        parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
+                  placeholders("value")),
+        parameter("answer", &SerialActuatorConfig::answer,
+                  "what the device sends when it has the value; empty: it is not waited for"),
+        parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",
+                  range(Duration{1ms}, Duration{1500ms})));
+  }
+};
+
+class SerialActuator : public Actuator {
+ public:
+  explicit SerialActuator(SerialActuatorConfig config) : config_(std::move(config)) {}
+  SerialActuator(const SerialActuator&) = delete;
+  SerialActuator& operator=(const SerialActuator&) = delete;
+  ~SerialActuator() override;
+  Result<void> open(std::optional<double> value) override;
+  Result<void> set(double value) override;
+
+ private:
+  SerialActuatorConfig config_;
+  int fd_ = -1;
+};
+
+}  // namespace rtdata

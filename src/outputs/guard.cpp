@@ -1,0 +1,106 @@
+// The program's side of the guard.
+#include "rtdata/outputs/guard.hpp"
+
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <new>
+
+#include "outputs/guard_link.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_guard = "cannot start the guard of the outputs";
+
+}  // namespace
+
+OutputGuard::Link::~Link() {
+  if (socket >= 0) ::close(socket);
+  if (process > 0) {
+    // It ends when the sockets are closed; a device that hangs may keep it.
+    for (int tries = 0; tries < 200 && ::waitpid(process, nullptr, WNOHANG) == 0; ++tries) {
+      const timespec wait{0, 10'000'000};
+      ::nanosleep(&wait, nullptr);
+    }
+  }
+  if (beats != nullptr) ::munmap(beats, sizeof(detail::GuardBeat) * detail::most_guarded);
+}
+
+OutputGuard::OutputGuard(const Make& make) : link_(std::make_shared<Link>()) {
+  int ends[2];
+  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0)
+    throw SetupError(system_error(errno, cannot_guard, ""));
+  link_->socket = ends[0];
+  constexpr std::size_t size = sizeof(detail::GuardBeat) * detail::most_guarded;
+  void* const memory = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  if (memory == MAP_FAILED) {
+    ::close(ends[1]);
+    throw SetupError(system_error(ENOMEM, cannot_guard, ""));
+  }
+  link_->beats = static_cast<detail::GuardBeat*>(memory);
+  std::uninitialized_default_construct_n(link_->beats, detail::most_guarded);
+  const pid_t process = ::fork();
+  if (process == 0) {
+    ::close(ends[0]);
+    detail::be_guard(ends[1], link_->beats, make);
+  }
+  const int error_number = errno;
+  ::close(ends[1]);
+  if (process < 0) throw SetupError(system_error(error_number, cannot_guard, ""));
+  link_->process = process;
+}
+
+OutputGuard::~OutputGuard() = default;
+
+int OutputGuard::process() const noexcept { return link_->process; }
+
+Result<int> OutputGuard::Link::introduce(double safe, const std::string& what, std::uint32_t& slot) {
+  constexpr const char* cannot = "cannot hand the output to its guard";
+  if (what.size() > detail::most_guarded_text)
+    return Error{Errc::does_not_fit, cannot, "", "what it is made of has more than 64 KiB", ""};
+  const std::lock_guard lock(mutex);
+  const auto free = std::find(is_taken.begin(), is_taken.end(), false);
+  if (free == is_taken.end()) return Error{Errc::does_not_fit, cannot, "", "it has 1024 already", ""};
+  int ends[2];
+  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) return system_error(errno, cannot, "");
+  slot = static_cast<std::uint32_t>(free - is_taken.begin());
+  beats[slot].until.store(0);
+  detail::GuardIntroduction introduction{slot, safe};
+  iovec parts[2]{{&introduction, sizeof introduction}, {const_cast<char*>(what.data()), what.size()}};
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
+  msghdr message{};
+  message.msg_iov = parts;
+  message.msg_iovlen = 2;
+  message.msg_control = control;
+  message.msg_controllen = sizeof control;
+  cmsghdr* const head = CMSG_FIRSTHDR(&message);
+  head->cmsg_level = SOL_SOCKET;
+  head->cmsg_type = SCM_RIGHTS;
+  head->cmsg_len = CMSG_LEN(sizeof(int));
+  std::memcpy(CMSG_DATA(head), &ends[1], sizeof(int));
+  const ssize_t sent = ::sendmsg(socket, &message, MSG_NOSIGNAL);
+  const int error_number = errno;
+  ::close(ends[1]);
+  if (sent < 0) {
+    ::close(ends[0]);
+    Error error = system_error(error_number, cannot, "");
+    if (error_number == EPIPE || error_number == ECONNRESET)
+      error = {Errc::disconnected, cannot, "", "the guard has ended", "start the program again"};
+    return error;
+  }
+  *free = true;
+  return ends[0];
+}
+
+void OutputGuard::Link::release(std::uint32_t slot) noexcept {
+  const std::lock_guard lock(mutex);
+  is_taken[slot] = false;
+}
+
+}  // namespace rtdata

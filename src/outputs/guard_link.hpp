@@ -1,0 +1,92 @@
+// What the program and its guard share: a table of times in memory, a socket by which outputs are introduced, and a
+// socket for each of them.
+#pragma once
+
+#include <sys/types.h>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <cstring>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "loop/support/fitting.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/outputs/guard.hpp"
+
+namespace rtdata {
+namespace detail {
+
+inline constexpr std::size_t most_guarded = 1024;        // outputs
+inline constexpr std::size_t most_guarded_text = 65536;  // bytes of what one is made of
+
+/// Until when the guard waits for the output's loop, in ns of CLOCK_MONOTONIC. A line of cache each.
+struct alignas(64) GuardBeat {
+  std::atomic<std::int64_t> until{0};
+};
+static_assert(std::atomic<std::int64_t>::is_always_lock_free, "two processes share it");
+
+/// Introduces an output; its socket goes with it, and what its Actuator is made of follows.
+struct GuardIntroduction {
+  std::uint32_t slot = 0;
+  double safe = 0;
+};
+
+struct GuardOrder {
+  enum Kind : std::uint32_t { open, set, arm, finish };
+  Kind kind = open;
+  std::uint32_t has_value = 0;
+  double value = 0;
+};
+
+struct GuardAnswer {
+  enum Kind : std::uint32_t { done, failed, tripped };
+  Kind kind = done;
+  std::int32_t code = 0;  // an Errc
+  std::array<char, 96> what{};
+  std::array<char, 160> where{}, why{}, advice{};
+
+  void put(const Error& error) noexcept {
+    kind = failed;
+    code = error.code.category() == error_category() ? error.code.value() : static_cast<int>(Errc::io_failed);
+    put_text(what, error.what);
+    put_text(where, error.where);
+    put_text(why, error.why);
+    put_text(advice, error.advice);
+  }
+  Error error() const {
+    return {static_cast<Errc>(code), text_of(what), text_of(where), text_of(why), text_of(advice)};
+  }
+
+ private:
+  template <std::size_t N>
+  static void put_text(std::array<char, N>& to, std::string_view text) noexcept {
+    to[put_fitting(to.data(), N - 1, text)] = 0;
+  }
+  template <std::size_t N>
+  static std::string text_of(const std::array<char, N>& from) {
+    return {from.data(), ::strnlen(from.data(), N)};
+  }
+};
+
+/// The guard's whole life, in its process.
+[[noreturn]] void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
+
+}  // namespace detail
+
+struct OutputGuard::Link {
+  ~Link();
+  /// The socket of an output that the guard knows from now on. Errors: disconnected, and no descriptors.
+  Result<int> introduce(double safe, const std::string& what, std::uint32_t& slot);
+  void release(std::uint32_t slot) noexcept;
+
+  int socket = -1;
+  pid_t process = -1;
+  detail::GuardBeat* beats = nullptr;
+  std::mutex mutex;  // outputs are made on the threads of all loops
+  std::vector<bool> is_taken = std::vector<bool>(detail::most_guarded);
+};
+
+}  // namespace rtdata

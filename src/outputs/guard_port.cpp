@@ -1,0 +1,128 @@
+// An output's device in the guard.
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <utility>
+
+#include "outputs/guard_link.hpp"
+#include "outputs/port.hpp"
+#include "rtdata/loop/watch.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr const char* cannot_set = "cannot set the output";
+constexpr auto longest_wait = std::chrono::seconds{5};
+
+class GuardPort final : public OutputPort {
+ public:
+  GuardPort(Loop& loop, const std::string& name, std::shared_ptr<OutputGuard::Link> link, const std::string& guarded,
+            double safe, Listener& listener)
+      : link_(std::move(link)), guarded_(guarded), safe_(safe), listener_(listener), loop_(loop), name_(name) {
+    introduce().or_throw();
+  }
+  ~GuardPort() override { close(); }
+
+  Result<void> open(std::optional<double> value) override {
+    if (socket_ < 0)
+      if (const auto known = introduce(); !known) return known;
+    return exchange({GuardOrder::open, value ? 1U : 0U, value.value_or(0)});
+  }
+  Result<void> set(double value) override { return send({GuardOrder::set, 1U, value}); }
+  /// Afterwards the guard knows the output no more.
+  Result<void> finish(std::optional<double> value) override {
+    Result<void> result = exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)});
+    close();
+    return result;
+  }
+  void beat(MonotonicTime until) noexcept override {
+    if (socket_ >= 0) link_->beats[slot_].until.store(until.time_since_epoch().count(), std::memory_order_release);
+  }
+  void arm() noexcept override { (void)send({GuardOrder::arm, 0U, 0}); }
+  bool is_guarded() const noexcept override { return true; }
+
+ private:
+  Result<void> introduce() {
+    Result<int> socket = link_->introduce(safe_, guarded_, slot_);
+    if (!socket) return std::move(socket).error();
+    socket_ = *socket;
+    watch_ = FdWatch(loop_, socket_, FdWatch::readable, name_, [this](const FdEvent&) { receive(); });
+    return {};
+  }
+  void close() noexcept {
+    if (socket_ < 0) return;
+    watch_.close();
+    ::close(std::exchange(socket_, -1));
+    link_->release(slot_);
+  }
+  static Error ended() {
+    return {Errc::disconnected, cannot_set, "", "its guard has ended", "start the program again"};
+  }
+
+  Result<void> send(const GuardOrder& order) {
+    if (socket_ >= 0 && ::send(socket_, &order, sizeof order, MSG_NOSIGNAL | MSG_DONTWAIT) == sizeof order) {
+      if (order.kind != GuardOrder::arm) ++unanswered_;
+      return {};
+    }
+    if (socket_ >= 0 && (errno == EAGAIN || errno == ENOBUFS))
+      return Error{Errc::backlog, cannot_set, "", "its guard takes no more orders", "look at the device"};
+    return ended();
+  }
+  /// Waits for the answer to this order.
+  Result<void> exchange(const GuardOrder& order) {
+    if (const Result<void> sent = send(order); !sent) return sent;
+    const auto until = std::chrono::steady_clock::now() + longest_wait;
+    while (std::chrono::steady_clock::now() < until) {
+      pollfd one{socket_, POLLIN, 0};
+      const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now());
+      if (::poll(&one, 1, static_cast<int>(left.count()) + 1) <= 0) continue;
+      GuardAnswer answer;
+      const ssize_t got = ::recv(socket_, &answer, sizeof answer, MSG_DONTWAIT);
+      if (got < 0 && (errno == EAGAIN || errno == EINTR)) continue;
+      if (got != sizeof answer) return ended();
+      if (answer.kind == GuardAnswer::tripped || --unanswered_ > 0) continue;
+      return result_of(answer);
+    }
+    return Error{Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
+  }
+  static Result<void> result_of(const GuardAnswer& answer) {
+    if (answer.kind == GuardAnswer::failed) return answer.error();
+    return {};
+  }
+
+  void receive() {
+    GuardAnswer answer;
+    const ssize_t got = ::recv(socket_, &answer, sizeof answer, MSG_DONTWAIT);
+    if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
+    if (got != sizeof answer) {
+      watch_.close();
+      return listener_.lost(ended());  // the last use of this object
+    }
+    if (answer.kind == GuardAnswer::tripped) return listener_.tripped();
+    --unanswered_;
+    listener_.answered(result_of(answer));
+  }
+
+  const std::shared_ptr<OutputGuard::Link> link_;
+  const std::string guarded_;
+  const double safe_;
+  Listener& listener_;
+  Loop& loop_;
+  const std::string name_;
+  std::uint32_t slot_ = 0;
+  int socket_ = -1;
+  int unanswered_ = 0;
+  FdWatch watch_;
+};
+
+}  // namespace
+
+std::unique_ptr<OutputPort> make_guard_port(Loop& loop, const std::string& name, OutputGuard& guard,
+                                            const std::string& guarded, double safe, OutputPort::Listener& listener) {
+  return std::make_unique<GuardPort>(loop, name, guard.link(), guarded, safe, listener);
+}
+
+}  // namespace rtdata::detail

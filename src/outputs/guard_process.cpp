@@ -1,0 +1,186 @@
+// The guard's side: a thread for each output, which waits for orders and for the end of its loop's time.
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <list>
+#include <memory>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include "outputs/guard_link.hpp"
+#include "outputs/port.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+using SteadyClock = std::chrono::steady_clock;
+constexpr Duration retry_period = std::chrono::milliseconds{100};
+constexpr Duration longest_after_end = std::chrono::seconds{10};
+
+/// One output. Thread: its own.
+class Keeper {
+ public:
+  Keeper(int socket, const GuardIntroduction& introduction, const std::atomic<std::int64_t>& beat, MakeActuator make)
+      : socket_(socket), safe_(introduction.safe), beat_(beat), held_(std::move(make)) {}
+
+  /// Until the program has gone, or wants the device back.
+  void run() noexcept {
+    while (!is_over_) {
+      pollfd one{socket_, POLLIN, 0};
+      const std::optional<Duration> wait = time_left();
+      timespec most{};
+      if (wait) {
+        const auto left = std::max(*wait, Duration{0}).count();
+        most = {static_cast<time_t>(left / 1'000'000'000), static_cast<long>(left % 1'000'000'000)};
+      }
+      const int ready = ::ppoll(&one, 1, wait ? &most : nullptr, nullptr);
+      if (is_due()) be_safe();
+      if (ready > 0) receive();
+    }
+    ::close(socket_);
+  }
+
+ private:
+  bool is_due() const noexcept { return is_watching() && now() >= beat_.load(std::memory_order_acquire); }
+  /// Something other than the safe value may be set.
+  bool is_watching() const noexcept { return is_open_ && !is_safe_; }
+  std::optional<Duration> time_left() const noexcept {
+    if (!is_watching()) return {};
+    return has_tripped_ ? retry_period : Duration{beat_.load(std::memory_order_acquire) - now()};
+  }
+  static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
+
+  void be_safe() noexcept {
+    is_safe_ = held_.put(safe_).has_value();
+    if (!std::exchange(has_tripped_, true)) send({.kind = GuardAnswer::tripped});
+  }
+
+  void receive() noexcept {
+    GuardOrder order;
+    const ssize_t got = ::recv(socket_, &order, sizeof order, MSG_DONTWAIT);
+    if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
+    if (got != sizeof order) return end();
+    if (order.kind == GuardOrder::arm) {
+      has_tripped_ = false;
+      return;
+    }
+    const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
+    if (order.kind == GuardOrder::set && has_tripped_ && value != safe_)
+      return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
+    const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
+    // What a device has that did not take its value is not known: the safe one is set when the time is over.
+    is_open_ = is_open_ || done.has_value();
+    is_safe_ = done.has_value() ? value == safe_ : false;
+    if (order.kind == GuardOrder::finish && (done.has_value() || !is_open_)) {
+      held_.give_back();
+      is_over_ = true;
+    }
+    answer(done);
+  }
+
+  /// The program has gone.
+  void end() noexcept {
+    is_over_ = true;
+    if (!is_open_ || is_safe_) return;
+    const auto last = SteadyClock::now() + longest_after_end;
+    while (!held_.put(safe_) && SteadyClock::now() < last) std::this_thread::sleep_for(retry_period);
+  }
+
+  void answer(const Result<void>& result) noexcept {
+    GuardAnswer answer;
+    if (!result) answer.put(result.error());
+    send(answer);
+  }
+  /// A program that does not read for so long that the socket is full is not waited for: the watchdog is for that.
+  void send(const GuardAnswer& answer) const noexcept {
+    (void)::send(socket_, &answer, sizeof answer, MSG_NOSIGNAL | MSG_DONTWAIT);
+  }
+
+  const int socket_;
+  const double safe_;
+  const std::atomic<std::int64_t>& beat_;
+  HeldActuator held_;
+  bool is_open_ = false;
+  bool is_safe_ = true;
+  bool has_tripped_ = false;
+  bool is_over_ = false;
+};
+
+/// Of an output; -1: the program has gone.
+int receive_introduction(int socket, GuardIntroduction& introduction, std::string& text) {
+  text.resize(most_guarded_text);
+  iovec parts[2]{{&introduction, sizeof introduction}, {text.data(), text.size()}};
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
+  msghdr message{};
+  message.msg_iov = parts;
+  message.msg_iovlen = 2;
+  message.msg_control = control;
+  message.msg_controllen = sizeof control;
+  ssize_t got = 0;
+  do {
+    got = ::recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
+  } while (got < 0 && errno == EINTR);
+  const cmsghdr* const head = got > 0 ? CMSG_FIRSTHDR(&message) : nullptr;
+  if (got < static_cast<ssize_t>(sizeof introduction) || head == nullptr || introduction.slot >= most_guarded)
+    return -1;
+  text.resize(static_cast<std::size_t>(got) - sizeof introduction);
+  int received = -1;
+  std::memcpy(&received, CMSG_DATA(head), sizeof received);
+  return received;
+}
+
+void serve(int socket, const GuardBeat* beats, const OutputGuard::Make& make) {
+  std::list<std::thread> threads;
+  for (;;) {
+    GuardIntroduction introduction;
+    std::string text;
+    const int output = receive_introduction(socket, introduction, text);
+    if (output < 0) break;
+    try {
+      threads.emplace_back([=, &make] {
+        Keeper(output, introduction, beats[introduction.slot].until, [&make, text] { return make(text); }).run();
+      });
+    } catch (const std::exception&) {
+      ::close(output);  // by which its output sees that it is not guarded
+    }
+  }
+  for (std::thread& thread : threads) thread.join();
+}
+
+void close_others(int kept) noexcept {
+  const auto first = static_cast<unsigned>(kept);
+  if (kept > 3) (void)::syscall(SYS_close_range, 3U, first - 1, 0U);
+  if (::syscall(SYS_close_range, first + 1, ~0U, 0U) == 0) return;
+  for (int fd = 3; fd < 1024; ++fd)  // before Linux 5.9
+    if (fd != kept) ::close(fd);
+}
+
+}  // namespace
+
+void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGPIPE, SIGUSR1, SIGUSR2}) ::signal(number, SIG_IGN);
+  for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT}) ::signal(number, SIG_DFL);
+  ::setsid();
+  ::prctl(PR_SET_NAME, "rtdata-guard");
+  close_others(socket);
+  if (const int nothing = ::open("/dev/null", O_RDWR | O_CLOEXEC); nothing >= 0) {
+    ::dup2(nothing, STDIN_FILENO);
+    ::dup2(nothing, STDOUT_FILENO);
+    if (nothing > STDERR_FILENO) ::close(nothing);
+  }
+  try {
+    serve(socket, beats, make);
+  } catch (...) {
+  }
+  ::_exit(0);
+}
+
+}  // namespace rtdata::detail

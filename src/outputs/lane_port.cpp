@@ -1,0 +1,116 @@
+// An output's device in this program, set on a lane of its own.
+#include <exception>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "outputs/port.hpp"
+#include "rtdata/loop/lane.hpp"
+
+namespace rtdata::detail {
+
+Result<void> HeldActuator::put(std::optional<double> value) noexcept {
+  constexpr const char* what = "cannot set the output";
+  Error error{Errc::io_failed, what, "", "an exception", ""};
+  try {
+    Result<void> result;
+    if (actuator_ != nullptr) {
+      if (value) result = actuator_->set(*value);
+    } else {
+      auto made = make_ ? make_() : nullptr;
+      if (made == nullptr) return Error{Errc::bad_argument, what, "", "no actuator was made", ""};
+      result = made->open(value);
+      if (result) actuator_ = std::move(made);
+    }
+    if (!result) actuator_.reset();
+    return result;
+  } catch (const SetupError& thrown) {
+    error = thrown.error();
+  } catch (const std::exception& thrown) {
+    error.why = thrown.what();
+  } catch (...) {
+  }
+  actuator_.reset();
+  return error;
+}
+
+namespace {
+
+constexpr Duration longest_set = std::chrono::seconds{2};  // then the thread is left behind
+
+class LanePort final : public OutputPort {
+ public:
+  LanePort(Loop& loop, const std::string& name, MakeActuator make, Listener& listener)
+      : name_(name),
+        listener_(listener),
+        held_(std::make_shared<HeldActuator>(std::move(make))),
+        lane_(loop.core(), name, longest_set) {}
+  ~LanePort() override {
+    if (job_ != nullptr) job_->port = nullptr;
+  }
+
+  Result<void> open(std::optional<double> value) override { return hangs_ ? hanging() : held_->put(value); }
+  Result<void> set(double value) override {
+    if (hangs_) return hanging();
+    auto job = std::make_shared<Job>();
+    job->port = this;
+    job->held = held_;
+    job->value = value;
+    job_ = job;
+    if (lane_.submit(std::move(job))) return {};
+    job_ = nullptr;
+    return hanging();
+  }
+  Result<void> finish(std::optional<double> value) override {
+    is_finishing_ = true;
+    if (job_ != nullptr) lane_.wait(longest_set);
+    if (job_ != nullptr || hangs_) return hanging();
+    Result<void> result;
+    if (value) result = held_->put(value);
+    held_->give_back();
+    is_finishing_ = false;
+    return result;
+  }
+
+ private:
+  struct Job final : LaneJob {
+    void run() noexcept override { result = held->put(value); }
+    void done(Outcome outcome) override {
+      if (port != nullptr) port->done(outcome, std::move(result));
+    }
+    LanePort* port = nullptr;  // null: it has gone
+    std::shared_ptr<HeldActuator> held;
+    double value = 0;
+    Result<void> result;
+  };
+
+  void done(LaneJob::Outcome outcome, Result<void> result) {
+    job_.reset();
+    hangs_ = outcome == LaneJob::Outcome::given_up;  // its thread may use the device at any later time
+    if (is_finishing_) return;
+    if (outcome == LaneJob::Outcome::cancelled)
+      result = Error{Errc::closed, "cannot set the output", name_, "it ends", ""};
+    listener_.answered(hangs_ ? hanging() : std::move(result));
+  }
+  Error hanging() const {
+    return {Errc::timed_out, "cannot set the output", name_,
+            "its device did not return within " + to_string(longest_set) + ", and nothing else can use it meanwhile",
+            "look at the device, and start the program again"};
+  }
+
+  const std::string name_;
+  Listener& listener_;
+  const std::shared_ptr<HeldActuator> held_;
+  std::shared_ptr<Job> job_;  // under way
+  bool hangs_ = false;
+  bool is_finishing_ = false;
+  Lane lane_;
+};
+
+}  // namespace
+
+std::unique_ptr<OutputPort> make_lane_port(Loop& loop, const std::string& name, MakeActuator make,
+                                           OutputPort::Listener& listener) {
+  return std::make_unique<LanePort>(loop, name, std::move(make), listener);
+}
+
+}  // namespace rtdata::detail

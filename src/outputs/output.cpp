@@ -1,0 +1,468 @@
+#include "rtdata/outputs/output.hpp"
+
+#include <cmath>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/support/fitting.hpp"
+#include "outputs/input.hpp"
+#include "outputs/port.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "sensors/core/feed_node.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_set = "cannot set the output";
+constexpr Duration retry_period = std::chrono::seconds{1};
+constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lane's
+
+template <std::size_t N>
+text<N> fitted(std::string_view content) {
+  char buffer[N];
+  return text<N>(std::string_view(buffer, detail::put_fitting(buffer, N, content)));
+}
+
+/// Why the configuration cannot work; empty: it can.
+std::string refusal_of(const OutputConfig& config) {
+  if (!std::isfinite(config.safe)) return "`safe` is no finite number";
+  if (config.on.empty()) {
+    if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
+      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that it follows";
+    return "";
+  }
+  if (config.lease != Duration{0}) return "`lease` is for what `set` sets; of a topic it is `max_age`";
+  if (config.hysteresis && config.pid) return "give `hysteresis` or `pid`, not both";
+  return "";
+}
+
+}  // namespace
+
+namespace detail {
+
+class OutputNode final : public FeedNode, private OutputPort::Listener {
+ public:
+  OutputNode(Loop& loop, OutputConfig config, MakeActuator make)
+      : FeedNode(loop.core(), FeedConfig{config.name, config.topic, {}}, payload_type<OutputChange>()),
+        config_(std::move(config)),
+        make_(std::move(make)),
+        stale_(loop, {.name = name()}, [this] { look_at_age(); }),
+        lease_(loop, {.name = name()}, [this] { look_at_lease(); }),
+        retry_(loop, {.name = name()}, [this] { try_again(); }),
+        patience_(loop, {.name = name()}, [this] { miss_answer(); }) {
+    if (!config_.on.empty()) input_.emplace(config_);
+  }
+
+  /// Apart, since it may fail.
+  void begin(OutputGuard* guard, const std::string& guarded) {
+    Loop& loop = this->loop()->face;
+    if (guard != nullptr && !guarded.empty())
+      port_ = make_guard_port(loop, name(), *guard, guarded, config_.safe, *this);
+    else
+      port_ = make_lane_port(loop, name(), make_, *this);
+    if (input_)
+      subscriptions_ = input_->subscribe(loop, name(),
+                                         [this](std::size_t topic, const EventView& event) { take(topic, event); });
+    take_device();
+    if (!port_->is_guarded()) {
+      this->loop()->runtime.log(LogLevel::info, name(),
+                                "no guard holds it: nothing sets its safe value when this program hangs or crashes");
+      return;
+    }
+    beat_ = Ticker(loop, {.period = config_.watchdog / 4, .name = name() + " watchdog"},
+                   [this](const Tick&) { beat(); });
+  }
+
+  Result<void> set(double value, std::string_view by) {
+    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
+    if (input_)
+      return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
+    const Order order{value, OutputCause::set, fitted<48>(by), now()};
+    if (!is_armed_) {
+      record(order, {}, "it is disarmed");
+      return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
+    }
+    if (is_failing_) {
+      record(order, {}, "the device has failed");
+      return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
+    }
+    last_set_ = now();
+    if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
+    is_overdue_ = false;
+    request(order);
+    settle();
+    return {};
+  }
+
+  Result<void> arm(std::string_view by) {
+    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
+    if (is_armed_) return {};
+    beat();
+    port_->arm();
+    is_armed_ = true;
+    has_tripped_ = false;
+    record({config_.safe, OutputCause::arm, fitted<48>(by), now()}, value_, "");
+    settle();
+    return {};
+  }
+
+  Result<void> disarm(std::string_view by) {
+    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (!is_armed_) return {};
+    is_armed_ = false;
+    be_safe(OutputCause::disarm, by);
+    return {};
+  }
+
+  bool is_armed() const noexcept { return is_armed_; }
+  std::optional<double> value() const noexcept { return value_; }
+  bool is_guarded() const noexcept { return port_ != nullptr && port_->is_guarded(); }
+
+  void start() override {
+    if (is_running() || !is_open()) return;
+    FeedNode::start();
+    take_device();
+  }
+  void stop() override {
+    give_back();
+    FeedNode::stop();
+  }
+  void stop_schedule(MonotonicTime end) override {
+    give_back();
+    FeedNode::stop_schedule(end);
+  }
+
+ private:
+  struct Order {
+    double value = 0;
+    OutputCause cause = OutputCause::start;
+    text<48> by = {};
+    MonotonicTime asked{};
+  };
+
+  std::string name() const { return "output " + origin_.name; }
+  std::string object_name() const override { return name(); }
+  MonotonicTime now() const { return loop()->now(); }
+  Error refusal(Errc code, std::string why, std::string advice) const {
+    return {code, cannot_set, name(), std::move(why), std::move(advice)};
+  }
+  Error placed(Error error) const {
+    error.where = error.where.empty() ? name() : name() + ", " + error.where;
+    return error;
+  }
+
+  // ---- The device
+
+  void take_device() {
+    beat();
+    const MonotonicTime began = now();
+    const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
+    if (!opened) throw SetupError(placed(opened.error()));
+    is_held_ = true;
+    is_armed_ = config_.armed == Arming::at_start;
+    if (!config_.keep) value_ = config_.safe;
+    record({config_.safe, OutputCause::start, {}, began}, value_, config_.keep ? "it keeps what it has" : "");
+    last_input_ = now();
+    if (input_) stale_.start(config_.max_age);
+  }
+
+  void give_back() noexcept {
+    if (!is_held_) return;
+    is_held_ = false;
+    stale_.stop();
+    lease_.stop();
+    retry_.stop();
+    patience_.stop();
+    const Order order{config_.safe, OutputCause::stop, {}, now()};
+    try {
+      if (is_busy_) record(busy_, {}, "it ends");
+      if (next_) record(*next_, {}, "it ends");
+      const Result<void> done = port_->finish(config_.keep ? std::nullopt : std::optional(config_.safe));
+      if (!done) {
+        record(order, {}, done.error().why);
+        complain(placed(done.error()), Health::faulted);
+      } else {
+        value_ = config_.keep ? value_ : std::optional(config_.safe);
+        record(order, value_, config_.keep ? "it keeps what it has" : "");
+      }
+    } catch (const std::exception& thrown) {
+      loop()->runtime.log(LogLevel::error, name(), thrown.what());
+    }
+    is_busy_ = false;
+    next_.reset();
+  }
+
+  /// Asks for the value, or notes that there is nothing to do.
+  void request(const Order& order) {
+    const double last = next_ ? next_->value : is_busy_ ? busy_.value : value_.value_or(std::nan(""));
+    if (last == order.value) {
+      if (order.cause == OutputCause::set || order.cause == OutputCause::input) return repeated();
+      if (!is_busy_) return record(order, value_, "");
+      return record(order, {}, "it is on its way already");
+    }
+    if (!is_busy_) return send(order);
+    if (next_ && next_->cause == OutputCause::input) {
+      ++origin_.counts.received;
+      ++origin_.counts.filtered;
+    } else if (next_) {
+      record(*next_, {}, "superseded before the device was ready");
+    }
+    next_ = order;
+  }
+  void send(const Order& order) {
+    beat();
+    busy_ = order;
+    is_busy_ = true;
+    if (const Result<void> sent = port_->set(order.value); !sent) {
+      answered(sent.error());
+    } else if (!patience_.is_running()) {
+      patience_.start(answer_limit);
+    }
+  }
+  void be_safe(OutputCause cause, std::string_view by) {
+    if (input_) input_->follow(config_.safe);
+    request({config_.safe, cause, fitted<48>(by), now()});
+  }
+
+  void answered(Result<void> result) override {
+    Call call(*this);
+    if (!std::exchange(is_busy_, false)) return;
+    if (!result) return failed(placed(result.error()));
+    value_ = busy_.value;
+    is_failing_ = false;
+    retry_.stop();
+    record(busy_, value_, "");
+    settle();
+    go_on();
+  }
+  void go_on() {
+    if (is_busy_ || !next_ || !is_held_) return;
+    const Order order = *std::exchange(next_, std::nullopt);
+    if (value_ == order.value) return record(order, value_, "");
+    send(order);
+  }
+  void failed(const Error& error) {
+    record(busy_, {}, error.why);
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, "the device failed");
+    value_.reset();
+    const bool was_failing = std::exchange(is_failing_, true);
+    if (!was_failing) complain(error, Health::faulted);
+    if (!is_open() || !is_held_) return;
+    if (!was_failing && busy_.value != config_.safe)
+      be_safe(OutputCause::failure, "");
+    else
+      retry_.start(retry_period);
+  }
+  void try_again() {
+    Call call(*this);
+    if (is_held_ && !is_busy_) be_safe(OutputCause::failure, "");
+  }
+  /// It is not known what the device has. Told once; the answer may come all the same.
+  void miss_answer() {
+    Call call(*this);
+    if (!is_busy_ || !is_held_) return;
+    value_.reset();
+    complain({Errc::timed_out, cannot_set, name(),
+              "there is no answer after " + to_string(answer_limit) + (is_guarded() ? " from the guard" : ""),
+              "look at the device, or start the program again"},
+             Health::faulted);
+  }
+
+  // ---- The guard
+
+  void beat() {
+    if (port_ != nullptr) port_->beat(now() + config_.watchdog);
+  }
+  void tripped() override {
+    Call call(*this);
+    is_armed_ = false;
+    has_tripped_ = true;
+    value_ = config_.safe;
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
+    if (input_) input_->follow(config_.safe);
+    record({config_.safe, OutputCause::watchdog, fitted<48>("guard"), now()}, value_, "");
+    complain({Errc::not_turning, "the guard has set the output to its safe value", name(),
+              "the loop did not turn for " + to_string(config_.watchdog),
+              "look for what held it, then arm the output again"},
+             Health::degraded);
+  }
+  void lost(const Error& error) override {
+    Call call(*this);
+    if (!is_held_ || is_lost_) return;
+    is_lost_ = true;
+    is_armed_ = false;
+    is_busy_ = false;
+    next_.reset();
+    value_.reset();
+    beat_.close();
+    patience_.stop();
+    port_ = make_lane_port(loop()->face, name(), make_, *this);
+    complain(placed(error), Health::faulted);
+    if (is_open() && is_held_) be_safe(OutputCause::watchdog, "program");
+  }
+
+  // ---- What it follows
+
+  void take(std::size_t topic, const EventView& event) {
+    if (!is_held_) return;
+    Call call(*this);
+    input_->put(topic, event);
+    if (topic != 0) return;
+    const std::optional<double> value = input_->evaluate(event.time());
+    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
+    if (!value) return;
+    last_input_ = now();
+    is_stale_ = false;
+    if (!stale_.is_running()) stale_.start(config_.max_age);
+    if (is_armed_ && !is_failing_)
+      request({*value, OutputCause::input, fitted<48>(config_.on), now()});
+    else
+      input_->follow(config_.safe);
+    settle();
+  }
+  void look_at_age() {
+    Call call(*this);
+    if (!is_held_) return;
+    if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
+    go_stale(Errc::timed_out, "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.max_age),
+             "it follows it again with its next event; a longer `max_age` bridges longer pauses");
+  }
+  void go_stale(Errc code, const std::string& why, std::string advice) {
+    if (std::exchange(is_stale_, true)) return;
+    be_safe(OutputCause::stale, config_.on);
+    complain({code, "the output has its safe value", name(), why, std::move(advice)}, worst(Health::degraded));
+  }
+  void look_at_lease() {
+    Call call(*this);
+    if (!is_held_) return;
+    if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
+    is_overdue_ = true;
+    be_safe(OutputCause::lease, "");
+    complain({Errc::timed_out, "the output has its safe value", name(),
+              "nobody has set it for " + to_string(config_.lease), "set it again"},
+             worst(Health::degraded));
+  }
+
+  // ---- What is told
+
+  Health worst(Health health) const { return health_now() == Health::faulted ? Health::faulted : health; }
+  Health health_now() const {
+    if (is_failing_ || is_lost_) return Health::faulted;
+    return is_stale_ || is_overdue_ || has_tripped_ ? Health::degraded : Health::ok;
+  }
+  void settle() {
+    if (is_open() && health() != Health::ok && health_now() == Health::ok && !is_busy_) set_health(Health::ok, nullptr);
+  }
+  void record(const Order& order, std::optional<double> done, std::string_view why) {
+    OutputChange change{.asked = order.value, .done = done, .cause = order.cause, .armed = is_armed_, .by = order.by};
+    if (done) change.took = std::chrono::duration<double>(now() - order.asked).count();
+    change.why = fitted<160>(why);
+    if (is_running()) take_sample(&change, loop()->runtime.event_time(now()));
+  }
+
+  void on_close() noexcept override {
+    give_back();
+    subscriptions_.clear();
+    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->close();
+    beat_.close();
+    FeedNode::on_close();
+    port_.reset();
+  }
+
+  const OutputConfig config_;
+  const MakeActuator make_;
+  std::optional<OutputInput> input_;
+  Timer stale_, lease_, retry_, patience_;
+  Ticker beat_;
+  std::vector<Subscription> subscriptions_;
+  std::unique_ptr<OutputPort> port_;
+  std::optional<double> value_;  // that the device has
+  Order busy_;                   // on its way, if there is one
+  std::optional<Order> next_;
+  MonotonicTime last_set_{}, last_input_{};
+  bool is_held_ = false;
+  bool is_busy_ = false;
+  bool is_armed_ = false;
+  bool is_stale_ = false;
+  bool is_overdue_ = false;
+  bool is_failing_ = false;
+  bool has_tripped_ = false;
+  bool is_lost_ = false;
+};
+
+}  // namespace detail
+
+void check_config(const OutputConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const std::string why = refusal_of(config); !why.empty()) problems.add(item.problem("bad-value", why));
+  if (config.on.empty()) return;
+  if (!Expression::available())
+    problems.add(item.problem("bad-value", "this program was built without muParser: it cannot follow a topic"));
+  check_config(detail::derived_of(config), item, problems);
+}
+
+void check_output_names(const OutputConfig& config,
+                        const std::function<const Description*(std::string_view topic)>& payload_of,
+                        const ConfigItem& item, Problems& problems) {
+  if (!config.on.empty()) check_derived_names(detail::derived_of(config), payload_of, item, problems);
+}
+
+Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded) {
+  if (const std::string why = refusal_of(config); !why.empty())
+    throw SetupError({Errc::bad_argument, "cannot make the output", config.name, why, ""});
+  OutputGuard* const guard = loop.runtime().config().guard;
+  auto* const node = new detail::OutputNode(loop, std::move(config), std::move(make));
+  *this = Output(node);
+  node->begin(guard, guarded);
+}
+
+namespace {
+
+/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
+template <class Returned, class Function>
+Returned with(detail::Node* node, Returned otherwise, const Function& function) {
+  if (node == nullptr || !node->is_open()) return otherwise;
+  auto& output = static_cast<detail::OutputNode&>(*node);
+  if (!output.loop()->runs_elsewhere()) return function(output);
+  output.loop()->call_there([&] {
+    if (output.is_open()) otherwise = function(output);
+  });
+  return otherwise;
+}
+
+Result<void> closed() { return Error{Errc::closed, cannot_set, "", "the output is closed", ""}; }
+
+}  // namespace
+
+Result<void> Output::set(double value, std::string_view by) {
+  return with(node(), closed(), [&](detail::OutputNode& output) {
+    output.loop()->check_thread(cannot_set, output.origin().name);
+    return output.set(value, by);
+  });
+}
+Result<void> Output::arm(std::string_view by) {
+  return with(node(), closed(), [&](detail::OutputNode& output) {
+    output.loop()->check_thread("cannot arm the output", output.origin().name);
+    return output.arm(by);
+  });
+}
+Result<void> Output::disarm(std::string_view by) {
+  return with(node(), closed(), [&](detail::OutputNode& output) {
+    output.loop()->check_thread("cannot disarm the output", output.origin().name);
+    return output.disarm(by);
+  });
+}
+bool Output::is_armed() const noexcept {
+  return with(node(), false, [](const detail::OutputNode& output) { return output.is_armed(); });
+}
+std::optional<double> Output::value() const noexcept {
+  return with(node(), std::optional<double>{}, [](const detail::OutputNode& output) { return output.value(); });
+}
+bool Output::is_guarded() const noexcept {
+  return with(node(), false, [](const detail::OutputNode& output) { return output.is_guarded(); });
+}
+
+}  // namespace rtdata

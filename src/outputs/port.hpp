@@ -1,0 +1,64 @@
+// The way from an output to its device: a lane of this program, or the guard.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/outputs/output.hpp"
+
+namespace rtdata {
+class OutputGuard;
+}
+
+namespace rtdata::detail {
+
+/// An Actuator, made anew after it has failed. Exceptions become errors. Thread: one at a time.
+class HeldActuator {
+ public:
+  explicit HeldActuator(MakeActuator make) : make_(std::move(make)) {}
+  /// Takes the device with the value, if it is not held; else sets it. Without a value it is only taken.
+  Result<void> put(std::optional<double> value) noexcept;
+  void give_back() noexcept { actuator_.reset(); }
+
+ private:
+  MakeActuator make_;
+  std::unique_ptr<Actuator> actuator_;
+};
+
+/// Owner: the output; thread: its loop's.
+class OutputPort {
+ public:
+  class Listener {
+   public:
+    /// The value of the last `set` is there, or is not. May destroy the port.
+    virtual void answered(Result<void> result) = 0;
+    /// The guard has set the safe value, and takes no other until `arm`.
+    virtual void tripped() = 0;
+    /// There is no way to the device any more. May destroy the port.
+    virtual void lost(const Error& error) = 0;
+
+   protected:
+    ~Listener() = default;
+  };
+  virtual ~OutputPort() = default;
+  /// Waits.
+  virtual Result<void> open(std::optional<double> value) = 0;
+  /// Not before the last one is answered, which it is unless this returns an error.
+  virtual Result<void> set(double value) = 0;
+  /// Waits, also for a value that is under way, whose answer never comes; then the device is given back.
+  virtual Result<void> finish(std::optional<double> value) = 0;
+  /// The loop turns: the guard is to wait until then.
+  virtual void beat(MonotonicTime) noexcept {}
+  virtual void arm() noexcept {}
+  virtual bool is_guarded() const noexcept { return false; }
+};
+
+/// `name`: of the output, in reports.
+std::unique_ptr<OutputPort> make_lane_port(Loop& loop, const std::string& name, MakeActuator make,
+                                           OutputPort::Listener& listener);
+std::unique_ptr<OutputPort> make_guard_port(Loop& loop, const std::string& name, OutputGuard& guard,
+                                            const std::string& guarded, double safe, OutputPort::Listener& listener);
+
+}  // namespace rtdata::detail

@@ -1,0 +1,82 @@
+#include "rtdata/outputs/pwm.hpp"
+
+#include <unistd.h>
+
+#include <charconv>
+#include <cmath>
+#include <string_view>
+
+#include "io/kernel_file.hpp"
+#include "rtdata/data/config_item.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_use = "cannot use the PWM channel";
+
+bool is_duty(double value) noexcept { return value >= 0 && value <= 1; }
+Error no_duty(double value) {
+  return {Errc::out_of_range, cannot_use, "", std::to_string(value) + " is no duty cycle: it is from 0 to 1", ""};
+}
+std::int64_t number_in(const std::string& path) {
+  std::int64_t number = 0;
+  if (const auto text = detail::read_kernel_file(path, cannot_use))
+    std::from_chars(text->data(), text->data() + text->size(), number);
+  return number;
+}
+
+}  // namespace
+
+void PwmConfig::check_duty(const ConfigItem& item, Problems& problems) {
+  const ConfigItem* const safe = item.find("safe");
+  double value = 0;
+  Problems ignored;
+  if (safe == nullptr || !ConfigValue<double>::read(*safe, value, ignored) || is_duty(value)) return;
+  problems.add(safe->problem("bad-value", "the safe value of a PWM channel is a duty cycle, from 0 to 1"));
+}
+
+Result<void> PwmActuator::write(const char* file, std::int64_t value) const {
+  return detail::write_kernel_file(folder_ + "/" + file, std::to_string(value), cannot_use);
+}
+
+Result<void> PwmActuator::open(std::optional<double> value) {
+  if (value && !is_duty(*value)) return no_duty(*value);
+  const std::string chip = config_.root + "/pwmchip" + std::to_string(config_.chip);
+  const auto channels = detail::read_kernel_file(chip + "/npwm", cannot_use);
+  if (!channels) return channels.error();
+  if (config_.channel >= number_in(chip + "/npwm"))
+    return Error{Errc::not_found, cannot_use, chip, "it has " + *channels + " channels, from 0 on", ""};
+  folder_ = chip + "/pwm" + std::to_string(config_.channel);
+  if (::access(folder_.c_str(), F_OK) != 0) {
+    const auto exported = detail::write_kernel_file(chip + "/export", std::to_string(config_.channel), cannot_use);
+    if (!exported) return exported;
+    // udev may need a moment to give its files to the group.
+    for (int tries = 0; tries < 50 && ::access((folder_ + "/duty_cycle").c_str(), W_OK) != 0; ++tries) ::usleep(10'000);
+  }
+  const bool is_enabled = number_in(folder_ + "/enable") == 1;
+  if (!value && is_enabled) return {};
+  const std::int64_t period = config_.frequency.period().count();
+  // A duty cycle is never longer than its period: the one that shrinks comes first.
+  const std::int64_t duty = std::llround(value.value_or(0) * static_cast<double>(period));
+  if (number_in(folder_ + "/duty_cycle") > period)
+    if (const auto done = write("duty_cycle", duty); !done) return done;
+  if (const auto done = write("period", period); !done) return done;
+  if (const auto done = write("duty_cycle", duty); !done) return done;
+  // The kernel refuses another polarity while it is enabled.
+  const std::string_view polarity = config_.inverted ? "inversed" : "normal";
+  const std::string file = folder_ + "/polarity";
+  if (const auto now = detail::read_kernel_file(file, cannot_use); now && *now != polarity) {
+    if (is_enabled)
+      if (const auto done = write("enable", 0); !done) return done;
+    if (const auto done = detail::write_kernel_file(file, polarity, cannot_use); !done) return done;
+  }
+  return write("enable", 1);
+}
+
+Result<void> PwmActuator::set(double value) {
+  if (!is_duty(value)) return no_duty(value);
+  const auto period = static_cast<double>(number_in(folder_ + "/period"));
+  return write("duty_cycle", std::llround(value * period));
+}
+
+}  // namespace rtdata

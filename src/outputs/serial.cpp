@@ -1,0 +1,89 @@
+#include "rtdata/outputs/serial.hpp"
+
+#include <poll.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <chrono>
+#include <string_view>
+
+#include "io/tty.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_set = "cannot set what is on the serial line";
+using Deadline = std::chrono::steady_clock::time_point;
+
+/// False: the time is over.
+bool wait_for(int fd, short events, Deadline until) {
+  for (;;) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - std::chrono::steady_clock::now());
+    pollfd one{fd, events, 0};
+    const int ready = ::poll(&one, 1, left.count() > 0 ? static_cast<int>(left.count()) : 0);
+    if (ready > 0) return true;
+    if (ready == 0) return false;
+    if (errno != EINTR) return false;
+  }
+}
+
+std::string text_of(const std::string& pattern, double value) {
+  std::array<char, 32> number;
+  const auto end = std::to_chars(number.data(), number.data() + number.size(), value).ptr;
+  std::string text = pattern;
+  constexpr std::string_view mark = "{value}";
+  for (std::size_t at = text.find(mark); at != std::string::npos; at = text.find(mark, at))
+    text.replace(at, mark.size(), number.data(), static_cast<std::size_t>(end - number.data()));
+  return text;
+}
+
+}  // namespace
+
+SerialActuator::~SerialActuator() {
+  if (fd_ >= 0) detail::close_tty(fd_);
+}
+
+Result<void> SerialActuator::open(std::optional<double> value) {
+  const Result<int> opened = detail::open_tty(config_.device, config_.serial);
+  if (!opened) return opened.error();
+  fd_ = *opened;
+  return value ? set(*value) : Result<void>();
+}
+
+Result<void> SerialActuator::set(double value) {
+  const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
+  const auto late = [&](std::string why) {
+    return Error{Errc::timed_out, cannot_set, config_.device, std::move(why), "look at the device and its settings"};
+  };
+  const auto failed = [&] {
+    if (errno == EIO || errno == ENXIO || errno == ENODEV)
+      return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", ""};
+    return system_error(errno, cannot_set, config_.device);
+  };
+  ::tcflush(fd_, TCIFLUSH);
+  const std::string text = text_of(config_.text, value);
+  for (std::string_view rest = text; !rest.empty();) {
+    const ssize_t wrote = ::write(fd_, rest.data(), rest.size());
+    if (wrote > 0) rest.remove_prefix(static_cast<std::size_t>(wrote));
+    if (wrote >= 0 || errno == EINTR) continue;
+    if (errno != EAGAIN) return failed();
+    if (!wait_for(fd_, POLLOUT, until)) return late("it takes nothing");
+  }
+  if (config_.answer.empty()) return {};
+  std::string got;
+  while (got.find(config_.answer) == std::string::npos) {
+    if (!wait_for(fd_, POLLIN, until)) return late("it did not answer `" + config_.answer + "`");
+    std::array<char, 256> buffer;
+    const ssize_t size = ::read(fd_, buffer.data(), buffer.size());
+    if (size == 0) return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", ""};
+    if (size < 0 && errno != EAGAIN && errno != EINTR) return failed();
+    if (size > 0) got.append(buffer.data(), static_cast<std::size_t>(size));
+    if (got.size() > 65536) got.erase(0, got.size() - 4096);
+  }
+  return {};
+}
+
+}  // namespace rtdata

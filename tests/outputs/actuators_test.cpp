@@ -1,0 +1,155 @@
+// The shipped devices of outputs: a GPIO chip of memory, a PWM chip of files, a pseudo terminal.
+#include <doctest/doctest.h>
+#include <pty.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdlib>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "rtdata/io/fake_gpio.hpp"
+#include "rtdata/outputs/gpio.hpp"
+#include "rtdata/outputs/pwm.hpp"
+#include "rtdata/outputs/serial.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+
+namespace {
+
+std::string text_of(const std::string& path) {
+  std::string text;
+  std::getline(std::ifstream(path), text);
+  return text;
+}
+
+/// The files of a PWM chip with a channel that is exported.
+struct PwmFiles {
+  ScratchDirectory directory;
+  PwmConfig config;
+  std::string channel;
+  PwmFiles(const std::string& period, const std::string& duty, const std::string& enable) {
+    config = {.chip = 2, .channel = 1, .frequency = Rate::hertz(50), .root = directory.path()};
+    directory.file("pwmchip2/npwm", "2\n");
+    directory.file("pwmchip2/pwm1/period", period);
+    directory.file("pwmchip2/pwm1/duty_cycle", duty);
+    directory.file("pwmchip2/pwm1/polarity", "normal\n");
+    directory.file("pwmchip2/pwm1/enable", enable);
+    channel = directory.path() + "/pwmchip2/pwm1/";
+  }
+  std::string all() const {
+    return text_of(channel + "period") + " " + text_of(channel + "duty_cycle") + " " + text_of(channel + "polarity") +
+           " " + text_of(channel + "enable");
+  }
+};
+
+struct Terminal {
+  int master = -1, slave = -1;
+  std::string name;
+  Terminal() {
+    std::array<char, 128> path{};
+    REQUIRE(::openpty(&master, &slave, path.data(), nullptr, nullptr) == 0);
+    name = path.data();
+  }
+  ~Terminal() {
+    ::close(master);
+    ::close(slave);
+  }
+  std::string read() const {
+    std::array<char, 256> buffer{};
+    const ssize_t size = ::read(master, buffer.data(), buffer.size());
+    return {buffer.data(), static_cast<std::size_t>(size > 0 ? size : 0)};
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("outputs") {
+  TEST_CASE("US-35 US-36 a GPIO line is taken with its value, or as it is, and has two levels") {
+    auto pins = std::make_shared<FakeGpio>();
+    pins->add_chip("gpiochip0", 8);
+    const auto is_high = [&] { return pins->level("gpiochip0", 3); };
+    {
+      GpioActuator line({.line = 3}, pins);
+      CHECK(line.open(1).has_value());
+      CHECK(is_high());
+      CHECK(line.set(0).has_value());
+      CHECK_FALSE(is_high());
+      CHECK(line.set(0.5).error().code == Errc::out_of_range);
+      CHECK(line.set(1).has_value());
+      CHECK(pins->is_taken("gpiochip0", 3));
+      CHECK(GpioActuator({.line = 3}, pins).open(0).error().code == Errc::busy);
+    }
+    CHECK_FALSE(pins->is_taken("gpiochip0", 3));
+    CHECK(is_high());  // as it was left
+    {
+      GpioActuator line({.line = 3}, pins);
+      CHECK(line.open({}).has_value());
+      CHECK(is_high());
+    }
+    GpioActuator low({.line = 3, .active_low = true}, pins);
+    CHECK(low.open(1).has_value());
+    CHECK_FALSE(is_high());
+    CHECK(GpioActuator({.line = 9}, pins).open(0).error().code == Errc::not_found);
+    CHECK(GpioActuator({.line = 4}, pins).open(2).error().code == Errc::out_of_range);
+    pins->unplug("gpiochip0");
+    CHECK_FALSE(low.set(0).has_value());
+  }
+
+  TEST_CASE("US-35 a PWM channel has its period and duty cycle before it is enabled, or stays as it is") {
+    PwmFiles off("0", "0", "0");
+    PwmActuator pwm(off.config);
+    CHECK(pwm.open(0.25).has_value());
+    CHECK(off.all() == "20000000 5000000 normal 1");
+    CHECK(pwm.set(1).has_value());
+    CHECK(off.all() == "20000000 20000000 normal 1");
+    CHECK(pwm.set(1.5).error().code == Errc::out_of_range);
+
+    PwmFiles on("1000", "700", "1");
+    PwmActuator kept(on.config);
+    CHECK(kept.open({}).has_value());
+    CHECK(on.all() == "1000 700 normal 1");
+    CHECK(kept.set(0.5).has_value());  // of the period that it has
+    CHECK(on.all() == "1000 500 normal 1");
+
+    PwmFiles other("1000", "700", "0");
+    other.config.inverted = true;
+    PwmActuator inverted(other.config);
+    CHECK(inverted.open({}).has_value());
+    CHECK(other.all() == "20000000 0 inversed 1");
+
+    PwmConfig absent = off.config;
+    absent.channel = 2;
+    CHECK(PwmActuator(absent).open(0).error().code == Errc::not_found);
+    absent.chip = 7;
+    CHECK(PwmActuator(absent).open(0).error().code == Errc::not_found);
+  }
+
+  TEST_CASE("US-35 a serial device is sent its value, and one that answers is waited for") {
+    Terminal line;
+    {
+      SerialActuator valve({.device = line.name, .text = "VALVE {value}\n"});
+      CHECK(valve.open(0).has_value());
+      CHECK(line.read() == "VALVE 0\n");
+      CHECK(valve.set(0.5).has_value());
+      CHECK(line.read() == "VALVE 0.5\n");
+    }
+    SerialActuator asked({.device = line.name, .text = "S{value}\r", .answer = "OK", .timeout = 1500ms});
+    std::thread device([&] {
+      std::string got;
+      while (got.find("S3\r") == std::string::npos) got += line.read();
+      const std::string answer = "noise OK\r\n";
+      CHECK(::write(line.master, answer.data(), answer.size()) == static_cast<ssize_t>(answer.size()));
+    });
+    const auto opened = asked.open(3);
+    device.join();
+    CHECK(opened.has_value());
+    SerialActuator deaf({.device = line.name, .answer = "OK", .timeout = 50ms});
+    CHECK(deaf.open({}).error().code == Errc::busy);  // it is opened for one alone
+    CHECK(SerialActuator({.device = "/dev/no-such"}).open(0).error().code == Errc::not_found);
+  }
+}

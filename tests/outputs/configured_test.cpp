@@ -1,0 +1,228 @@
+// Outputs of configurations: what check says, reloads, and the program, which is killed while one is on.
+#include <doctest/doctest.h>
+#include <fcntl.h>
+#include <pty.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <map>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "app/process.hpp"
+#include "outputs/memory_actuator.hpp"
+#include "paths.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/change.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/outputs/guard.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+using outputs_test::Device;
+using test::Folder;
+using test::Process;
+
+namespace {
+
+using Lines = std::vector<std::string>;
+
+/// A device of memory, by its name.
+struct DeviceConfig {
+  std::string device;
+  friend constexpr auto parameters(type_tag<DeviceConfig>) {
+    return parameter_list(parameter("device", &DeviceConfig::device, "its name", required, TextIs::recorded));
+  }
+};
+struct Devices {
+  std::map<std::string, Device> all;
+  Registry registry = standard_registry();
+  Devices() {
+    registry.add_output<DeviceConfig>(
+        "memory", "a device of memory", [this](const DeviceConfig& config) { return all[config.device].make()(); },
+        [](PartPlan& plan, const DeviceConfig& config) {
+          plan.place = {"memory", "device " + config.device, ""};
+        });
+  }
+};
+
+constexpr const char* load = R"("sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}])";
+
+/// The problems of a file with these outputs and a sensor `load`, each as "id line:column message".
+Lines problems_of(const std::string& outputs) {
+  const std::string text = "{" + std::string(load) + ",\n \"outputs\": [" + outputs + "]}";
+  Lines lines;
+  for (const Problem& problem : plan_system(standard_registry(), parse_config(text, "f.json")).problems)
+    lines.push_back(problem.id + " " + problem.text());
+  return lines;
+}
+/// Whether there is one problem, with this in it.
+bool is_refused(const std::string& outputs, const std::string& why) {
+  const Lines problems = problems_of(outputs);
+  for (const std::string& problem : problems) CAPTURE(problem);
+  const bool is_so = problems.size() == 1 && problems[0].find(why) != std::string::npos;
+  for (const std::string& problem : problems)
+    if (!is_so) MESSAGE(problem);
+  return is_so;
+}
+
+struct Terminal {
+  int master = -1, slave = -1;
+  std::string name;
+  Terminal() {
+    std::array<char, 128> path{};
+    REQUIRE(::openpty(&master, &slave, path.data(), nullptr, nullptr) == 0);
+    name = path.data();
+    ::close(slave);
+    slave = ::open(name.c_str(), O_RDWR | O_NOCTTY | O_CLOEXEC);  // so that it stays when the program has gone
+    ::fcntl(master, F_SETFL, O_NONBLOCK);
+  }
+  ~Terminal() {
+    ::close(master);
+    ::close(slave);
+  }
+  /// What has come, until it ends with this.
+  bool reads(const std::string& end) { return reads_within(end, 30s); }
+  bool reads_within(const std::string& end, Duration patience) {
+    const auto limit = std::chrono::steady_clock::now() + patience;
+    while (!got.ends_with(end) && std::chrono::steady_clock::now() < limit) {
+      std::array<char, 256> buffer{};
+      const ssize_t size = ::read(master, buffer.data(), buffer.size());
+      if (size > 0)
+        got.append(buffer.data(), static_cast<std::size_t>(size));
+      else
+        std::this_thread::sleep_for(1ms);
+    }
+    return got.ends_with(end);
+  }
+  std::string got;
+};
+
+}  // namespace
+
+TEST_SUITE("outputs") {
+  TEST_CASE("US-35 check finds the mistakes of outputs") {
+    const std::string pwm = R"({"name": "fan", "type": "pwm", )";
+    CHECK(problems_of(pwm + R"("on": "load", "expression": "minutes_1 > 2"})").empty());
+    CHECK(is_refused(pwm + R"("safe": 2})", "the safe value of a PWM channel is a duty cycle"));
+    CHECK(is_refused(pwm + R"("on": "lod", "expression": "1"})", "lod"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1 >"})", "f.json:2"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minute_1 > 2"})", "minute_1"));
+    CHECK(is_refused(pwm + R"("expression": "minutes_1 > 2"})", "need the topic `on`"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "lease": "1 s"})", "max_age"));
+    CHECK(
+        is_refused(pwm + R"("on": "load", "expression": "minutes_1", "hysteresis": {"on": 1, "off": 1}})", "the same"));
+    CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "pid": {"setpoint": 1}})", "all gains are 0"));
+    CHECK(is_refused(pwm + R"("armed": "never"})", "armed"));
+    CHECK(is_refused(pwm + R"("chanel": 1})", "channel"));
+    CHECK(is_refused(R"({"name": "fan", "type": "pwm"}, {"name": "other", "type": "pwm"})", "duplicate-place"));
+    CHECK(is_refused(R"({"name": "fan", "type": "pwm"}, {"name": "fan", "type": "pwm", "channel": 1})", "duplicate"));
+    CHECK(is_refused(R"({"name": "x", "type": "serial", "device": "/dev/ttyX"},
+                        {"name": "y", "type": "serial", "device": "/dev/ttyX"})",
+                     "duplicate-place"));
+    if (!standard_registry().outputs().find("gpio")) return;
+    CHECK(is_refused(R"({"name": "x", "type": "gpio", "line": 3, "safe": 0.5})", "0 or 1"));
+    CHECK(is_refused(R"({"name": "x", "type": "gpio", "line": "A"}, {"name": "y", "type": "gpio", "line": "A"})",
+                     "duplicate-place"));
+    const std::string both = R"({"sensors": [{"name": "b", "type": "edge", "line": "A"}],
+        "outputs": [{"name": "x", "type": "gpio", "line": "A"}]})";
+    CHECK(plan_system(standard_registry(), parse_config(both, "f.json")).problems.size() == 1);
+  }
+
+  TEST_CASE("US-35 an output of a configuration follows its sensor; a reload leaves it untouched or makes it anew") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto plan = [&](const std::string& second) {
+      return plan_system(devices.registry, parse_config("{" + std::string(load) + R"(, "outputs": [
+          {"name": "a", "type": "memory", "device": "A", "on": "load", "expression": "minutes_1 >= 0"},
+          {"name": "b", "type": "memory", "device": "B")" + second +
+                                                            "}]}",
+                                                        "f.json"));
+    };
+    const SystemPlan first = plan("");
+    REQUIRE_MESSAGE(first.good(), first.report());
+    {
+      System system(loop, devices.registry, first);
+      CHECK(system.parts().names("output") == Lines{"a", "b"});
+      loop.advance(200ms);
+      CHECK(devices.all["A"].did == Lines{"open 0", "set 1"});
+      system.parts().get<Output>("output", "b").set(1).or_throw();
+      loop.advance(1ms);
+      const SystemPlan next = plan(R"(, "safe": 3)");
+      const PlanChange change = system.apply(next);
+      CHECK(change.refused() == 0);
+      loop.advance(200ms);
+      CHECK(devices.all["A"].did == Lines{"open 0", "set 1"});
+      CHECK(devices.all["B"].did == Lines{"open 0", "set 1", "set 0", "gone", "open 3"});
+      bool is_listed = false;
+      for (const SensorStatus& status : loop.runtime().sensors()) is_listed = is_listed || status.name == "a";
+      CHECK(is_listed);  // as `rtdata top` has it
+    }
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 1", "set 0", "gone"});
+  }
+
+  TEST_CASE("US-35 a part that cannot be made leaves the outputs before it safe") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    devices.all["B"].fails = true;
+    const SystemPlan plan = plan_system(devices.registry, parse_config(R"({"outputs": [
+        {"name": "a", "type": "memory", "device": "A", "safe": 1}, {"name": "b", "type": "memory", "device": "B"}]})",
+                                                                       "f.json"));
+    CHECK_THROWS_WITH_AS(System(loop, devices.registry, plan), doctest::Contains("it is broken"), SetupError);
+    CHECK(devices.all["A"].did == Lines{"open 1", "set 1", "gone"});
+  }
+
+  TEST_CASE("US-35 the guard makes a device of what the configuration says of it") {
+    Devices devices;
+    const auto made = devices.registry.make_actuator(R"({"type": "memory", "device": "A"})");
+    CHECK(made->open(2).has_value());
+    CHECK(devices.all["A"].did == Lines{"open 2"});
+    CHECK_THROWS_AS((void)devices.registry.make_actuator(R"({"type": "memory"})"), ConfigError);
+    CHECK_THROWS_AS((void)devices.registry.make_actuator(R"({"type": "no such"})"), ConfigError);
+    CHECK_THROWS_AS((void)devices.registry.make_actuator("nonsense"), SetupError);
+  }
+
+  TEST_CASE(
+      "US-35 US-17 rtdata run: its output is safe when it is killed, stopped, or ends, and its changes recorded") {
+    for (const int number : {SIGTERM, SIGKILL, SIGSEGV, SIGSTOP}) {
+      CAPTURE(number);
+      Folder folder;
+      Terminal line;
+      folder.write("f.json", "{" + std::string(load) +
+                                 R"(, "outputs": [{"name": "lamp", "type": "serial", "device": ")" + line.name +
+                                 R"(", "text": "<{value}>", "on": "load", "expression": "minutes_1 >= 0",
+          "watchdog": "300 ms"}], "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+      Process run(folder, test::built("rtdata"), {"run", "f.json"});
+      CHECK(line.reads("<1>"));
+      const auto began = std::chrono::steady_clock::now();
+      run.signal(number);
+      CHECK(line.reads("<0>"));
+      const auto took = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began);
+      MESSAGE("signal " << number << ": safe after " << took.count() << " ms");
+      CHECK(line.got == "<0><1><0>");
+      if (number == SIGSTOP) {
+        run.signal(SIGCONT);
+        CHECK_FALSE(line.reads_within("<1>", 1s));  // it must be armed first
+        run.signal(SIGTERM);
+      }
+      const int status = run.end();
+      if (number != SIGTERM && number != SIGSTOP) continue;
+      CHECK(status == 0);
+      Process rows(folder, test::built("rtdata"), {"export", "run.db", "--topic", "lamp", "--format", "csv"});
+      CHECK(rows.end() == 0);
+      CHECK(rows.out.find("start") != std::string::npos);
+      CHECK(rows.out.find("input") != std::string::npos);
+      CHECK(rows.out.find("stop") != std::string::npos);
+      CHECK((rows.out.find("watchdog") != std::string::npos) == (number == SIGSTOP));
+      Process verify(folder, test::built("rtdata"), {"verify", "run.db"});
+      CHECK(verify.end() == 0);
+    }
+  }
+}

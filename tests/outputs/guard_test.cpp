@@ -1,0 +1,284 @@
+// The guard process: programs that are killed, stopped, hang or lose it while an output is on. Real processes and
+// time; the bounds are generous, since the machine may be busy.
+#include "rtdata/outputs/guard.hpp"
+
+#include <doctest/doctest.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <fstream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+
+namespace {
+
+constexpr auto patience = 20s;
+
+/// Writes each value as a line of a file, which any process can read.
+class FileActuator final : public Actuator {
+ public:
+  explicit FileActuator(std::string path) : path_(std::move(path)) {}
+  ~FileActuator() override { write("gone"); }
+  Result<void> open(std::optional<double> value) override {
+    if (path_.find("refused") != std::string::npos)
+      return Error{Errc::busy, "cannot open", path_, "somebody has it", "ask them"};
+    write("open " + (value ? std::to_string(*value).substr(0, 3) : "kept"));
+    return {};
+  }
+  Result<void> set(double value) override {
+    if (value == 9) return Error{Errc::out_of_range, "cannot set", path_, "9 is too much", ""};
+    if (value == 13) ::abort();
+    write("set " + std::to_string(value).substr(0, 3));
+    return {};
+  }
+
+ private:
+  void write(const std::string& text) const { std::ofstream(path_, std::ios::app) << text << std::endl; }
+  std::string path_;
+};
+
+std::unique_ptr<Actuator> make_file(const std::string& path) {
+  if (path.find("no-such") != std::string::npos) throw std::runtime_error("there is no " + path);
+  return std::make_unique<FileActuator>(path);
+}
+
+std::vector<std::string> lines_of(const std::string& path) {
+  std::ifstream file(path);
+  std::vector<std::string> lines;
+  for (std::string line; std::getline(file, line);) lines.push_back(line);
+  return lines;
+}
+/// Waits until it is the last line; returns for how long.
+Duration wait_for(const std::string& path, const std::string& line) {
+  const auto began = std::chrono::steady_clock::now();
+  for (;;) {
+    const auto lines = lines_of(path);
+    const auto took = std::chrono::steady_clock::now() - began;
+    if (!lines.empty() && lines.back() == line) return took;
+    if (took > patience) {
+      CHECK_MESSAGE(false, "never \"" << line << "\", but \"" << (lines.empty() ? "" : lines.back()) << "\"");
+      return took;
+    }
+    std::this_thread::sleep_for(1ms);
+  }
+}
+
+/// A program of its own, with an output that it sets to 1, and then does what it is told.
+struct Program {
+  enum class Does { turns, hangs, crashes, ends };
+  explicit Program(const std::string& path, Does does = Does::turns) {
+    process = ::fork();
+    if (process != 0) return;
+    ::signal(SIGSEGV, SIG_DFL);
+    {
+      OutputGuard guard(make_file);
+      Runtime runtime({.guard = &guard});
+      Loop loop(runtime, {});
+      be_quiet(loop);
+      Output output(loop, {.name = "o", .watchdog = 200ms}, {}, path);
+      output.set(1).or_throw();
+      const Timer later(loop, 300ms, [&] {
+        if (does == Does::hangs) std::this_thread::sleep_for(1min);
+        if (does == Does::crashes) ::raise(SIGSEGV);
+        if (does == Does::ends) ::_exit(0);  // without any destructor
+      });
+      loop.run_for(1min);
+    }
+    ::_exit(0);
+  }
+  ~Program() {
+    kill(SIGKILL);
+    ::waitpid(process, nullptr, 0);
+  }
+  void kill(int number) const { ::kill(process, number); }
+  pid_t process = -1;
+};
+
+struct Bench {
+  ScratchDirectory directory;
+  const std::string path = directory.file("device");
+  OutputGuard guard{make_file};
+  Runtime runtime{{.guard = &guard}};
+  Loop loop{runtime, {}};
+  std::vector<std::string> errors, causes;
+  Subscription seen;
+  Output output;
+
+  explicit Bench(OutputConfig config = {}) {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
+    seen = loop.subscribe<OutputChange>("o", [this](const Event<OutputChange>& event) {
+      constexpr const char* names[] = {"start", "set",    "input",    "stale",   "lease",
+                                       "arm",   "disarm", "watchdog", "failure", "stop"};
+      causes.push_back(std::string(names[static_cast<int>(event->cause)]) + (event->done ? "" : " not done"));
+    });
+    config.name = "o";
+    output = Output(
+        loop, config, [this] { return make_file(path); }, path);
+  }
+  /// Until the condition holds.
+  template <class Condition>
+  bool turn_until(const Condition& condition) {
+    bool holds = false;
+    const Ticker look(loop, 2ms, [&](const Tick&) {
+      if ((holds = condition())) loop.stop();
+    });
+    const Timer limit(loop, patience, [&] { loop.stop(); });
+    loop.run();
+    return holds;
+  }
+};
+
+using Lines = std::vector<std::string>;
+
+}  // namespace
+
+TEST_SUITE("outputs") {
+  TEST_CASE("US-35 guard: it holds the device, says what it did, and hands it back safe") {
+    Bench b;
+    CHECK(b.output.is_guarded());
+    CHECK(b.output.value() == 0);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    b.output.set(9).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 0; }));
+    b.output.close();
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "gone", "open 0.0", "set 0.0", "gone"});
+    CHECK(b.errors == Lines{"9 is too much"});
+    CHECK(b.guard.process() > 0);
+    CHECK(b.guard.process() != ::getpid());
+  }
+
+  TEST_CASE("US-35 guard: a device that cannot be taken is refused with its reason") {
+    ScratchDirectory directory;
+    OutputGuard guard(make_file);
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    for (const auto& [name, why] : {std::pair{"refused", "somebody has it"}, std::pair{"no-such", "there is no "}})
+      CHECK_THROWS_WITH_AS(Output(loop, {.name = "o"}, {}, directory.file(name)), doctest::Contains(why), SetupError);
+    Output good(loop, {.name = "o"}, {}, directory.file("good"));
+    CHECK(good.value() == 0);
+  }
+
+  TEST_CASE("US-35 guard: a program that is killed, crashes or ends without a word leaves its output safe") {
+    for (const auto does : {Program::Does::turns, Program::Does::crashes, Program::Does::ends}) {
+      ScratchDirectory directory;
+      const std::string path = directory.file("device");
+      Program program(path, does);
+      if (does == Program::Does::turns) {
+        wait_for(path, "set 1.0");
+        program.kill(SIGKILL);
+      }
+      const Duration took = wait_for(path, "gone");
+      CHECK(lines_of(path) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
+      MESSAGE("safe and given back after " << std::chrono::duration<double, std::milli>(took).count() << " ms");
+    }
+  }
+
+  TEST_CASE("US-35 guard: a program that is stopped or hangs has a safe output after its watchdog") {
+    for (const auto does : {Program::Does::turns, Program::Does::hangs}) {
+      ScratchDirectory directory;
+      const std::string path = directory.file("device");
+      Program program(path, does);
+      wait_for(path, "set 1.0");
+      if (does == Program::Does::turns) program.kill(SIGSTOP);
+      const Duration took = wait_for(path, "set 0.0");
+      MESSAGE("safe after " << std::chrono::duration<double, std::milli>(took).count() << " ms");
+      program.kill(SIGKILL);
+      wait_for(path, "gone");
+    }
+  }
+
+  TEST_CASE("US-35 guard: after its watchdog an output takes no value until it is armed, and says so") {
+    Bench b({.watchdog = 100ms});
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    const Timer hang(b.loop, 0ms, [] { std::this_thread::sleep_for(500ms); });
+    CHECK(b.turn_until([&] { return !b.output.is_armed(); }));
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0"});
+    CHECK(b.output.value() == 0);
+    CHECK(b.output.health() == Health::degraded);
+    CHECK(std::find(b.errors.begin(), b.errors.end(), "the loop did not turn for 100 ms") != b.errors.end());
+    CHECK(b.output.set(1).error().code == Errc::not_permitted);
+    b.output.arm("me").or_throw();
+    CHECK(b.output.health() == Health::ok);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    CHECK(b.causes == Lines{"start", "set", "watchdog", "set not done", "arm", "set"});
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0", "set 1.0"});
+  }
+
+  TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {
+    Bench b({.watchdog = 400ms});
+    b.output.set(1).or_throw();
+    b.loop.run_for(2s);
+    CHECK(b.output.value() == 1);
+    CHECK(b.causes == Lines{"start", "set"});
+  }
+
+  TEST_CASE("US-35 guard: when it is killed the program takes the device, sets it safe, and stays so") {
+    for (const bool crashes : {false, true}) {
+      Bench b;
+      b.output.set(1).or_throw();
+      CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+      if (crashes)
+        b.output.set(13).or_throw();
+      else
+        ::kill(b.guard.process(), SIGKILL);
+      CHECK(b.turn_until([&] { return !b.output.is_guarded() && b.output.value() == 0; }));
+      CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "open 0.0"});
+      CHECK(b.output.health() == Health::faulted);
+      CHECK_FALSE(b.output.is_armed());
+      CHECK(b.output.arm("me").error().code == Errc::disconnected);
+      CHECK(b.errors == Lines{"its guard has ended"});
+      b.output.close();
+      CHECK(lines_of(b.path).back() == "gone");
+    }
+  }
+
+  TEST_CASE("US-35 guard: it ignores what terminals and service managers send to all") {
+    Bench b;
+    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) ::kill(b.guard.process(), number);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+  }
+
+  TEST_CASE("US-35 guard: many outputs, made and closed again and again") {
+    ScratchDirectory directory;
+    OutputGuard guard(make_file);
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    std::vector<std::string> paths;
+    for (int i = 0; i < 20; ++i) paths.push_back(directory.file("device" + std::to_string(i)));
+    for (int round = 0; round < 3; ++round) {
+      std::vector<Output> outputs;
+      for (int i = 0; i < 20; ++i)
+        outputs.emplace_back(loop, OutputConfig{.name = "o" + std::to_string(i)}, MakeActuator{},
+                             paths[static_cast<std::size_t>(i)]);
+      for (Output& output : outputs) output.set(1).or_throw();
+      loop.run_for(20ms);
+    }
+    for (const std::string& path : paths) {
+      Lines expected;
+      for (int round = 0; round < 3; ++round)
+        expected.insert(expected.end(), {"open 0.0", "set 1.0", "set 0.0", "gone"});
+      CHECK(lines_of(path) == expected);
+    }
+  }
+}

@@ -1,0 +1,349 @@
+// Outputs in virtual time, with a device of memory.
+#include "rtdata/outputs/output.hpp"
+
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "outputs/memory_actuator.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+using namespace rtdata;
+using namespace std::chrono_literals;
+using outputs_test::Device;
+
+namespace {
+
+using Lines = std::vector<std::string>;
+
+struct Air {
+  double temperature = 0;
+  friend constexpr auto describe(type_tag<Air>) { return record("air", field("temperature", &Air::temperature)); }
+};
+
+std::string number(double value) {
+  std::string text = std::to_string(value);
+  text.erase(text.find_last_not_of('0') + 1);
+  if (text.back() == '.') text.pop_back();
+  return text;
+}
+
+/// A change as a line: "set 1 > 1 by program", with why where it was not done, and "disarmed".
+std::string line_of(const OutputChange& change) {
+  constexpr const char* causes[] = {"start", "set",    "input",    "stale",   "lease",
+                                    "arm",   "disarm", "watchdog", "failure", "stop"};
+  std::string line = std::string(causes[static_cast<int>(change.cause)]) + " " + number(change.asked) + " > " +
+                     (change.done ? number(*change.done) : "-");
+  if (!change.by.empty()) line += " by " + std::string(change.by);
+  if (!change.armed) line += ", disarmed";
+  if (!change.why.empty()) line += ": " + std::string(change.why);
+  return line;
+}
+
+struct Bench {
+  Loop loop{Loop::Manual{}};
+  Device device;
+  Lines errors, changes;
+  std::vector<double> took;
+  Subscription seen;
+  Output output;
+
+  Bench() {
+    loop.runtime().on_log([](const LogRecord&) {});
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
+    seen = loop.subscribe<OutputChange>("o", [this](const Event<OutputChange>& event) {
+      changes.push_back(line_of(*event));
+      took.push_back(event->took);
+    });
+  }
+  void make(OutputConfig config) {
+    config.name = "o";
+    output = Output(loop, std::move(config), device.make());
+  }
+  Lines told() {
+    loop.advance(0ns);
+    return std::exchange(changes, {});
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("outputs") {
+  TEST_CASE("US-35 an output is safe from the start on, each change is an event, and what it has already is none") {
+    Bench b;
+    b.make({.safe = 0});
+    CHECK(b.output.value() == 0);
+    CHECK(b.told() == Lines{"start 0 > 0"});
+    CHECK(b.output.set(1).has_value());
+    CHECK(b.output.set(1, "me").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.told() == Lines{"set 1 > 1 by program"});
+    CHECK(b.output.set(0.5, "me").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.told() == Lines{"set 0.5 > 0.5 by me"});
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 0.5"});
+    CHECK(b.output.counts().repeated == 1);
+    CHECK(b.output.set(std::nan("")).error().code == Errc::bad_argument);
+    b.output.close();
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 0.5", "set 0", "gone"});
+    CHECK(b.output.set(1).error().code == Errc::closed);
+    CHECK(b.errors.empty());
+  }
+
+  TEST_CASE("US-35 a device that is slow holds no loop: the time it took is told, and only the latest value waits") {
+    Bench b;
+    b.make({});
+    (void)b.told();
+    b.took.clear();
+    b.loop.script_lane_duration(30ms);
+    int ticks = 0;
+    const Ticker ticker(b.loop, 1ms, [&](const Tick&) { ++ticks; });
+    for (double value : {1.0, 2.0, 3.0, 4.0}) CHECK(b.output.set(value).has_value());
+    b.loop.advance(59ms);
+    CHECK(ticks == 60);
+    CHECK(ticker.missed() == 0);
+    CHECK(b.told() == Lines{"set 2 > - by program: superseded before the device was ready",
+                            "set 3 > - by program: superseded before the device was ready", "set 1 > 1 by program"});
+    b.loop.advance(1ms);
+    CHECK(b.told() == Lines{"set 4 > 4 by program"});
+    CHECK(b.took == std::vector<double>{0, 0, 0.03, 0.06});
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 4"});
+
+    Feed<Air> air(b.loop, {.name = "air"});
+    Device other;
+    Output follows(b.loop, {.name = "f", .on = "air"}, other.make());
+    for (double value : {1.0, 2.0, 3.0, 4.0}) {
+      air.publish({value});
+      b.loop.advance(1ms);
+    }
+    b.loop.advance(100ms);
+    CHECK(other.did == Lines{"open 0", "set 1", "set 4"});
+    CHECK(follows.counts().filtered == 2);
+    CHECK(follows.counts().published == 3);
+  }
+
+  TEST_CASE("US-35 a value holds for its lease, and setting it again extends that") {
+    Bench b;
+    b.make({.lease = 100ms});
+    CHECK(b.output.set(1).has_value());
+    b.loop.advance(90ms);
+    CHECK(b.output.set(1).has_value());
+    b.loop.advance(99ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0);
+    CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "lease 0 > 0"});
+    CHECK(b.output.health() == Health::degraded);
+    CHECK(b.errors == Lines{"nobody has set it for 100 ms"});
+    CHECK(b.output.set(1).has_value());
+    b.loop.advance(1ms);
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.output.value() == 1);
+  }
+
+  TEST_CASE("US-35 an output follows a topic, is safe while that is stale or fails, and follows it again") {
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"});
+    b.make({.on = "air", .expression = "1 / temperature > 0.04", .max_age = 1s});
+    (void)b.told();
+    const auto feed = [&](double temperature) {
+      air.publish({temperature});
+      b.loop.advance(100ms);
+    };
+    feed(30);
+    feed(20);
+    feed(20);
+    CHECK(b.told() == Lines{"input 1 > 1 by air"});  // it was off already
+    b.loop.advance(899ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1ms);
+    CHECK(b.told() == Lines{"stale 0 > 0 by air"});
+    CHECK(b.output.health() == Health::degraded);
+    feed(20);
+    CHECK(b.told() == Lines{"input 1 > 1 by air"});
+    CHECK(b.output.health() == Health::ok);
+    feed(0);
+    CHECK(b.told() == Lines{"stale 0 > 0 by air"});
+    feed(0);
+    CHECK(b.told().empty());
+    feed(20);
+    CHECK(b.told() == Lines{"input 1 > 1 by air"});
+    CHECK(b.errors.size() == 2);
+    CHECK(b.output.set(1).error().why == "it follows the topic \"air\"");
+    CHECK(b.output.counts().repeated == 2);  // the first, which was off, and the third
+  }
+
+  TEST_CASE("US-35 a topic that never comes is told, and the only number of a topic needs no expression") {
+    Bench b;
+    b.make({.on = "air", .max_age = 1s});
+    b.loop.advance(1s);
+    CHECK(b.output.health() == Health::degraded);
+    CHECK(b.errors == Lines{"the topic \"air\" has brought nothing for 1 s"});
+    Feed<Air> air(b.loop, {.name = "air"});
+    air.publish({0.25});
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0.25);
+    CHECK(b.output.health() == Health::ok);
+  }
+
+  TEST_CASE("US-35 an output is armed and disarmed, both are recorded, and it is safe while it is not") {
+    Bench b;
+    b.make({.armed = Arming::by_command});
+    CHECK(b.output.set(1, "me").error().code == Errc::not_permitted);
+    CHECK(b.told() == Lines{"start 0 > 0, disarmed", "set 1 > - by me, disarmed: it is disarmed"});
+    CHECK(b.output.arm("operator").has_value());
+    CHECK(b.output.arm("operator").has_value());
+    CHECK(b.output.set(1, "me").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.output.is_armed());
+    CHECK(b.told() == Lines{"arm 0 > 0 by operator", "set 1 > 1 by me"});
+    CHECK(b.output.disarm("operator").has_value());
+    CHECK(b.output.disarm("operator").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.told() == Lines{"disarm 0 > 0 by operator, disarmed"});
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 0"});
+
+    Feed<Air> air(b.loop, {.name = "air"});
+    Device other;
+    Output follows(b.loop, {.name = "f", .on = "air", .armed = Arming::by_command}, other.make());
+    air.publish({1});
+    b.loop.advance(1ms);
+    CHECK(other.did == Lines{"open 0"});
+    follows.arm("operator").or_throw();
+    b.loop.advance(1ms);
+    CHECK(other.did == Lines{"open 0"});  // the next value of the topic counts
+    air.publish({1});
+    b.loop.advance(1ms);
+    CHECK(other.did == Lines{"open 0", "set 1"});
+  }
+
+  TEST_CASE("US-35 a device that fails is told once, and set safe as soon as it can be") {
+    Bench b;
+    b.make({});
+    b.output.set(1).or_throw();
+    b.loop.advance(1ms);
+    b.device.fails = true;
+    b.output.set(2).or_throw();
+    b.loop.advance(1ms);
+    CHECK(b.output.health() == Health::faulted);
+    CHECK_FALSE(b.output.value().has_value());
+    CHECK(b.errors == Lines{"it is broken"});
+    CHECK(b.output.set(2).error().code == Errc::io_failed);
+    b.loop.advance(2500ms);
+    CHECK(b.errors.size() == 1);
+    b.device.fails = false;
+    b.loop.advance(1s);
+    CHECK(b.output.value() == 0);
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 2 failed", "gone", "open 0 failed", "open 0 failed",
+                                "open 0 failed", "open 0"});
+    CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "set 2 > - by program: it is broken",
+                            "failure 0 > -: it is broken", "set 2 > - by program: the device has failed",
+                            "failure 0 > -: it is broken", "failure 0 > -: it is broken", "failure 0 > 0"});
+  }
+
+  TEST_CASE("US-35 a device that hangs is given up, and the loop goes on") {
+    Bench b;
+    b.make({});
+    b.loop.script_lane_duration(10s);
+    b.output.set(1).or_throw();
+    b.loop.advance(1900ms);
+    CHECK(b.errors.empty());
+    b.loop.advance(200ms);
+    CHECK(b.output.health() == Health::faulted);
+    CHECK_FALSE(b.output.value().has_value());
+    REQUIRE(!b.errors.empty());
+    CHECK(b.errors.back().find("did not return within 2 s") != std::string::npos);
+  }
+
+  TEST_CASE("US-35 the end of the loop, stop and close set the safe value, and what is kept stays as it is") {
+    Bench b;
+    b.make({});
+    Device relay, other;
+    Output kept(b.loop, {.name = "kept", .keep = true}, relay.make());
+    Output stopped(b.loop, {.name = "stopped"}, other.make());
+    CHECK(relay.did == Lines{"open kept"});
+    CHECK_FALSE(kept.value().has_value());
+    b.output.set(1).or_throw();
+    kept.set(1).or_throw();
+    stopped.set(1).or_throw();
+    b.loop.advance(1ms);
+    stopped.stop();
+    CHECK(other.did == Lines{"open 0", "set 1", "set 0", "gone"});
+    CHECK(stopped.set(1).error().code == Errc::closed);
+    stopped.start();
+    CHECK(other.did.back() == "open 0");
+    CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program"});
+    CHECK(b.loop.close(1s) == 0);
+    CHECK(b.changes == Lines{"stop 0 > 0"});
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 0", "gone"});
+    CHECK(relay.did == Lines{"open kept", "set 1", "gone"});
+    CHECK(relay.value == 1);
+    CHECK(b.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-35 an output that cannot be taken throws, and one that was made before is set safe") {
+    Bench b;
+    Device first;
+    {
+      Output one(b.loop, {.name = "one", .safe = 1}, first.make());
+      b.device.fails = true;
+      CHECK_THROWS_WITH_AS(b.make({}), doctest::Contains("it is broken"), SetupError);
+    }
+    CHECK(first.did == Lines{"open 1", "set 1", "gone"});
+    b.device.fails = false;
+    b.make({});  // its name is free again
+    CHECK_THROWS_AS(Output(b.loop, {.name = "x", .expression = "a"}, first.make()), SetupError);
+    CHECK_THROWS_AS(Output(b.loop, {.name = "x", .safe = std::numeric_limits<double>::infinity()}, first.make()),
+                    SetupError);
+    CHECK_THROWS_AS(Output(b.loop, {.name = "x", .on = "air", .lease = 1s}, first.make()), SetupError);
+    CHECK_THROWS_AS(Output(b.loop, {.name = "x", .on = "air", .expression = "1 +"}, first.make()), SetupError);
+  }
+
+  TEST_CASE("US-35 hysteresis switches a fan at two thresholds") {
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"});
+    b.make({.on = "air", .hysteresis = HysteresisConfig{.on = 28, .off = 26}});
+    for (double temperature : {25.0, 27.9, 28.0, 27.0, 28.5, 26.1, 26.0, 27.5, 29.0}) {
+      air.publish({temperature});
+      b.loop.advance(1s);
+    }
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 0", "set 1"});
+  }
+
+  TEST_CASE("US-35 a controller brings a simulated oven to its set point, also after it was disarmed") {
+    Bench b;
+    Feed<Air> oven(b.loop, {.name = "oven"});
+    b.make({.on = "oven", .pid = PidConfig{.setpoint = 60, .kp = 0.05, .ki = 0.002}});
+    double temperature = 20;
+    const auto run = [&](int seconds) {
+      double highest = 0;
+      for (int i = 0; i < seconds; ++i) {  // heats by 1 K/s at most, loses 1 % of the difference to 20 degrees
+        temperature += b.device.value.value_or(0) - 0.01 * (temperature - 20);
+        highest = std::max(highest, temperature);
+        oven.publish({temperature});
+        b.loop.advance(1s);
+      }
+      return highest;
+    };
+    CHECK(run(600) < 63);
+    CHECK(temperature == doctest::Approx(60).epsilon(0.01));
+    b.output.disarm("me").or_throw();
+    b.loop.advance(1ms);
+    CHECK(b.device.value == 0);
+    run(100);
+    CHECK(temperature < 40);
+    b.output.arm("me").or_throw();
+    run(1);
+    CHECK(b.device.value == 0);  // it goes on from what the device has
+    CHECK(run(900) < 63);
+    CHECK(temperature == doctest::Approx(60).epsilon(0.01));
+  }
+}
