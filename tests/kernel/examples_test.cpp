@@ -1,10 +1,14 @@
 // The configurations of examples/, as they stand, on the kernel's drivers.
 #include <array>
+#include <fstream>
+#include <iterator>
 #include <string>
 #include <vector>
 
 #include "app/process.hpp"
 #include "kernel/bench.hpp"
+#include "kernel/gpio_bench.hpp"
+#include "rtdata/app/standard.hpp"
 #include "rtdata/io/i2c.hpp"
 
 using namespace bench;
@@ -46,6 +50,30 @@ TEST_SUITE("drivers") {
   TEST_CASE("US-12 NFR-3 examples/weather.json runs as it stands, and its recording verifies") {
     run_example("weather.json", "weather.db",
                 {{"weather/air", 0x76, 4}, {"weather/humidity", 0x44, 4}, {"weather/ground", 0, 1}});
+  }
+
+  TEST_CASE("US-35 NFR-3 examples/greenhouse runs on a line of the bench, and its recording verifies") {
+    if (!standard_registry().outputs().find("gpio")) {
+      MESSAGE("skipped: there is no libgpiod");
+      return;
+    }
+    gpio_bench::Chip chip;
+    const rtdata::test::Folder folder;
+    std::ifstream file(rtdata::test::in_source("examples/greenhouse/greenhouse.json"));
+    std::string text{std::istreambuf_iterator<char>(file), {}};
+    const auto line = text.find("\"line\": \"GPIO17\"");
+    REQUIRE(line != std::string::npos);
+    text.replace(line + 8, 8, "\"sim5\"");
+    folder.write("greenhouse.json", text);
+    const std::string program = rtdata::test::built("rtdata"), path = folder.path() + "/greenhouse.db";
+    Process run(folder, program, {"run", "greenhouse.json", "--for", "5s"});
+    CHECK(run.end() == 0);
+    CAPTURE(run.err);
+    Process verify(folder, program, {"verify", "greenhouse.db"});
+    CHECK(verify.end() == 0);
+    CHECK(recordings::number(path, "SELECT count(*) FROM air") >= 4);
+    CHECK(recordings::number(path, "SELECT count(*) FROM fan") >= 1);
+    CHECK(recordings::number(path, "SELECT count(*) FROM frost WHERE alarm = 0") == 1);
   }
 
   TEST_CASE("US-15 NFR-3 examples/rocket_sensors.json runs as it stands, and its recording verifies") {

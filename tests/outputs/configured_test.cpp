@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "app/process.hpp"
+#include "app/runtime_folder.hpp"
 #include "outputs/memory_actuator.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
@@ -224,5 +225,47 @@ TEST_SUITE("outputs") {
       Process verify(folder, test::built("rtdata"), {"verify", "run.db"});
       CHECK(verify.end() == 0);
     }
+  }
+
+  TEST_CASE(
+      "US-35 outputs are armed and set by command, and machines get events, and each is recorded with who asked") {
+    const test::RuntimeFolder runtime;
+    const Folder folder;
+    Terminal line;
+    folder.write("f.json", "{" + std::string(load) + R"(,
+      "machines": [{"name": "valve", "start": "closed", "states": [{"name": "closed"}, {"name": "open"}],
+        "transitions": [{"from": "closed", "to": "open", "event": "open"}, {"from": "open", "to": "closed", "event": "close"}]}],
+      "outputs": [{"name": "lamp", "type": "serial", "device": ")" +
+                               line.name +
+                               R"(", "text": "<{value}>", "armed": "by command"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, test::built("rtdata"), {"run", "f.json"});
+    REQUIRE(run.wait_for("running f"));
+    const auto ctl = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), "ctl");
+      Process one(folder, test::built("rtdata"), words);
+      CHECK(one.end() == status);
+      return one.out + one.err;
+    };
+    CHECK(ctl({"set", "lamp", "1"}, 1).find("disarmed") != std::string::npos);
+    CHECK(ctl({"arm", "lamp"}, 0) == "output lamp is armed\n");
+    CHECK(ctl({"arm", "lamp"}, 0) == "output lamp is armed already\n");
+    CHECK(ctl({"set", "lamp", "on"}, 0) == "output lamp is being set to on\n");
+    CHECK(line.reads("<1>"));
+    CHECK(ctl({"set", "lamp", "bright"}, 1).find("\"bright\" is no number, on or off") != std::string::npos);
+    CHECK(ctl({"set", "lmap", "0"}, 1).find("lamp") != std::string::npos);
+    CHECK(ctl({"disarm", "lamp"}, 0).find("safe value") != std::string::npos);
+    CHECK(line.reads("<0>"));
+    CHECK(ctl({"event", "valve", "open"}, 0) == "machine valve has got the event open\n");
+    CHECK(ctl({"event", "valve", "opne"}, 1).find("open") != std::string::npos);
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    Process rows(folder, test::built("rtdata"), {"export", "run.db", "--topic", "lamp", "--format", "csv"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out.find("uid " + std::to_string(::geteuid())) != std::string::npos);
+    Process changes(folder, test::built("rtdata"), {"export", "run.db", "--topic", "valve", "--format", "csv"});
+    CHECK(changes.end() == 0);
+    CHECK(changes.out.find("open") != std::string::npos);
+    CHECK(Process(folder, test::built("rtdata"), {"verify", "run.db"}).end() == 0);
   }
 }

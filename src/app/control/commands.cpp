@@ -1,10 +1,13 @@
 #include "app/control/commands.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
 #include "rtdata/config/format.hpp"
+#include "rtdata/fsm/configured.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/limit.hpp"
 
 namespace rtdata::app {
@@ -17,31 +20,31 @@ struct Verb {
   const char* word;
   std::size_t least, most;  // words that follow
   CommandHelp help;
-  std::string (*act)(System&, const Words&);
+  std::string (*act)(System&, const Words&, std::string_view by);
 };
 
-std::string start(System& system, const Words& words) {
+std::string start(System& system, const Words& words, std::string_view) {
   AnySensor& sensor = system.sensor(words[1]);
   if (sensor.is_running()) return "sensor " + words[1] + " runs already";
   sensor.start();
   return "sensor " + words[1] + " is started";
 }
 
-std::string stop(System& system, const Words& words) {
+std::string stop(System& system, const Words& words, std::string_view) {
   AnySensor& sensor = system.sensor(words[1]);
   if (!sensor.is_running()) return "sensor " + words[1] + " has stopped already";
   sensor.stop();
   return "sensor " + words[1] + " is stopped";
 }
 
-std::string set_rate(System& system, const Words& words) {
+std::string set_rate(System& system, const Words& words, std::string_view) {
   AnySensor& sensor = system.sensor(words[1]);
   const Rate rate = parse_rate(words[2]).or_throw();
   sensor.set_rate(rate);
   return "sensor " + words[1] + " is read at " + to_string(rate);
 }
 
-std::string acknowledge(System& system, const Words& words) {
+std::string acknowledge(System& system, const Words& words, std::string_view) {
   (void)system.sensor(words[1]);  // throws, with the nearest name, when there is none
   auto* const limit = system.parts().find<LimitSensor>("sensor", words[1]);
   if (limit == nullptr) throw std::invalid_argument("sensor " + words[1] + " is no limit");
@@ -49,13 +52,50 @@ std::string acknowledge(System& system, const Words& words) {
                               : "there is no alarm of " + words[1] + " to acknowledge";
 }
 
-std::string note(System&, const Words&) { return "noted"; }
+/// "on", "off", or a number.
+double number_of(const std::string& word) {
+  if (word == "on" || word == "off") return word == "on" ? 1 : 0;
+  double number = 0;
+  const char* const end = word.data() + word.size();
+  const auto [stopped, error] = std::from_chars(word.data(), end, number);
+  if (error != std::errc{} || stopped != end) throw std::invalid_argument("\"" + word + "\" is no number, on or off");
+  return number;
+}
+
+std::string set(System& system, const Words& words, std::string_view by) {
+  Output& output = system.parts().get<Output>("output", words[1]);
+  output.set(number_of(words[2]), by).or_throw();
+  return "output " + words[1] + " is being set to " + words[2];
+}
+
+std::string arm(System& system, const Words& words, std::string_view by) {
+  Output& output = system.parts().get<Output>("output", words[1]);
+  if (output.is_armed()) return "output " + words[1] + " is armed already";
+  output.arm(by).or_throw();
+  return "output " + words[1] + " is armed";
+}
+
+std::string disarm(System& system, const Words& words, std::string_view by) {
+  system.parts().get<Output>("output", words[1]).disarm(by).or_throw();
+  return "output " + words[1] + " is disarmed: it has its safe value";
+}
+
+std::string raise(System& system, const Words& words, std::string_view) {
+  system.parts().get<fsm::ConfiguredMachine>("machine", words[1]).raise(words[2]).or_throw();
+  return "machine " + words[1] + " has got the event " + words[2];
+}
+
+std::string note(System&, const Words&, std::string_view) { return "noted"; }
 
 const std::vector<Verb>& verbs() {
   static const std::vector<Verb> all{
       {"start", 1, 1, {"start SENSOR", "start a sensor"}, start},
       {"stop", 1, 1, {"stop SENSOR", "stop a sensor, until it is started again"}, stop},
       {"rate", 2, 2, {"rate SENSOR RATE", "read it at another rate, such as \"200 Hz\" or \"10 ms\""}, set_rate},
+      {"event", 2, 2, {"event MACHINE NAME", "give a state machine an event"}, raise},
+      {"set", 2, 2, {"set OUTPUT VALUE", "set an output that follows no topic: a number, on or off"}, set},
+      {"arm", 1, 1, {"arm OUTPUT", "let an output be set"}, arm},
+      {"disarm", 1, 1, {"disarm OUTPUT", "set its safe value, which it keeps until it is armed"}, disarm},
       {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
       {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
       {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
@@ -77,7 +117,7 @@ text<size> shortened(std::string_view full) {
   return text<size>(std::string(full.substr(0, end)) + "...");
 }
 
-CommandOutcome act(System& system, const Words& words) {
+CommandOutcome act(System& system, const Words& words, std::string_view by) {
   const auto verb = std::find_if(verbs().begin(), verbs().end(), [&](const Verb& one) { return words[0] == one.word; });
   if (verb == verbs().end()) {
     std::vector<std::string> names;
@@ -89,7 +129,7 @@ CommandOutcome act(System& system, const Words& words) {
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
     return {false, std::string("it is written `") + verb->help.words + "`"};
   try {
-    return {true, verb->act(system, words)};
+    return {true, verb->act(system, words, by)};
   } catch (const std::exception& error) {
     return {false, error.what()};
   }
@@ -124,7 +164,7 @@ std::string command_answer(const CommandOutcome& outcome) {
 }
 
 CommandOutcome CommandDesk::run(const Words& words, std::string_view by) {
-  CommandOutcome outcome = act(system_, words);
+  CommandOutcome outcome = act(system_, words, by);
   keep(words, by, outcome);
   return outcome;
 }
