@@ -40,7 +40,7 @@ if(RTDATA_PROGRAM)
   target_include_directories(rtdata_test_program PRIVATE tests)
   add_dependencies(rtdata_tests rtdata_test_program rtdata_main)
 endif()
-foreach(suite data loop process sensors sinks fsm config app contract)
+foreach(suite data loop process sensors sinks fsm outputs config app contract)
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
 

@@ -163,6 +163,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
     if (!opened) throw SetupError(placed(opened.error()));
     is_held_ = true;
+    is_failing_ = false;
     is_armed_ = config_.armed == Arming::at_start;
     if (!config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_, config_.keep ? "it keeps what it has" : "");
@@ -251,7 +252,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     value_.reset();
     const bool was_failing = std::exchange(is_failing_, true);
     if (!was_failing) complain(error, Health::faulted);
-    if (!is_open() || !is_held_) return;
+    if (!is_open() || !is_held_ || !is_failing_) return;  // its handler may have stopped it, and started it again
     if (!was_failing && busy_.value != config_.safe)
       be_safe(OutputCause::failure, "");
     else

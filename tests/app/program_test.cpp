@@ -553,7 +553,7 @@ TEST_SUITE("app") {
     const Folder folder;
     Process lines(folder, program, {"types"});
     CHECK(lines.end() == 0);
-    CHECK(has(lines.out, "\n  accelerometer  acceleration of an ADXL345 or ADXL375 on I2C\n"));
+    CHECK(has(lines.out, "\n  accelerometer  acceleration of an ADXL345 or ADXL375"));
     CHECK(lines.out.starts_with("sensor types\n"));
     CHECK(has(lines.out, "\nsink types\n  console "));
     CHECK_FALSE(has(lines.out, "quantization_bits"));
@@ -772,8 +772,9 @@ TEST_SUITE("app") {
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"record", "x"},
-         "rtdata: there is no command \"record\"; there are init, run, top, scan, doctor, bench, check, types, verify, "
-         "info, export, replay, import, forward; "
+         "rtdata: there is no command \"record\"; there are init, run, top, ctl, scan, doctor, bench, check, graph, "
+         "types, "
+         "verify, info, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},

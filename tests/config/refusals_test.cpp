@@ -31,6 +31,7 @@ const std::map<std::string, std::string> right_sensors{
     {"barometer", R"({"name": "s", "type": "barometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"magnetometer", R"({"name": "s", "type": "magnetometer", "rate": "10 Hz", "bus": "i2c1"})"},
     {"bno055", R"({"name": "s", "type": "bno055", "rate": "10 Hz", "bus": "i2c1"})"},
+    {"limit", R"({"name": "s", "type": "limit", "on": "other", "field": "tasks", "high": 100})"},
     {"derived", R"({"name": "s", "type": "derived", "on": "other", "expression": "running + 1"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
@@ -147,7 +148,8 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
             "spi0": {"type": "spi", "device": "/no/such/controller"},)" +
                                  std::string(modbus_bus) +
                                  R"("tty": {"type": "serial", "device": "/no/such/line"}}, ")" + std::string(list) +
-                                 "\": [" + item.to_json() + (type.name == "derived" ? other_sensor : "") + "]}";
+                                 "\": [" + item.to_json() +
+                                 (type.name == "derived" || type.name == "limit" ? other_sensor : "") + "]}";
         CAPTURE(text);
         const SystemPlan plan = planned(text);
         ++(plan.good() ? made : refused);

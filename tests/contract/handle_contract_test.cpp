@@ -220,10 +220,14 @@ struct OfMachine {
   Timer timer;
 };
 struct OfOutput {
-  using Type = Output;  // its device refuses each value but the first
+  using Type = Output;  // its device refuses each value but the safe one
   struct Refusing final : Actuator {
+    int refused = 0;
     Result<void> open(std::optional<double>) override { return {}; }
-    Result<void> set(double) override { return Error{Errc::io_failed, "cannot set", "", "it is broken", ""}; }
+    Result<void> set(double value) override {
+      if (value == 0) return {};
+      return Error{Errc::io_failed, "cannot set", "", "it is broken in way " + std::to_string(++refused), ""};
+    }
   };
   Type make(Loop& loop, Probe& probe) {
     Type made(loop, {.name = "output"}, [] { return std::make_unique<Refusing>(); });
@@ -231,9 +235,10 @@ struct OfOutput {
     return made;
   }
   void provoke(Loop& loop, Type& handle) {
-    timer = Timer(loop, 0ns, [&handle] { (void)handle.set(1); });
+    // Again and again: what has failed takes no value until it is safe.
+    ticker = Ticker(loop, 1ms, [&handle](const Tick&) { (void)handle.set(1); });
   }
-  Timer timer;
+  Ticker ticker;
 };
 struct OfIioSensor {
   using Type = IioSensor;

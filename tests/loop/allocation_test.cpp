@@ -154,8 +154,9 @@ const std::vector<Stage>& stages() {
        }},
       {"watch limits",
        [](Loop& loop) {
-         auto limit = keep(LimitSensor(loop, {.name = "limit"}, {.on = "sensor", .high = 0.5, .join = Duration{0}}));
-         return std::function<std::uint64_t()>([limit] { return limit->counts().published; });
+         auto limit = keep(LimitSensor(loop, {.name = "limit"}, {.on = "sensor", .field = "value", .high = 0.5}));
+         return std::function<std::uint64_t()>(
+             [seen = count_events(loop.subscribe("sensor", [](const EventView&) {})), limit] { return seen(); });
        }},
       {"change the states of a machine",
        [](Loop& loop) {

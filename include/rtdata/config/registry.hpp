@@ -422,6 +422,8 @@ class Registry {
   const TypeRegistryBase& outputs() const { return types("output"); }
   /// In the order in which their parts are made.
   const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
+  /// As people look for them: sensors, sinks, then the others.
+  std::vector<const PartKind*> kinds_to_show() const;
   /// The JSON Schema (draft-07) of a whole configuration file.
   std::string schema() const;
 

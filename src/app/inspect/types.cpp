@@ -103,7 +103,7 @@ std::string line_of(const TypeInfo& type) {
 }
 
 void print_lines(const Registry& registry) {
-  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+  for (const PartKind* kind : registry.kinds_to_show()) {
     std::vector<TypeInfo> types = kind->types.types();
     if (types.empty()) continue;
     std::sort(types.begin(), types.end(), [](const TypeInfo& a, const TypeInfo& b) { return a.name < b.name; });
@@ -119,7 +119,7 @@ void print_lines(const Registry& registry) {
 /// What a chip or a usual word stands for: a page when that is one type, else a line each. False: nothing.
 bool print_types_for(const std::string& word, const Registry& registry) {
   std::vector<TypeInfo> found;  // the closest of each kind: csv is a format of serial lines, and of files
-  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+  for (const PartKind* kind : registry.kinds_to_show()) {
     const std::vector<TypeInfo> types = kind->types.types();
     for (const std::size_t i : types_for_word(types, word)) found.push_back(types[i]);
   }
@@ -154,7 +154,7 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
     return exit_good;
   }
   if (name.empty()) {
-    for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind)
+    for (const PartKind* kind : registry.kinds_to_show())
       if (const auto types = kind->types.types(); !types.empty()) print_all(kind->name + " types", types);
     std::cout << "formats of events\n\n ";
     for (const std::string& codec : CodecRegistry::standard().names()) std::cout << " " << codec;

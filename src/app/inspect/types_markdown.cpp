@@ -115,7 +115,7 @@ std::string markdown_of(const Registry& registry) {
       if (type.page.bus == bus) sections += "\n" + markdown_of(type);
     if (!sections.empty()) text += (text.empty() ? "# " : "\n# ") + heading + "\n" + sections;
   };
-  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+  for (const PartKind* kind : registry.kinds_to_show()) {
     std::string heading = sentence(kind->key);
     if (!heading.empty()) heading.pop_back();
     const std::vector<TypeInfo> types = kind->types.types();

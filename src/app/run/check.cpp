@@ -32,15 +32,13 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
 std::string counts_text(const Registry& registry, const SystemPlan& plan) {
   std::string text;
   std::string more;  // of kinds that not every configuration has
-  for (auto kind = registry.kinds().rbegin(); kind != registry.kinds().rend(); ++kind) {
+  for (const PartKind* kind : registry.kinds_to_show()) {
     if (kind->does == PartKind::Does::nothing_known) continue;
     const std::size_t count = plan.of_kind(kind->name).size();
-    const bool is_usual = kind->name == "sensor" || kind->name == "sink";
-    std::string& to = is_usual ? text : more;
-    if (count == 0 && !is_usual) continue;
-    to += (to.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
+    if (count == 0 && kind->name != "sensor" && kind->name != "sink") continue;
+    text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + (count == 1 ? kind->name : kind->key);
   }
-  return more.empty() ? text : text + ", " + more;
+  return text;
 }
 
 int check(const Registry& registry, const CheckOptions& options) {

@@ -71,6 +71,14 @@ std::unique_ptr<Actuator> Registry::make_actuator(const std::string& guarded) co
   return actuators_.create(parse_config(guarded, "output.json").root);
 }
 
+std::vector<const PartKind*> Registry::kinds_to_show() const {
+  std::vector<const PartKind*> all;
+  for (const PartKind& kind : kinds_) all.push_back(&kind);
+  const auto rank = [](const PartKind* kind) { return kind->name == "sensor" ? 0 : kind->name == "sink" ? 1 : 2; };
+  std::stable_sort(all.begin(), all.end(), [&](auto* a, auto* b) { return rank(a) < rank(b); });
+  return all;
+}
+
 void Registry::add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,
                         PartKind::Does does) {
   const auto refuse = [&](const std::string& why) {
