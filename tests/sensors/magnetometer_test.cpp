@@ -205,10 +205,12 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-15 US-27 a magnetometer that is another chip, loses its settings, stops, is beyond its range: told") {
-    for (const auto& [model, address] : {std::pair{MagnetometerModel::lis3mdl, 0x1cu},
-                                         {MagnetometerModel::ak8963, 0x0cu},
-                                         {MagnetometerModel::hmc5883l, 0x1eu},
-                                         {MagnetometerModel::qmc5883l, 0x0du}}) {
+    for (const auto& chip : {std::pair{MagnetometerModel::lis3mdl, 0x1cu},
+                             {MagnetometerModel::ak8963, 0x0cu},
+                             {MagnetometerModel::hmc5883l, 0x1eu},
+                             {MagnetometerModel::qmc5883l, 0x0du}}) {
+      const MagnetometerModel model = chip.first;
+      const unsigned address = chip.second;
       CAPTURE(static_cast<int>(model));
       Bench bench(model, address);
       DriverSensor<Magnetometer> compass(bench.loop, {.name = "compass", .rate = 50_Hz, .retry_longest = 1s}, bench.bus,

@@ -181,7 +181,8 @@ class Publishing final : public detail::MqttConnection {
     const auto client = client_;
     bool is_short_of_room = false;
     int why = 0;
-    for (const auto& [number, reason] : client->published) {
+    for (const auto& [number, given] : client->published) {
+      const int reason = given;  // for a lambda
       Message& message = slot_of(number);
       if (message.number != number) continue;
       const Message ended = std::exchange(message, {});
