@@ -73,7 +73,7 @@ TEST_SUITE("drivers") {
     CHECK(verify.end() == 0);
     CHECK(recordings::number(path, "SELECT count(*) FROM air") >= 4);
     CHECK(recordings::number(path, "SELECT count(*) FROM fan") >= 1);
-    CHECK(recordings::number(path, "SELECT count(*) FROM frost WHERE alarm = 0") == 1);
+    CHECK(recordings::number(path, "SELECT count(*) FROM frost WHERE is_active = 0") == 1);
   }
 
   TEST_CASE("US-15 NFR-3 examples/rocket_sensors.json runs as it stands, and its recording verifies") {
