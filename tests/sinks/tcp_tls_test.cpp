@@ -174,10 +174,7 @@ TEST_CASE("US-32 tcp with TLS: this machine proves who it is where the server as
       TcpSink sink(bench.loop, to(server.port(), tls, {.acknowledge = how}));
       bench.publish(1);
       CHECK(bench.wait_for([&] { return sink.health() == Health::faulted; }));
-      // A server that ends the connection with something unread resets it, and its alert may be gone with that.
-      const std::string reason(sink.status().reason);
-      CHECK_MESSAGE((reason.find("certificate") != std::string::npos || reason.find("reset") != std::string::npos),
-                    reason);
+      CHECK_MESSAGE(sink.status().reason.find("certificate") != std::string::npos, sink.status().reason);
       CHECK(sink.counts().queued == 1);
       CHECK(server.values().empty());
     }

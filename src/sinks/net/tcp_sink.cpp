@@ -86,6 +86,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
 
   void ready() {
     const auto self = shared_from_this();
+    read();
+    if (stream_.is_open()) write();
+  }
+  void read() {
     char bytes[most_read];
     for (int i = 0; stream_.is_open() && (i < most_reads || stream_.has_unread()); ++i) {
       const ssize_t got = stream_.read(bytes, sizeof bytes);
@@ -97,7 +101,6 @@ class Connection : public std::enable_shared_from_this<Connection> {
             {Errc::disconnected, "lost the connection", peer(), "the peer has closed it", "it is connected to again"});
       if (is_confirmed()) take({bytes, static_cast<std::size_t>(got)});  // else what the peer says means nothing
     }
-    if (stream_.is_open()) write();
   }
   void go_on() {
     const auto self = shared_from_this();
@@ -120,8 +123,10 @@ class Connection : public std::enable_shared_from_this<Connection> {
         is_full = true;
       } else if (done < 0) {
         const Error error = stream_.failure(errno);
+        read();  // what the peer said before it went: answers, or an alert with its reason
         is_writing_ = false;
-        return fail(error);
+        if (stream_.is_open()) fail(error);
+        return;
       } else {
         next->written += static_cast<std::size_t>(done);
         left -= std::min(left, static_cast<std::size_t>(done));
