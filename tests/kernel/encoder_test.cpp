@@ -28,7 +28,8 @@ TEST_SUITE("drivers") {
     Loop loop;
     std::size_t at = 0;
     const std::vector<std::int64_t> counts = {65000, 65636, 65636 + 30000, 65636, 64636, 34636, 4636, -1};
-    EncoderSensor sensor(loop, {.name = "shaft", .rate = 50_Hz}, {.device = "rtdata_sim", .channel = "Shaft"});
+    EncoderSensor sensor(loop, {.name = "shaft", .rate = 50_Hz},
+                         {.device = "rtdata_sim", .channel = "Shaft", .function = "quadrature x4"});
     const auto heard = loop.subscribe("shaft", [&](const EventView& event) {
       const EncoderReading reading = reading_of(event);
       if (reading.count != counts[at]) return;
@@ -43,6 +44,9 @@ TEST_SUITE("drivers") {
     loop.run();
     CHECK(at == counts.size());
     CHECK(number_in(device("ENCODER") + "/count0/enable") == 1);
+    std::string function;
+    std::getline(std::ifstream(device("ENCODER") + "/count0/function"), function);
+    CHECK(function == "quadrature x4");
     CHECK(sensor.counts().failed == 0);
     close_balanced(loop);
   }

@@ -228,17 +228,34 @@ TEST_CASE(
   CHECK(refusal(counter, {.device = "1"}) == "this machine has none");
 }
 
+TEST_CASE("US-12 what an encoder counts is set when it is opened, and a function that the driver lacks is refused") {
+  Counter counter;
+  counter.put("count0/count", "1");
+  counter.put("count0/function", "quadrature x1 a");
+  CHECK(refusal(counter, {.function = "quadrature x4"}) == "the driver has no function \"quadrature x4\"");
+  counter.put("count0/function_available", "quadrature x1 a\nquadrature x4");
+  CHECK(refusal(counter, {.function = "x4"}) ==
+        "the driver has no function \"x4\"; it has quadrature x1 a, quadrature x4");
+  CHECK(counter.text("count0/function") == "quadrature x1 a");
+  CHECK(refusal(counter, {}).empty());
+  CHECK(counter.text("count0/function") == "quadrature x1 a");
+  CHECK(refusal(counter, {.function = "quadrature x4"}).empty());
+  CHECK(counter.text("count0/function").starts_with("quadrature x4"));
+}
+
 TEST_CASE("US-17 every parameter of an encoder can be set from a file, and a wrong one is refused") {
   const auto config = read_config<EncoderConfig>(
-      parse_config(R"({"device": "qep", "channel": "count1", "per_count": 0.5, "unit": "mm", "per": "h", "bits": 16,
+      parse_config(
+          R"({"device": "qep", "channel": "count1", "function": "quadrature x4", "per_count": 0.5, "unit": "mm", "per": "h", "bits": 16,
                        "root": "/host", "timeout": "2 s"})")
           .root);
   CHECK(config.device == "qep");
   CHECK(config.channel == "count1");
+  CHECK(config.function == "quadrature x4");
   CHECK(config.per_count == 0.5);
   CHECK(config.bits == 16);
   CHECK(encoder_description(config).or_throw()->fields().size() == 4);
-  CHECK(parameters_of<EncoderConfig>().size() == 8);
+  CHECK(parameters_of<EncoderConfig>().size() == 9);
   Counter counter;
   CHECK(!refusal(counter, {.per_count = 0}).empty());
   CHECK(!refusal(counter, {.per = "day"}).empty());

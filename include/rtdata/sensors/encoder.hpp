@@ -15,6 +15,9 @@
 /// it: what is faster is not noticed. A count up that goes back without a known range was set by somebody: that reading
 /// fails, and the next one begins with the new count.
 ///
+/// What it counts of a quadrature encoder's edges (one, two or four a period) is the driver's `function`: set here, it
+/// is written to the driver when the counter is opened; else it stays as it is. `per_count` has to fit it.
+///
 /// A counter that is off (`enable` is 0) is switched on when it is opened, and stays on. One that goes away makes the
 /// sensor faulted, and it is looked for by its name; the count begins anew with what the counter says then.
 ///
@@ -46,6 +49,7 @@ struct EncoderReading {
 struct EncoderConfig {
   std::string device = {};                     ///< name, number ("0", "counter0") or path; empty: the only one
   std::string channel = {};                    ///< name, number ("0", "count0"); empty: the only one
+  std::string function = {};                   ///< of the driver, such as "quadrature x4"; empty: as it is
   double per_count = 1;                        ///< what one count stands for, in `unit`
   std::string unit = {};                       ///< UCUM; empty: counts
   std::string per = "s";                       ///< of the speed: "s", "min", "h"
@@ -61,6 +65,10 @@ struct EncoderConfig {
                   TextIs::device),
         parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one",
                   TextIs::recorded),
+        parameter(
+            "function", &C::function,
+            "what of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
+            TextIs::recorded),
         parameter("per_count", &C::per_count, "what one count stands for, in `unit`", not_zero),
         parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
         parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),

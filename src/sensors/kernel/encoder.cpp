@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cmath>
+#include <sstream>
 #include <utility>
 #include <vector>
 
@@ -83,6 +84,29 @@ Result<void> enable(const std::string& file) {
   return error;
 }
 
+/// What it counts, as the configuration says. One that cannot be chosen has no such file, or one that lists others.
+Result<void> choose_function(const std::string& in, const std::string& function) {
+  const std::string file = in + "/function";
+  if (function.empty() || text_of(file) == function) return {};
+  std::istringstream lines(text_of(in + "/function_available"));
+  std::string available;
+  bool found = false;
+  for (std::string line; std::getline(lines, line);) {
+    found = found || line == function;
+    available += (available.empty() ? "" : ", ") + line;
+  }
+  if (!found) {
+    return Error{Errc::bad_argument, "cannot set what is counted", file,
+                 "the driver has no function \"" + function + "\"" + (available.empty() ? "" : "; it has " + available),
+                 "set `function` to one of the driver's"};
+  }
+  auto written = detail::write_kernel_file(file, function, "cannot set what is counted");
+  if (written) return {};
+  Error error = std::move(written).error();
+  error.advice = "run as a user that may write the file, or add a udev rule (docs/iio.md)";
+  return error;
+}
+
 Result<FoundCounter> find(const EncoderConfig& config) {
   std::string device;
   if (config.device.starts_with('/')) {
@@ -97,6 +121,7 @@ Result<FoundCounter> find(const EncoderConfig& config) {
   FoundCounter found{std::move(*count)};
   if (auto readable = detail::check_readable(found.folder + "/count", cannot_read, find_advice); !readable)
     return readable.error();
+  if (auto chosen = choose_function(found.folder, config.function); !chosen) return chosen.error();
   if (auto enabled = enable(found.folder + "/enable"); !enabled) return enabled.error();
   found.has_direction = ::access((found.folder + "/direction").c_str(), F_OK) == 0;
   const std::string function = text_of(found.folder + "/function");
