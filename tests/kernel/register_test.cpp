@@ -75,19 +75,20 @@ TEST_SUITE("drivers") {
     record<MagnetometerReading>(settings + place_on_spi("SPIDEV_MAGNETOMETER"), "spi", 5, check_field);
   }
 
-  TEST_CASE("US-11 NFR-3 barometer: a BMP280 on SPI has the data sheet's worked example, through faults, and verifies") {
+  TEST_CASE(
+      "US-11 NFR-3 barometer: a BMP280 on SPI has the data sheet's worked example, through faults, and verifies") {
     const std::string trimming(
         "\x70\x6b\x43\x67\x18\xfc\x7d\x8e\x43\xd6\xd0\x0b\x27\x0b\x8c\x00\xf9\xff\x8c\x3c\xf8\xc6\x70\x17", 24);
     const std::string registers = device("SIM") + "/spi/regs";
     put(registers, trimming, 0x08);  // without bit 7, which says that it is read
     put(registers, "\x58", 0x50);
     put(registers, std::string("\x65\x5a\xc0\x7e\xed\x00", 6), 0x77);
-    record<BarometerReading>(R"("name": "chip", "type": "barometer", "rate": "20 Hz", "faulted_after": 20, )" +
-                                 place_on_spi("SPIDEV_REGS"),
-                             "spi", 5, [](const BarometerReading& reading) {
-                               CHECK(reading.pressure == doctest::Approx(100653.27).epsilon(1e-6));
-                               CHECK(reading.temperature == doctest::Approx(25.08).epsilon(0.001));
-                             });
+    record<BarometerReading>(
+        R"("name": "chip", "type": "barometer", "rate": "20 Hz", "faulted_after": 20, )" + place_on_spi("SPIDEV_REGS"),
+        "spi", 5, [](const BarometerReading& reading) {
+          CHECK(reading.pressure == doctest::Approx(100653.27).epsilon(1e-6));
+          CHECK(reading.temperature == doctest::Approx(25.08).epsilon(0.001));
+        });
   }
 
   TEST_CASE("US-11 US-15 NFR-3 imu: an LSM6DSO on SPI gives each sample of its FIFO once, in order, and verifies") {
