@@ -1,9 +1,7 @@
-#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cstdlib>
-#include <cstring>
 #include <future>
 #include <iostream>
 #include <utility>
@@ -11,21 +9,17 @@
 #include "app/control/account.hpp"
 #include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
-#include "app/control/live_view.hpp"
 #include "app/control/status.hpp"
 #include "app/core/configuration_commands.hpp"
-#include "app/core/terminal_text.hpp"
-#include "app/run/async_writer.hpp"
+#include "app/run/console.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
-#include "app/run/log.hpp"
 #include "app/run/log_file.hpp"
 #include "app/run/service.hpp"
 #include "app/run/stop_signals.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/config/change.hpp"
-#include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/guard.hpp"
@@ -45,92 +39,75 @@ class Run {
         options_(options),
         document_(load_config(options.file)),
         guard_(start_guard(registry, document_)),
-        terminal_(16) {}
+        console_(options) {}
 
   int execute() {
-    messages_.open(STDERR_FILENO);
     SystemPlan plan = plan_system(registry_, std::move(document_));
-    secrets_ = plan.secrets;
+    console_.add_secrets(plan.secrets);
     warn_of_growth(plan, options_.duration.value_or(growth_span));
     warn_of_losses(plan);
-    open_log(plan);
+    console_.open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
     int status = exit_other;
     try {
       status = plan.good() ? run(plan) : refuse(plan);
     } catch (const SetupError& error) {
-      say(LogLevel::error, "program", error.what(), error.error().id());
+      console_.say(LogLevel::error, "program", error.what(), error.error().id());
     } catch (const std::exception& error) {
-      say(LogLevel::error, "program", error.what());
+      console_.say(LogLevel::error, "program", error.what());
     }
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(status));
-    messages_.wait_until_written(std::chrono::seconds{2});
-    terminal_.wait_until_written(std::chrono::seconds{2});
+    console_.wait_until_written();
     return status;
   }
 
  private:
-  void open_log(SystemPlan& plan) {
-    const LogSettings& settings = plan.settings.log;
-    const std::string file = log_file_of(plan, options_.log_file);
-    if (!check_log_file(file, plan)) return;  // it is another's file
-    // Probably a mistyped name: a log beside it would only be in the way.
-    const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
-    if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
-    if (auto opened = log_.open(file, settings); !opened) {
-      say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
-    }
-  }
-
-  /// Opened when there is something to write.
-  AsyncWriter& terminal() {
-    terminal_.open(STDOUT_FILENO);
-    return terminal_;
-  }
-
   int refuse(const SystemPlan& plan) {
     for (const Problem& problem : plan.problems)
       log_.write(LogLevel::error, "configuration", problem.text(), problem.id);
-    tell(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
-         (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
+    console_.tell(plan.report() + "rtdata: nothing was started: " + std::to_string(plan.problems.size()) +
+                  (plan.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file + "\n");
     return exit_configuration;
   }
 
   int run(const SystemPlan& plan) {
     for (const Problem& warning : plan.warnings) {
       if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
-      say(LogLevel::warning, "configuration", warning.text(), warning.id);
+      console_.say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
     Runtime::Config runtime_config = plan.runtime_config();
     runtime_config.guard = guard_.get();
     Runtime runtime(std::move(runtime_config));
-    runtime.on_log([this](const LogRecord& record) { say(record.level, record.object, record.text, record.error_id); });
+    runtime.on_log(
+        [this](const LogRecord& record) { console_.say(record.level, record.object, record.text, record.error_id); });
     Loop loop(runtime, plan.loop_config());
     note_sinks(plan);
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
     signals_.attach(
-        loop, {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
-               [this](const char* signal, std::optional<std::uint64_t> queued) { end_at_once(signal, queued); },
-               [&] { reload(loop, system, status); }});
+        loop,
+        {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
+         [this](const char* signal, std::optional<std::uint64_t> queued) { console_.end_at_once(signal, queued); },
+         [&] { reload(loop, system, status); }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
     } const detach{signals_};
     CommandDesk desk(loop, system, [this](const std::string& text, bool done) {
-      say(done ? LogLevel::info : LogLevel::warning, "command", text);
+      console_.say(done ? LogLevel::info : LogLevel::warning, "command", text);
     });
     std::optional<ControlSocket> control;
     open_control(control, loop, system, status, desk);
     tell_start(plan);
 
-    if (options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+    console_.open_view(loop);
     {
       Service service(loop);
       loop.post([&] { be_ready(service); });
       // Without the table there is nothing to show between two lines: the program is not woken up for it.
-      Ticker ticker(loop, Ticker::Config{.period = view_ ? redraw_period : line_period, .name = "display"},
+      Ticker ticker(loop,
+                    Ticker::Config{.period = console_.has_view() ? redraw_period : line_period, .name = "display"},
                     [&](const Tick& tick) { show(runtime, service, tick.due); });
       if (options_.duration) {
         loop.run_for(*options_.duration);
@@ -145,7 +122,7 @@ class Run {
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
     tell_buses(system);
-    close_view();
+    console_.close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end);
     if (!hanging.empty()) {
       control.reset();
@@ -159,8 +136,8 @@ class Run {
     close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
     for (const PartPlan& part : plan.parts) {
       if (!part.stores) continue;
-      paths_[part.name] = hide_secrets(part.stores->path, secrets_);
-      uses_stdout_ = uses_stdout_ || part.stores->path == "-";
+      paths_[part.name] = console_.without_secrets(part.stores->path);
+      if (part.stores->path == "-") console_.leave_stdout();
       close_deadline_ = std::max(close_deadline_, part.stores->close_deadline);
     }
   }
@@ -233,8 +210,8 @@ class Run {
   CommandOutcome apply(const Runtime& runtime, System& system, StatusSource& status, const NextPlan& read,
                        const std::string& why) {
     const auto conclude = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
-      say(level, "program", why + ": " + text, id);
-      return CommandOutcome{level == LogLevel::info, hide_secrets(text, secrets_)};
+      console_.say(level, "program", why + ": " + text, id);
+      return CommandOutcome{level == LogLevel::info, console_.without_secrets(text)};
     };
     if (is_closing_) {
       CommandOutcome ended = conclude(LogLevel::info, "it ends already; nothing was changed");
@@ -243,11 +220,11 @@ class Run {
     }
     if (!read.failed.empty()) return conclude(LogLevel::error, "nothing was changed: " + read.failed);
     const SystemPlan& next = read.plan;
-    secrets_.insert(secrets_.end(), next.secrets.begin(), next.secrets.end());
+    console_.add_secrets(next.secrets);
     std::string details;  // a line each
     const auto tell_detail = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
-      say(level, "configuration", text, id);
-      details += "\n" + hide_secrets(text, secrets_);
+      console_.say(level, "configuration", text, id);
+      details += "\n" + console_.without_secrets(text);
     };
     const auto with_details = [&](CommandOutcome outcome) {
       outcome.text += details;
@@ -287,7 +264,7 @@ class Run {
     for (const PartChange& part : change.all)
       if (part.fate != Fate::unchanged) tell_detail(LogLevel::info, part.text());
     note_sinks(next);
-    if (uses_stdout_) close_view();
+    if (console_.leaves_stdout()) console_.close_view();
     status.set(status_info(next, system));
     return with_details(conclude(LogLevel::info, options_.file + " is applied" +
                                                      (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
@@ -312,12 +289,11 @@ class Run {
 
   /// The end of a program of which a thread does not end: what it uses cannot be destroyed.
   [[noreturn]] void leave_behind(const std::string& hanging) {
-    say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
-        "not-turning");
+    console_.say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
+                 "not-turning");
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
     log_.wait_until_written(std::chrono::seconds{1});
-    messages_.wait_until_written(std::chrono::seconds{2});
-    terminal_.wait_until_written(std::chrono::seconds{2});
+    console_.wait_until_written();
     ::_exit(exit_other);
   }
 
@@ -337,7 +313,7 @@ class Run {
       control.emplace(loop, answer, [&status](std::uint64_t client) { status.forget(client); });
       log_.write(LogLevel::debug, "program", "control socket " + control->path());
     } catch (const SetupError& error) {
-      say(LogLevel::warning, "program", error.what(), error.error().id());
+      console_.say(LogLevel::warning, "program", error.what(), error.error().id());
     }
   }
 
@@ -346,11 +322,11 @@ class Run {
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
     if (!options_.duration) text += "; Ctrl-C ends it";
-    say(LogLevel::info, "", text);
+    console_.say(LogLevel::info, "", text);
     for (const LoopLoad& load : plan.loads()) {
       const std::string told = "readings may hold " + load.text();
       if (load.is_overloaded()) {
-        say(LogLevel::info, "", told);
+        console_.say(LogLevel::info, "", told);
       } else {
         log_.write(LogLevel::info, "program", told);
       }
@@ -360,7 +336,7 @@ class Run {
   /// The loop turns, and so do its tiers.
   void be_ready(Service& service) {
     const auto told = service.tell("READY=1\nSTATUS=running");
-    if (!told) say(LogLevel::warning, "program", told.error().text(), told.error().id());
+    if (!told) console_.say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
   /// The callbacks that held the loop, and their times.
@@ -394,90 +370,24 @@ class Run {
   void stop(Loop& loop, const Runtime& runtime, const char* signal) {
     is_storing_told_ = true;
     if (is_closing_) {  // stopping the loop would end that
-      say(LogLevel::info, "program",
-          std::string(signal) + ": it is storing what is queued already (again: ends at once)");
-      draw(account_of(runtime));
+      console_.say(LogLevel::info, "program",
+                   std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+      console_.draw(account_of(runtime));
       return;
     }
-    say(LogLevel::info, "program",
-        std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
-    draw(account_of(runtime));
+    console_.say(LogLevel::info, "program",
+                 std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+    console_.draw(account_of(runtime));
     loop.stop();
-  }
-
-  /// On the signals' thread.
-  [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued) {
-    const std::string
-        text = std::string("ended at once by a second ") + signal + ": " +
-               (queued ? std::to_string(*queued) + " queued events were not stored"
-                       : "how many queued events were not stored is not known, because the loop is held by a callback");
-    log_.write(LogLevel::error, "program", text);
-    log_.wait_until_written(std::chrono::seconds{1});
-    const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
-    if (view_is_shown_) {
-      const char* const show_cursor = "\x1b[?25h";
-      write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
-    }
-    write_fully(STDERR_FILENO, line.data(), line.size());
-    ::_exit(exit_other);
-  }
-
-  /// What people are told of it: an object's error once, until something else is told of the object, though it comes
-  /// again and is the reason of its health too. None: nothing new. The log has all.
-  std::optional<std::string> news(std::string_view object, const std::string& text) {
-    if (object.empty() || object == "program") return text;
-    std::string once = text;
-    if (const std::size_t at = once.rfind(" ("); at != std::string::npos && once.ends_with(" times)")) once.resize(at);
-    std::string& told = told_[std::string(object)];
-    if (once == told) return std::nullopt;
-    if (!told.empty() && once.ends_with(": " + told)) return once.substr(0, once.size() - told.size() - 2);
-    told = std::move(once);
-    return text;
-  }
-
-  /// To the log file, and to people. Never waits.
-  void say(LogLevel level, std::string_view object, std::string_view told, std::string_view error_id = {}) {
-    const std::string text = hide_secrets(std::string(told), secrets_);
-    log_.write(level, object, text, error_id);
-    tell_log_failure();
-    if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
-    const std::optional<std::string> shown = news(object, text);
-    if (!shown) return;
-    std::string line = "rtdata: ";
-    if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
-    line.append(object).append(object.empty() ? "" : ": ").append(*shown);
-    if (!error_id.empty()) line.append(" [").append(error_id).append("]");
-    if (view_) {
-      note_ = line;
-    } else {
-      tell(line + "\n");
-    }
-  }
-
-  /// Onto the terminal or wherever messages go.
-  void tell(const std::string& text) { messages_.write(wrapped(text, columns_of(STDERR_FILENO))); }
-
-  void draw(const RunAccount& account) {
-    if (!view_) return;
-    winsize size{};
-    if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-    terminal().write(view_->frame(account, size.ws_col, size.ws_row, note_));
-    view_is_shown_ = true;
   }
 
   /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
   void tell_storing(const RunAccount& account) {
     if (is_storing_told_ || ++shows_while_closing_ < 2 || account.queued == 0) return;
     is_storing_told_ = true;
-    say(LogLevel::info, "program",
-        "storing what is queued: " + std::to_string(account.queued) + " events, for at most " +
-            to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
-  }
-
-  void tell_log_failure() {
-    const int failed = log_.counts().last_errno.load();
-    if (failed == 0 || std::exchange(log_failure_told_, true)) return;
-    say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+    console_.say(LogLevel::info, "program",
+                 "storing what is queued: " + std::to_string(account.queued) + " events, for at most " +
+                     to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
   void show(const Runtime& runtime, Service& service, MonotonicTime due) {
@@ -485,29 +395,18 @@ class Run {
     const bool is_line_due = due - last_line_ >= line_period;
     if (is_line_due) last_line_ = due;
     if (is_line_due) (void)service.tell("STATUS=" + progress(account_of(runtime)));
-    tell_log_failure();
+    console_.tell_log_failure();
     if (is_closing_) tell_storing(account_of(runtime));
-    if (view_) {
-      draw(account_of(runtime));
+    if (console_.has_view()) {
+      console_.draw(account_of(runtime));
     } else if (is_line_due) {
-      say(LogLevel::info, "", progress(account_of(runtime)));
+      console_.say(LogLevel::info, "", progress(account_of(runtime)));
     }
-  }
-
-  void close_view() {
-    if (!view_) return;
-    terminal_.write(view_->end());
-    terminal_.wait_until_written(std::chrono::seconds{2});
-    view_is_shown_ = false;
-    view_.reset();
-    if (note_.empty()) return;
-    tell(note_ + "\n");
-    messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
   int report(const Runtime& runtime, const std::string& unknown) {
-    tell_log_failure();
+    console_.tell_log_failure();
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
@@ -515,14 +414,7 @@ class Run {
     const LogLevel level = !balances || not_stored_ > 0        ? LogLevel::error
                            : has_loss || !account.mute.empty() ? LogLevel::warning
                                                                : LogLevel::info;
-    log_.write(level, "program", said);
-    if (options_.talk == Talk::normal) {
-      const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
-      const std::string text = summary(account, paths_, columns) + "\n" + wrapped(said, columns) + "\n";
-      (uses_stdout_ ? messages_ : terminal()).write(text);
-    } else if (level != LogLevel::info) {
-      tell("rtdata: " + std::string(name_of(level)) + ": " + said + "\n");
-    }
+    console_.report(level, account, paths_, said);
     if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
     return balances && not_stored_ == 0 ? exit_good : exit_other;
   }
@@ -539,23 +431,15 @@ class Run {
   ConfigDocument document_;                   // until it is checked
   const std::unique_ptr<OutputGuard> guard_;  // null: the file has no outputs
   StopSignals signals_;                       // before the others: their threads are not to take the signals
-  std::vector<std::string> secrets_;          // of the configuration
-  std::map<std::string, std::string, std::less<>> told_;  // to people, last, of each object
-  AsyncWriter terminal_;
-  AsyncWriter messages_{64};
-  Log log_;
-  std::optional<LiveView> view_;
-  std::atomic<bool> view_is_shown_{false};
-  std::string note_;
+  RunConsole console_;
+  Log& log_ = console_.log();
   MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};
   std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
-  bool uses_stdout_ = false;
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost
-  bool log_failure_told_ = false;
 };
 
 }  // namespace

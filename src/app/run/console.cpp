@@ -1,0 +1,136 @@
+#include "app/run/console.hpp"
+
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include "app/core/terminal_text.hpp"
+#include "app/run/log_file.hpp"
+#include "rtdata/config/secret.hpp"
+
+namespace rtdata::app {
+
+void RunConsole::open_log(SystemPlan& plan) {
+  messages_.open(STDERR_FILENO);
+  const LogSettings& settings = plan.settings.log;
+  const std::string file = log_file_of(plan, options_.log_file);
+  if (!check_log_file(file, plan)) return;  // it is another's file
+  // Probably a mistyped name: a log beside it would only be in the way.
+  const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
+  if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
+  if (auto opened = log_.open(file, settings); !opened) {
+    say(LogLevel::warning, "log", opened.error().text(), opened.error().id());
+  }
+}
+
+void RunConsole::add_secrets(const std::vector<std::string>& secrets) {
+  secrets_.insert(secrets_.end(), secrets.begin(), secrets.end());
+}
+
+std::string RunConsole::without_secrets(const std::string& text) const { return hide_secrets(text, secrets_); }
+
+/// Opened when there is something to write.
+AsyncWriter& RunConsole::terminal() {
+  terminal_.open(STDOUT_FILENO);
+  return terminal_;
+}
+
+/// What people are told of it: an object's error once, until something else is told of the object, though it comes
+/// again and is the reason of its health too. None: nothing new. The log has all.
+std::optional<std::string> RunConsole::news(std::string_view object, const std::string& text) {
+  if (object.empty() || object == "program") return text;
+  std::string once = text;
+  if (const std::size_t at = once.rfind(" ("); at != std::string::npos && once.ends_with(" times)")) once.resize(at);
+  std::string& told = told_[std::string(object)];
+  if (once == told) return std::nullopt;
+  if (!told.empty() && once.ends_with(": " + told)) return once.substr(0, once.size() - told.size() - 2);
+  told = std::move(once);
+  return text;
+}
+
+void RunConsole::say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id) {
+  const std::string text = without_secrets(std::string(what));
+  log_.write(level, object, text, error_id);
+  tell_log_failure();
+  if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
+  const std::optional<std::string> shown = news(object, text);
+  if (!shown) return;
+  std::string line = "rtdata: ";
+  if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
+  line.append(object).append(object.empty() ? "" : ": ").append(*shown);
+  if (!error_id.empty()) line.append(" [").append(error_id).append("]");
+  if (view_) {
+    note_ = line;
+  } else {
+    tell(line + "\n");
+  }
+}
+
+void RunConsole::tell(const std::string& text) { messages_.write(wrapped(text, columns_of(STDERR_FILENO))); }
+
+void RunConsole::tell_log_failure() {
+  const int failed = log_.counts().last_errno.load();
+  if (failed == 0 || std::exchange(log_failure_told_, true)) return;
+  say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+}
+
+void RunConsole::open_view(Loop& loop) {
+  if (options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+}
+
+void RunConsole::draw(const RunAccount& account) {
+  if (!view_) return;
+  winsize size{};
+  if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
+  terminal().write(view_->frame(account, size.ws_col, size.ws_row, note_));
+  view_is_shown_ = true;
+}
+
+void RunConsole::close_view() {
+  if (!view_) return;
+  terminal_.write(view_->end());
+  terminal_.wait_until_written(std::chrono::seconds{2});
+  view_is_shown_ = false;
+  view_.reset();
+  if (note_.empty()) return;
+  tell(note_ + "\n");
+  messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
+}
+
+void RunConsole::report(LogLevel level, const RunAccount& account, const std::map<std::string, std::string>& paths,
+                        const std::string& verdict) {
+  log_.write(level, "program", verdict);
+  if (options_.talk == Talk::normal) {
+    const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
+    const std::string text = summary(account, paths, columns) + "\n" + wrapped(verdict, columns) + "\n";
+    (uses_stdout_ ? messages_ : terminal()).write(text);
+  } else if (level != LogLevel::info) {
+    tell("rtdata: " + std::string(name_of(level)) + ": " + verdict + "\n");
+  }
+}
+
+void RunConsole::wait_until_written() {
+  messages_.wait_until_written(std::chrono::seconds{2});
+  terminal_.wait_until_written(std::chrono::seconds{2});
+}
+
+void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> queued) {
+  const std::string
+      text = std::string("ended at once by a second ") + signal + ": " +
+             (queued ? std::to_string(*queued) + " queued events were not stored"
+                     : "how many queued events were not stored is not known, because the loop is held by a callback");
+  log_.write(LogLevel::error, "program", text);
+  log_.wait_until_written(std::chrono::seconds{1});
+  const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
+  if (view_is_shown_) {
+    const char* const show_cursor = "\x1b[?25h";
+    write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));
+  }
+  write_fully(STDERR_FILENO, line.data(), line.size());
+  ::_exit(exit_other);
+}
+
+}  // namespace rtdata::app

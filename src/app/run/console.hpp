@@ -1,0 +1,74 @@
+// What a run says: to people on the terminal, and all of it to the log file.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "app/control/account.hpp"
+#include "app/control/live_view.hpp"
+#include "app/core/configuration_commands.hpp"
+#include "app/run/async_writer.hpp"
+#include "app/run/log.hpp"
+#include "rtdata/config/system.hpp"
+
+namespace rtdata::app {
+
+/// Thread: the loop's, unless said otherwise. Nothing of it waits but what says so.
+class RunConsole {
+ public:
+  explicit RunConsole(const RunOptions& options) : options_(options) {}
+
+  /// The log file that the plan names, unless it is another's file.
+  void open_log(SystemPlan& plan);
+  Log& log() noexcept { return log_; }
+
+  /// Values of a configuration that are never shown.
+  void add_secrets(const std::vector<std::string>& secrets);
+  std::string without_secrets(const std::string& text) const;
+
+  /// To the log file, and to people: an error of an object once, until something else is said of it.
+  void say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id = {});
+  /// To people only, as it is.
+  void tell(const std::string& text);
+  void tell_log_failure();
+
+  /// A sink writes to standard output: nothing else does.
+  void leave_stdout() noexcept { uses_stdout_ = true; }
+  bool leaves_stdout() const noexcept { return uses_stdout_; }
+  /// The table, where standard output is a terminal for people.
+  void open_view(Loop& loop);
+  bool has_view() const noexcept { return view_.has_value(); }
+  void draw(const RunAccount& account);
+  void close_view();
+
+  /// The last that is said.
+  void report(LogLevel level, const RunAccount& account, const std::map<std::string, std::string>& paths,
+              const std::string& verdict);
+  /// Waits some seconds at most.
+  void wait_until_written();
+  /// A second signal. Thread: the signals'.
+  [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued);
+
+ private:
+  AsyncWriter& terminal();
+  std::optional<std::string> news(std::string_view object, const std::string& text);
+
+  const RunOptions& options_;
+  std::vector<std::string> secrets_;
+  std::map<std::string, std::string, std::less<>> told_;  // to people, last, of each object
+  AsyncWriter terminal_{16};
+  AsyncWriter messages_{64};
+  Log log_;
+  std::optional<LiveView> view_;
+  std::atomic<bool> view_is_shown_{false};
+  std::string note_;  // below the table
+  bool uses_stdout_ = false;
+  bool log_failure_told_ = false;
+};
+
+}  // namespace rtdata::app
