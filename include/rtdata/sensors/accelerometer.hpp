@@ -26,6 +26,9 @@ namespace rtdata {
 
 struct AccelerometerReading {
   double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;  ///< with gravity
+  static AccelerometerReading of(const InertialSample& sample) noexcept {
+    return {sample.acceleration[0], sample.acceleration[1], sample.acceleration[2]};
+  }
   friend constexpr auto describe(type_tag<AccelerometerReading>) {
     return record("accelerometer", field("acceleration_x", &AccelerometerReading::acceleration_x, "m/s2"),
                   field("acceleration_y", &AccelerometerReading::acceleration_y, "m/s2"),
@@ -93,7 +96,34 @@ inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_
 
 }  // namespace accelerometer_models
 
-class Accelerometer {
+struct AccelerometerConfig {
+  AccelerometerModel model = AccelerometerModel::adxl345;
+  std::optional<double> sample_rate{};         ///< Hz of the chip; unset: 100
+  std::optional<double> acceleration_range{};  ///< g; unset: the widest
+  bool self_test = false;                      ///< at each start, of an ADXL345
+  friend constexpr auto parameters(type_tag<AccelerometerConfig>) {
+    return parameter_list(
+        parameter(
+            "model", &AccelerometerConfig::model, "which chip it is",
+            choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
+        parameter("sample_rate", &AccelerometerConfig::sample_rate,
+                  "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
+                  "they are fetched; default: 100",
+                  unit("Hz"), range(6.25, 1600.0)),
+        parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
+                  "in 9.80665 m/s2. ADXL345: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
+        parameter("self_test", &AccelerometerConfig::self_test,
+                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")));
+  }
+  static std::span<const InertialModel> models() noexcept { return accelerometer_models::all; }
+  const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
+  InertialSettings settings() const { return {sample_rate, acceleration_range, {}, {}, self_test}; }
+  friend void check_config(const AccelerometerConfig& config, const ConfigItem& item, Problems& problems) {
+    InertialChip::check(config.chip(), config.settings(), item, problems);
+  }
+};
+
+class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerReading> {
  public:
   static constexpr std::string_view type = "accelerometer";
   static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C or SPI";
@@ -111,60 +141,11 @@ class Accelerometer {
   of the bus above that.
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
-  struct Config {
-    AccelerometerModel model = AccelerometerModel::adxl345;
-    std::optional<double> sample_rate{};         ///< Hz of the chip; unset: 100
-    std::optional<double> acceleration_range{};  ///< g; unset: the widest
-    bool self_test = false;                      ///< at each start, of an ADXL345
-    friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(
-          parameter(
-              "model", &Config::model, "which chip it is",
-              choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
-          parameter(
-              "sample_rate", &Config::sample_rate,
-              "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
-              "they are fetched; default: 100",
-              unit("Hz"), range(6.25, 1600.0)),
-          parameter("acceleration_range", &Config::acceleration_range,
-                    "in 9.80665 m/s2. ADXL345: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
-          parameter("self_test", &Config::self_test, "tests the chip at each start, in which it must lie still",
-                    only_with("model", "adxl345")));
-    }
-    const InertialModel& chip() const noexcept { return accelerometer_models::all[static_cast<std::size_t>(model)]; }
-    InertialSettings settings() const { return {sample_rate, acceleration_range, {}, {}, self_test}; }
-    friend void check_config(const Config& config, const ConfigItem& item, Problems& problems) {
-      InertialChip::check(config.chip(), config.settings(), item, problems);
-    }
-  };
-  using Value = AccelerometerReading;
-  using Device = RegisterDevice;
-  static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
   static constexpr RegisterPlace place{0x53};
 
-  /// SetupError (bad-argument): a setting that the chip does not have.
-  explicit Accelerometer(const Config& config) : chip_(config.chip(), accelerometer_models::all, config.settings()) {}
-  static double sample_rate(const Config& config) { return Accelerometer(config).chip_.sample_rate(); }
-  static std::size_t fifo_samples(const Config& config) { return Accelerometer(config).chip_.fifo_samples(); }
-  Result<void> open(RegisterDevice& chip) { return chip_.open(chip); }
-  Result<void> read(RegisterDevice& chip, Samples<AccelerometerReading>& out) { return chip_.read(chip, out, reading); }
-  void close(RegisterDevice& chip) { chip_.close(chip); }
-  static Duration bus_time(const Config& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
-  using Memory = InertialMemory;
-  Memory memory() const noexcept { return chip_.memory(); }
-  void remember(const Memory& memory) noexcept { chip_.remember(memory); }
-  static std::uint64_t unread(const Memory& memory, MonotonicTime now) noexcept { return memory.periods_until(now); }
-
+  using InertialDriver::InertialDriver;
   /// `bytes`: the registers 0x32 to 0x37.
-  static AccelerometerReading decode(std::span<const std::uint8_t> bytes, const Config& config) {
-    return reading(InertialChip(config.chip(), accelerometer_models::all, config.settings()).decode(bytes));
-  }
-
- private:
-  static AccelerometerReading reading(const InertialSample& sample) noexcept {
-    return {sample.acceleration[0], sample.acceleration[1], sample.acceleration[2]};
-  }
-  InertialChip chip_;
+  using InertialDriver::decode;
 };
 
 }  // namespace rtdata

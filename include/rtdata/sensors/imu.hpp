@@ -37,6 +37,10 @@ struct ImuReading {
   double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;              ///< with gravity
   double angular_velocity_x = 0, angular_velocity_y = 0, angular_velocity_z = 0;  ///< right-handed
   std::optional<double> temperature{};  ///< of the chip; where it is not in the FIFO, with the newest sample of a read
+  static ImuReading of(const InertialSample& sample) noexcept {
+    return {sample.acceleration[0],     sample.acceleration[1],     sample.acceleration[2], sample.angular_velocity[0],
+            sample.angular_velocity[1], sample.angular_velocity[2], sample.temperature};
+  }
   friend constexpr auto describe(type_tag<ImuReading>) {
     return record("imu", field("acceleration_x", &ImuReading::acceleration_x, "m/s2"),
                   field("acceleration_y", &ImuReading::acceleration_y, "m/s2"),
@@ -345,7 +349,45 @@ inline constexpr InertialModel all[] = {
 
 }  // namespace imu_models
 
-class Imu {
+struct ImuConfig {
+  ImuModel model = ImuModel::mpu6050;
+  std::optional<double> sample_rate{};         ///< Hz of the chip; unset: the first from 100 on
+  std::optional<double> acceleration_range{};  ///< g; unset: the widest
+  std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
+  std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42
+  bool self_test = false;                      ///< at each start
+  friend constexpr auto parameters(type_tag<ImuConfig>) {
+    return parameter_list(
+        parameter("model", &ImuConfig::model, "which chip it is",
+                  choices(value("mpu6050", ImuModel::mpu6050), value("mpu6500", ImuModel::mpu6500),
+                          value("mpu9250", ImuModel::mpu9250), value("lsm6ds3", ImuModel::lsm6ds3),
+                          value("lsm6ds3trc", ImuModel::lsm6ds3trc), value("lsm6dso", ImuModel::lsm6dso),
+                          value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1))),
+        parameter("sample_rate", &ImuConfig::sample_rate,
+                  "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000 divided by a whole "
+                  "number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, 476, 952; default: "
+                  "the first from 100 on",
+                  unit("Hz"), range(4, 2000)),
+        parameter("acceleration_range", &ImuConfig::acceleration_range, "2, 4, 8 or 16 times 9.80665 m/s2; default: 16",
+                  range(2, 16)),
+        parameter("angular_range", &ImuConfig::angular_range,
+                  "in degrees a second. MPU: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
+                  "2000",
+                  range(125, 2000)),
+        parameter("bandwidth", &ImuConfig::bandwidth,
+                  "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42", unit("Hz"), range(5, 188),
+                  only_with("model", "mpu6050", "mpu6500", "mpu9250")),
+        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"));
+  }
+  static std::span<const InertialModel> models() noexcept { return imu_models::all; }
+  const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
+  InertialSettings settings() const { return {sample_rate, acceleration_range, angular_range, bandwidth, self_test}; }
+  friend void check_config(const ImuConfig& config, const ConfigItem& item, Problems& problems) {
+    InertialChip::check(config.chip(), config.settings(), item, problems);
+  }
+};
+
+class Imu : public InertialDriver<ImuConfig, ImuReading> {
  public:
   static constexpr std::string_view type = "imu";
   static constexpr std::string_view aliases = "gyroscope gyro";
@@ -369,72 +411,11 @@ class Imu {
   bus must be above that.
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
 )";
-  struct Config {
-    ImuModel model = ImuModel::mpu6050;
-    std::optional<double> sample_rate{};         ///< Hz of the chip; unset: the first from 100 on
-    std::optional<double> acceleration_range{};  ///< g; unset: the widest
-    std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
-    std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42
-    bool self_test = false;                      ///< at each start
-    friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(
-          parameter("model", &Config::model, "which chip it is",
-                    choices(value("mpu6050", ImuModel::mpu6050), value("mpu6500", ImuModel::mpu6500),
-                            value("mpu9250", ImuModel::mpu9250), value("lsm6ds3", ImuModel::lsm6ds3),
-                            value("lsm6ds3trc", ImuModel::lsm6ds3trc), value("lsm6dso", ImuModel::lsm6dso),
-                            value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1))),
-          parameter(
-              "sample_rate", &Config::sample_rate,
-              "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000 divided by a whole "
-              "number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, 476, 952; default: "
-              "the first from 100 on",
-              unit("Hz"), range(4, 2000)),
-          parameter("acceleration_range", &Config::acceleration_range, "2, 4, 8 or 16 times 9.80665 m/s2; default: 16",
-                    range(2, 16)),
-          parameter("angular_range", &Config::angular_range,
-                    "in degrees a second. MPU: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
-                    "2000",
-                    range(125, 2000)),
-          parameter("bandwidth", &Config::bandwidth,
-                    "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42", unit("Hz"),
-                    range(5, 188), only_with("model", "mpu6050", "mpu6500", "mpu9250")),
-          parameter("self_test", &Config::self_test, "tests the chip at each start, in which it must lie still"));
-    }
-    const InertialModel& chip() const noexcept { return imu_models::all[static_cast<std::size_t>(model)]; }
-    InertialSettings settings() const { return {sample_rate, acceleration_range, angular_range, bandwidth, self_test}; }
-    friend void check_config(const Config& config, const ConfigItem& item, Problems& problems) {
-      InertialChip::check(config.chip(), config.settings(), item, problems);
-    }
-  };
-  using Value = ImuReading;
-  using Device = RegisterDevice;
-  static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
   static constexpr RegisterPlace place{0x68};
 
-  /// SetupError (bad-argument): a setting that the chip does not have.
-  explicit Imu(const Config& config) : chip_(config.chip(), imu_models::all, config.settings()) {}
-  static double sample_rate(const Config& config) { return Imu(config).chip_.sample_rate(); }
-  static std::size_t fifo_samples(const Config& config) { return Imu(config).chip_.fifo_samples(); }
-  Result<void> open(RegisterDevice& chip) { return chip_.open(chip); }
-  Result<void> read(RegisterDevice& chip, Samples<ImuReading>& out) { return chip_.read(chip, out, reading); }
-  void close(RegisterDevice& chip) { chip_.close(chip); }
-  static Duration bus_time(const Config& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
-  using Memory = InertialMemory;
-  Memory memory() const noexcept { return chip_.memory(); }
-  void remember(const Memory& memory) noexcept { chip_.remember(memory); }
-  static std::uint64_t unread(const Memory& memory, MonotonicTime now) noexcept { return memory.periods_until(now); }
-
+  using InertialDriver::InertialDriver;
   /// `bytes`: a sample as the FIFO has it.
-  static ImuReading decode(std::span<const std::uint8_t> bytes, const Config& config) {
-    return reading(InertialChip(config.chip(), imu_models::all, config.settings()).decode(bytes));
-  }
-
- private:
-  static ImuReading reading(const InertialSample& sample) noexcept {
-    return {sample.acceleration[0],     sample.acceleration[1],     sample.acceleration[2], sample.angular_velocity[0],
-            sample.angular_velocity[1], sample.angular_velocity[2], sample.temperature};
-  }
-  InertialChip chip_;
+  using InertialDriver::decode;
 };
 
 }  // namespace rtdata

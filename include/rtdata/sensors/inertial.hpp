@@ -686,4 +686,37 @@ class InertialChip {
   std::optional<unsigned> counter_;  // of the last tagged sample
 };
 
+/// What the drivers of these chips have in common. `C`: the configuration, which says `models()`, `chip()` of them and
+/// `settings()`; `Reading::of(const InertialSample&)`.
+template <class C, class Reading>
+class InertialDriver {
+ public:
+  using Config = C;
+  using Value = Reading;
+  using Device = RegisterDevice;
+  using Memory = InertialMemory;
+  static RegisterAddressing addressing(const C& config) { return config.chip().addressing; }
+
+  /// SetupError (bad-argument): a setting that the chip does not have.
+  explicit InertialDriver(const C& config) : chip_(chip_of(config)) {}
+  static double sample_rate(const C& config) { return chip_of(config).sample_rate(); }
+  static std::size_t fifo_samples(const C& config) { return chip_of(config).fifo_samples(); }
+  static Duration bus_time(const C& config) { return InertialChip::bus_time(config.chip(), config.settings()); }
+
+  Result<void> open(RegisterDevice& chip) { return chip_.open(chip); }
+  Result<void> read(RegisterDevice& chip, Samples<Reading>& out) { return chip_.read(chip, out, &Reading::of); }
+  void close(RegisterDevice& chip) { chip_.close(chip); }
+  Memory memory() const noexcept { return chip_.memory(); }
+  void remember(const Memory& memory) noexcept { chip_.remember(memory); }
+  static std::uint64_t unread(const Memory& memory, MonotonicTime now) noexcept { return memory.periods_until(now); }
+
+  static Reading decode(std::span<const std::uint8_t> bytes, const C& config) {
+    return Reading::of(chip_of(config).decode(bytes));
+  }
+
+ private:
+  static InertialChip chip_of(const C& config) { return {config.chip(), C::models(), config.settings()}; }
+  InertialChip chip_;
+};
+
 }  // namespace rtdata

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <numeric>
 
+#include "data/field_layout.hpp"
 #include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
@@ -17,26 +18,9 @@ constexpr unsigned most_addresses = 65536;
 
 bool is_of_bits(ModbusTable table) { return table == ModbusTable::coil || table == ModbusTable::discrete; }
 
-std::size_t size_of(Kind kind) {
-  switch (kind) {
-    case Kind::i16:
-    case Kind::u16:
-      return 2;
-    case Kind::i32:
-    case Kind::u32:
-    case Kind::f32:
-      return 4;
-    case Kind::i64:
-    case Kind::u64:
-    case Kind::f64:
-      return 8;
-    default:
-      return 0;
-  }
-}
 /// Addresses that the field takes.
 unsigned width_of(const ModbusField& field) {
-  return is_of_bits(field.table) ? 1 : static_cast<unsigned>(size_of(field.type) / 2);
+  return is_of_bits(field.table) ? 1 : static_cast<unsigned>(detail::size_of(field.type) / 2);
 }
 bool is_computed(const ModbusField& field) { return field.scale != 1 || field.offset != 0; }
 bool may_be_absent(const ModbusField& field) { return field.no_value && !is_of_bits(field.table); }
@@ -54,7 +38,7 @@ Error refused(const ModbusField& field, std::string why, std::string advice) {
 Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config) {
   DescriptionBuilder builder("modbus");
   for (const ModbusField& field : config.fields) {
-    if (!is_of_bits(field.table) && size_of(field.type) == 0)
+    if (!is_of_bits(field.table) && detail::size_of(field.type) < 2)
       return refused(field, "registers hold no " + std::string(name_of(field.type)), "choose another `type`");
     if (field.address + width_of(field) > most_addresses)
       return refused(field, "it goes beyond address 65535", "set another `address`");
