@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 
 #include <cstring>
+#include <map>
 
 #include "rtdata/loop/health.hpp"
 #include "sinks/recordings.hpp"
@@ -237,6 +238,39 @@ TEST_CASE("FW-5 a replay chooses topics, renames them and the origins, and is as
   CHECK(number(folder / "copy.db", "SELECT count(*) FROM \"old/room/climate\"") == 999);
 }
 
+TEST_CASE("FW-5 several topics are replayed by their names, and those beside them are left out") {
+  const Folder folder;
+  const std::string path = folder / "three.db";
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> one(loop, {.name = "one", .topic = "room/one"}), two(loop, {.name = "two", .topic = "room/two"}),
+        three(loop, {.name = "three", .topic = "yard"});
+    for (int i = 0; i < 10; ++i) {
+      for (Feed<Climate>* feed : {&one, &two, &three}) feed->publish({1.0 * i, 2});
+      loop.advance(100ms);
+    }
+    two.fault({Errc::disconnected, "it is gone", "", "", ""});
+    loop.advance(1s);
+    two.publish({11, 2});
+    loop.close();
+  }
+  for (const std::vector<std::string>& topics :
+       std::vector<std::vector<std::string>>{{"room/two", "yard"}, {"yard", "room/two"}, {"room/+", "yard"}}) {
+    Again again(path);
+    std::map<std::string, int> events;
+    const auto heard =
+        again.loop.subscribe("#", [&](const EventView& event) { ++events[std::string(event.topic())]; });
+    Replay replay(again.loop, {.file = path, .topics = topics});
+    again.finish(replay);
+    CHECK(again.errors == "");
+    CHECK(replay.counts().refused == 0);
+    CHECK(events["room/two"] == 11);
+    CHECK(events["yard"] == 10);
+    CHECK(events["room/one"] == (topics.front() == "room/+" ? 10 : 0));
+  }
+}
+
 TEST_CASE("FW-5 what a recording dropped is dropped again, and counted") {
   const Folder folder;
   const std::string path = make(folder);
@@ -351,6 +385,7 @@ TEST_CASE("FW-5 damage that a replay meets is told, and the replay ends there") 
     CHECK(told.find("sequence 300, field humidity") != std::string::npos);
     CHECK(again.errors.find("sequence 300, field humidity") != std::string::npos);
     CHECK(replay.counts().events == 299);
+    CHECK(again.runtime.has_loss());  // what would have followed
     CHECK(again.loop.close() == 0);
     CHECK(number(folder / "copy.db", "SELECT count(*) FROM \"room/climate\"") == 299);
   }

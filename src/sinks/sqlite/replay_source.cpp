@@ -85,6 +85,7 @@ Result<void> ReplaySource::read_rows(ReplayPortion& portion) {
     }
     Topic& topic = topic_of(row->topic());
     if (topic.place == topics_.size()) {
+      if (!is_chosen(row->topic().topic)) continue;
       return Error{Errc::damaged, "cannot replay", recording_.path() + ", topic " + row->topic().topic,
                    "the run has rows with other fields, too", "see `rtdata verify`"};
     }
@@ -106,6 +107,10 @@ ReplaySource::Topic& ReplaySource::topic_of(const RecordedTopic& read_as) {
     if (topic.read_as == &read_as) return topic;
   known_topics_.push_back({&read_as, place_of(read_as).value_or(topics_.size()), {}, 0});
   return known_topics_.back();
+}
+
+bool ReplaySource::is_chosen(std::string_view topic) const {
+  return std::any_of(topics_.begin(), topics_.end(), [&](const auto& known) { return known.first == topic; });
 }
 
 /// Of version 0: any.

@@ -8,6 +8,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -68,6 +69,7 @@ class ReplaySource {
   };
   Result<void> read_rows(ReplayPortion& portion);
   Topic& topic_of(const RecordedTopic& read_as);
+  bool is_chosen(std::string_view topic) const;
   std::optional<std::size_t> place_of(const RecordedTopic& topic) const;
   std::uint32_t origin_of(std::size_t topic, std::string_view name, ReplayPortion& portion);
 
