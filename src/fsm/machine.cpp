@@ -83,7 +83,9 @@ class MachineNode final : public Node {
         config_(std::move(config)),
         feed_(loop, {.name = config_.name, .topic = config_.topic}),
         time_(loop, {.name = object()}, [this] { time_passed(); }),
-        go_on_(loop, {.name = object()}, [this] { take_waiting(); }) {}
+        go_on_(loop, {.name = object()}, [this] { take_waiting(); }) {
+    feed_.set_numbered();  // it makes its events itself
+  }
 
   // Its table
   void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check) {

@@ -20,6 +20,17 @@ const ConfigItem& child_or(const ConfigItem& item, std::string_view key) {
   return child != nullptr ? *child : item;
 }
 
+/// Of a text without mistakes.
+bool is_a_condition(const std::string& when) {
+  return !Expression::available() || Expression(when, rtdata::detail::names_of({when})).is_condition();
+}
+/// The name that is the whole text, which may be that of a flag. None: there is more in it.
+std::optional<std::string> flag_named(const std::string& when) {
+  const std::vector<std::string> names = rtdata::detail::names_of({when});
+  if (names.size() != 1 || Expression::normal_name(names[0]) != Expression::normal_name(when)) return {};
+  return names[0];
+}
+
 /// Looks at one machine; each step only when those before found nothing that it builds on.
 class Checker {
  public:
@@ -94,7 +105,7 @@ class Checker {
     const std::vector<std::string> names = rtdata::detail::names_of({transition.when});
     if (settings_.inputs.empty() && !names.empty())
       return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
-    if (Expression::available() && !Expression(transition.when, names).is_condition())
+    if (!is_a_condition(transition.when) && !flag_named(transition.when))
       add(at, "bad-value", "it is a number, no condition; compare it with something");
   }
   void check_graph() {
@@ -136,8 +147,15 @@ void check_machine_names(const MachineSettings& settings,
   for (std::size_t i = 0; i < settings.transitions.size(); ++i) {
     const std::string& when = settings.transitions[i].when;
     if (when.empty()) continue;
-    rtdata::detail::check_field_names(when, settings.inputs, payload_of,
-                                      child_or(element_of(item, "transitions", i), "when"), problems);
+    const ConfigItem& at = child_or(element_of(item, "transitions", i), "when");
+    rtdata::detail::check_field_names(when, settings.inputs, payload_of, at, problems);
+    const std::optional<std::string> flag = flag_named(when);
+    if (!flag || is_a_condition(when)) continue;
+    const rtdata::detail::FieldName field = rtdata::detail::field_named(settings.inputs, *flag);
+    const Description* const payload = payload_of(settings.inputs[field.topic]);
+    const Leaf* const leaf = payload != nullptr ? rtdata::detail::leaf_named(*payload, field, *flag) : nullptr;
+    if (leaf != nullptr && leaf->kind != Kind::boolean)
+      problems.add(at.problem("bad-value", "it is a number, no condition; compare it with something"));
   }
 }
 

@@ -52,6 +52,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
         lease_(loop, {.name = name()}, [this] { look_at_lease(); }),
         retry_(loop, {.name = name()}, [this] { try_again(); }),
         patience_(loop, {.name = name()}, [this] { miss_answer(); }) {
+    set_numbered();  // it makes its events itself
     if (!config_.on.empty()) input_.emplace(config_);
   }
 

@@ -91,6 +91,13 @@ TEST_SUITE("fsm") {
         unknown[0]);
     CHECK(said_of(machine(a_and_b, go, "pad")).at(0).find("start: there is no state \"pad\" in `states`") !=
           std::string::npos);
+    CHECK(plan_system(standard_registry(),
+                      parse_config("{\"sensors\": [" + load + R"(,
+      {"name": "busy", "type": "limit", "on": "load", "field": "running", "high": 3}],
+      "machines": [{"name": "m", "inputs": ["busy"], "start": "a", "states": [)" +
+                                       a_and_b + R"(], "transitions": [{"from": "a", "to": "b", "when": "is_active"}]}]})",
+                                   "f.json"))
+              .problems.empty());  // a flag is a condition
     const auto says = [](const std::string& item, const std::string& path, const std::string& why) {
       const Lines lines = said_of(item);
       CAPTURE(why);
@@ -111,6 +118,8 @@ TEST_SUITE("fsm") {
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running >"})"), "machines[0].transitions[0].when",
          "it ends where a value is missing");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running"})"), "machines[0].transitions[0].when",
+         "it is a number, no condition; compare it with something");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running + 1"})"), "machines[0].transitions[0].when",
          "it is a number, no condition; compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
          "`for` is how long `when` is true");

@@ -64,6 +64,9 @@ TEST_SUITE("drivers") {
     const auto line = text.find("\"line\": \"GPIO17\"");
     REQUIRE(line != std::string::npos);
     text.replace(line + 8, 8, "\"sim5\"");
+    const auto model = text.find("bme280");
+    REQUIRE(model != std::string::npos);
+    text.replace(model, 6, "bmp280");  // the chip of the bench
     folder.write("greenhouse.json", text);
     const std::string program = rtdata::test::built("rtdata"), path = folder.path() + "/greenhouse.db";
     Process run(folder, program, {"run", "greenhouse.json", "--for", "5s"});

@@ -177,7 +177,10 @@ void CommandDesk::keep(const Words& words, std::string_view by, const CommandOut
   const std::string command = joined(words);
   log_("`" + command + "` by " + std::string(by) + ": " + outcome.text, outcome.done);
   try {
-    if (!record_) record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
+    if (!record_) {
+      record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
+      record_.set_numbered();  // it makes its events itself
+    }
     record_.publish({shortened<240>(command), shortened<60>(by), outcome.done, shortened<240>(outcome.text)});
   } catch (const std::exception& error) {
     log_(std::string("a command is not recorded: ") + error.what(), false);

@@ -5,17 +5,24 @@
 #include "app/control/commands.hpp"
 #include "app/control/instances.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "rtdata/data/problem.hpp"
 
 namespace rtdata::app {
 namespace {
 
 constexpr Duration answer_limit = std::chrono::seconds{10};
 
-bool is_verb(const std::string& word) {
-  return std::any_of(command_help().begin(), command_help().end(), [&](const CommandHelp& one) {
+std::vector<std::string> verbs() {
+  std::vector<std::string> all;
+  for (const CommandHelp& one : command_help()) {
     const std::string words = one.words;
-    return words.substr(0, words.find(' ')) == word;
-  });
+    all.push_back(words.substr(0, words.find(' ')));
+  }
+  return all;
+}
+bool is_verb(const std::string& word) {
+  const std::vector<std::string> all = verbs();
+  return std::find(all.begin(), all.end(), word) != all.end();
 }
 
 }  // namespace
@@ -34,12 +41,15 @@ int ctl(const std::vector<std::string>& given) {
   // The first word may be an instance; one that is called as a command is named by its pid.
   std::vector<std::string> words = given;
   std::string instance;
-  if (words.size() > 1 && !is_verb(words[0])) {
+  if (words.size() > 1 && !is_verb(words[0]) && is_verb(words[1])) {
     instance = words[0];
     words.erase(words.begin());
   }
   if (!is_verb(words[0])) {
-    std::cerr << "rtdata: there is no command \"" << words[0] << "\"\n" << ctl_help() << std::flush;
+    const std::string nearest = nearest_name(words[0], verbs());
+    std::cerr << "rtdata: there is no command \"" << words[0] << "\"";
+    if (!nearest.empty()) std::cerr << "; did you mean \"" << nearest << "\"?";
+    std::cerr << "\n" << ctl_help() << std::flush;
     return exit_configuration;
   }
   int status = exit_good;

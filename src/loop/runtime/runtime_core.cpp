@@ -139,6 +139,7 @@ OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
   if (topic.program_origin == nullptr) {
     const std::string of_tier = hub != nullptr ? "@" + own_loop->config.name : "";
     topic.program_origin = &names.claim("program:" + topic.name + of_tier, topic, OriginCore::Supply::feed);
+    topic.program_origin->counts.lost_is_known = true;  // there is nothing before it that could lose any
   }
   return *topic.program_origin;
 }

@@ -53,6 +53,7 @@ class DerivedNode final : public FeedNode {
   DerivedNode(Loop& loop, const FeedConfig& feed, const DerivedConfig& config,
               const std::shared_ptr<const Description>& description)
       : FeedNode(loop.core(), feed, described_type(description)), age_(config.age), description_(description) {
+    set_numbered();  // it makes its events itself
     const std::vector<DerivedField> fields = fields_of(config);
     std::vector<std::string> texts;
     for (const DerivedField& field : fields) texts.push_back(field.expression);

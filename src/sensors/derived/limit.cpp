@@ -34,7 +34,9 @@ class LimitNode final : public FeedNode {
       : FeedNode(loop.core(), feed, payload_type<Alarm>()),
         config_(config),
         watch_(config.settings()),
-        silence_(loop, [this] { look_for_silence(); }) {}
+        silence_(loop, [this] { look_for_silence(); }) {
+    set_numbered();  // it makes its events itself
+  }
 
   /// Apart, since a subscription may fail.
   void subscribe(Loop& loop) {
