@@ -67,6 +67,38 @@ TEST_SUITE("app") {
     CHECK(has(log, "bus i2c9: address 0x48: "));
   }
 
+  TEST_CASE("NFR-5 top shows an alarm that was raised before it looked, until it is acknowledged") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("air.txt", "3000\n");
+    folder.write("hot.json", R"({"sensors": [
+      {"name": "air", "type": "analog", "file": "air.txt", "rate": "50 Hz", "quantization_bits": 12, "scale": 100},
+      {"name": "overheat", "type": "limit", "on": "air", "field": "value", "high_high": 60, "latched": true}],
+      "sinks": [{"type": "sqlite", "path": "hot.db"}]})");
+    Process run(folder, program, {"run", "hot.json"});
+    REQUIRE(run.wait_for("running hot"));
+    std::string shown;
+    for (int i = 0; i < 100 && !has(shown, "alarm"); ++i) {
+      Process top(folder, program, {"top", "--once"});
+      CHECK(top.end() == 0);
+      shown = top.out;
+    }
+    CAPTURE(shown);
+    CHECK(has(shown, "  ! alarm high_high, not acknowledged: rtdata ctl ack overheat"));
+    CHECK(shown.find("overheat") < shown.find("\nair"));  // what is not well comes first
+    Process ack(folder, program, {"ctl", "ack", "overheat"});
+    CHECK(ack.end() == 0);
+    Process again(folder, program, {"top", "--once"});
+    CHECK(again.end() == 0);
+    CHECK(has(again.out, "  ! alarm high_high, acknowledged"));
+    Process json(folder, program, {"top", "--once", "--json"});
+    CHECK(json.end() == 0);
+    CHECK(has(json.out, R"("value":"high_high at 73.24)"));
+    CHECK(has(json.out, R"("alarm":{"alarm":"high_high","active":true,"acknowledged":true})"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+  }
+
   TEST_CASE("NFR-5 a run answers on its socket how its sensors and sinks do") {
     const RuntimeFolder runtime;
     const Folder folder;

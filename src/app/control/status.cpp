@@ -6,6 +6,7 @@
 #include <array>
 #include <bit>
 #include <cstdio>
+#include <cstring>
 #include <nlohmann/json.hpp>
 
 #include "loop/core/callback_survey.hpp"
@@ -14,6 +15,8 @@
 #include "loop/tier/tier_core.hpp"
 #include "rtdata/data/value.hpp"
 #include "rtdata/fsm/configured.hpp"
+#include "rtdata/outputs/output.hpp"
+#include "rtdata/sensors/limit.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -42,6 +45,23 @@ std::string value_text(const Description& description, const std::byte* payload)
     if (!leaf.unit.empty() && leaf.unit != "1") text += " " + leaf.unit;
   }
   return text;
+}
+
+/// Of an alarm or an output: what matters now, in place of all fields.
+void add_change(Json& json, const Description& description, const std::vector<std::byte>& payload) {
+  const auto named = [&](const char* path) { return short_value(read(*description.find(path), payload.data())); };
+  if (description.same_meaning(*description_of<Alarm>()) && payload.size() == sizeof(Alarm)) {
+    Alarm alarm;
+    std::memcpy(&alarm, payload.data(), sizeof alarm);
+    const std::string name = named("alarm");
+    json["alarm"] = {{"alarm", name}, {"active", alarm.is_active}, {"acknowledged", alarm.acknowledged}};
+    json["value"] = name + (alarm.value ? " at " + short_value(*alarm.value) : "");
+  } else if (description.same_meaning(*description_of<OutputChange>()) && payload.size() == sizeof(OutputChange)) {
+    OutputChange change;
+    std::memcpy(&change, payload.data(), sizeof change);
+    json["value"] = (change.done ? short_value(*change.done) : std::string("not set")) + ", by " +
+                    named("cause");
+  }
 }
 
 std::uint64_t events_of(const SensorCounts& counts) { return counts.has_schedule ? counts.taken : counts.received; }
@@ -99,7 +119,26 @@ StatusSource::StatusSource(Loop& loop, Info info)
     : loop_(loop),
       info_(std::make_shared<const Info>(std::move(info))),
       started_(loop.time()),
-      started_at_(loop.now()) {}
+      started_at_(loop.now()) {
+  keep_changes();
+}
+
+void StatusSource::set(Info info) {
+  info_ = std::make_shared<const Info>(std::move(info));
+  keep_changes();
+}
+
+void StatusSource::keep_changes() {
+  change_subscriptions_.clear();
+  for (const std::string& topic : info_->changes) {
+    change_subscriptions_.push_back(loop_.subscribe(topic, [this](const EventView& event) {
+      auto kept = changes_.find(event.origin());
+      if (kept == changes_.end()) kept = changes_.emplace(event.origin(), std::vector<std::byte>{}).first;
+      kept->second.assign(event.payload().begin(), event.payload().end());
+    }));
+    change_subscriptions_.back().set_name("status");
+  }
+}
 
 std::function<std::string()> StatusSource::answer(std::uint64_t client, std::string_view line) {
   const auto refused = [](std::string why) { return [why = std::move(why)] { return failure(why); }; };
@@ -174,7 +213,9 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
     const Seen& seen = seen_[sensor.name];
     auto lateness = seen.before;
     if (lateness == nullptr && seen.now.total() > 0) lateness = std::make_shared<const TimeCounts>(seen.now);
-    shot->seen.push_back({seen.payload, std::move(lateness)});
+    const auto kept = changes_.find(sensor.name);
+    const bool is_kept = seen.payload.empty() && kept != changes_.end();
+    shot->seen.push_back({is_kept ? kept->second : seen.payload, std::move(lateness)});
   }
   shot->loops = runtime.loops();
   shot->sinks = runtime.sinks();
@@ -259,6 +300,7 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     one["lateness_ns"] = seen.lateness != nullptr ? lateness_json(*seen.lateness) : Json();
     one["health"] = health_json(sensor.health, sensor.reason);
     one["value"] = has_value ? Json(value_text(*description, seen.payload.data())) : Json();
+    if (has_value) add_change(one, *description, seen.payload);
     if (const auto machine = now.machines.find(sensor.name); machine != now.machines.end()) {
       const auto& [state, in_state] = machine->second;
       one["state"] = state;

@@ -37,7 +37,7 @@ class TimeCounts {
 };
 
 /// Answers the requests of the control socket. What it must see of events for that (last values, lateness) it looks at
-/// only while a client asks: an instance without clients pays nothing. On the loop it copies how things stand; the
+/// only while a client asks, but for what changes seldom: an instance without clients pays nothing. On the loop it copies how things stand; the
 /// text is made of that elsewhere. Thread: the loop's.
 class StatusSource {
  public:
@@ -52,11 +52,13 @@ class StatusSource {
       const Bus* bus = nullptr;        ///< if it is one; lives until the next `set`
     };
     std::vector<Part> parts = {};
+    /// Of alarms and outputs, which bring an event only when something changes: the last one is kept from the start.
+    std::vector<std::string> changes = {};
     const Parts* made = nullptr;  ///< where the machines are; null: there are none. Outlives this.
   };
   StatusSource(Loop& loop, Info info);
   /// Another configuration.
-  void set(Info info) { info_ = std::make_shared<const Info>(std::move(info)); }
+  void set(Info info);
 
   /// `{"request":"status"}` gives the status; anything else {"error": why}. What is returned makes the text, one line
   /// without its end, on any thread, also when this object is gone.
@@ -110,6 +112,7 @@ class StatusSource {
   std::shared_ptr<const Snapshot> take();
   void begin_watching();
   void ask_tiers(Snapshot& shot);
+  void keep_changes();
   void take_schedules(const std::vector<SensorStatus>& sensors);
 
   Loop& loop_;
@@ -121,6 +124,8 @@ class StatusSource {
   std::vector<AskedTier> tiers_;
   MonotonicTime turned_{};
   Subscription subscription_;
+  std::map<std::string, std::vector<std::byte>, std::less<>> changes_;  // the last of each origin
+  std::vector<Subscription> change_subscriptions_;
 };
 
 }  // namespace rtdata::app

@@ -50,6 +50,25 @@ void add_health(Lines& lines, const Json& of, std::size_t columns) {
   }
 }
 
+/// Whether it has an alarm, which is said, and how to acknowledge it.
+bool add_alarm(Lines& lines, const Json& of, std::size_t columns) {
+  const auto alarm = of.find("alarm");
+  if (alarm == of.end() || !alarm->is_object()) return false;
+  const bool is_acknowledged = alarm->value("acknowledged", true);
+  if (!alarm->value("active", false) && is_acknowledged) return false;
+  const std::string text = wrapped("  ! alarm " + alarm->value("alarm", "") +
+                                       (is_acknowledged ? ", acknowledged"
+                                                        : ", not acknowledged: rtdata ctl ack " +
+                                                              text_or_dash(of.at("name"))),
+                                   columns);
+  for (std::size_t at = 0; at < text.size();) {
+    const std::size_t end = std::min(text.find('\n', at), text.size());
+    lines.push_back(text.substr(at, end - at));
+    at = end + 1;
+  }
+  return true;
+}
+
 /// A sensor, a sink or a part with what is said of it.
 struct Block {
   Lines lines;
@@ -130,6 +149,7 @@ std::vector<Block> sensors_of(const Json& status, std::string& heading, std::siz
                           (has_unreadable ? right(count_text(unreadable(sensor)), 7) : "") + "  " +
                           (sensor.at("running") == true ? text_or_dash(sensor.at("value")) : "stopped"));
     add_health(block.lines, sensor, columns);
+    const bool has_alarm = add_alarm(block.lines, sensor, columns);
     const auto count = [&](const char* key) {
       const auto value = sensor.find(key);
       return value != sensor.end() && value->is_number() ? value->get<std::uint64_t>() : std::uint64_t{0};
@@ -142,6 +162,7 @@ std::vector<Block> sensors_of(const Json& status, std::string& heading, std::siz
     }
     block.badness = badness_of(
         sensor, count("missed") + count("failed") + count("unreadable") + count("lost") + count("outages"));
+    if (has_alarm) block.badness = std::max(block.badness, 2);
   }
   return blocks;
 }

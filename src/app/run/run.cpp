@@ -149,6 +149,8 @@ class Run {
       for (const PartUse& use : part.uses) users[{use.kind, use.name}].push_back(part.object());
     for (const PartPlan& part : plan.parts) {
       if (part.kind == "machine") info.made = &system.parts();
+      if (part.publishes && (part.kind == "output" || part.type == "limit"))
+        info.changes.push_back(part.publishes->topic);
       if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
       info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}],
                             system.parts().find<Bus>(part.kind, part.name)});
