@@ -251,7 +251,8 @@ bool Field::same_meaning(const Field& other) const noexcept {
 bool is_name(std::string_view text) noexcept { return detail::is_good_name(text); }
 
 Result<std::shared_ptr<const Description>> Description::make(std::string name, std::vector<Field> fields,
-                                                             std::size_t size, std::size_t alignment) {
+                                                             std::size_t size, std::size_t alignment,
+                                                             bool is_of_changes) {
   if (!is_name(name)) {
     return not_usable("record \"" + name + "\"",
                       "a record's name has letters, digits and underscores and starts with no digit", "rename it");
@@ -270,6 +271,7 @@ Result<std::shared_ptr<const Description>> Description::make(std::string name, s
   made->fields_ = std::move(fields);
   made->size_ = size;
   made->alignment_ = alignment;
+  made->is_of_changes_ = is_of_changes;
   if (!add_leaves(made->fields_, 0, "", made->leaves_)) {
     return not_usable("record " + made->name_, "it has more than " + std::to_string(most_leaves) + " values",
                       "use fewer");
@@ -312,7 +314,7 @@ std::vector<std::string> Description::differences(const Description& other) cons
 namespace detail {
 
 std::shared_ptr<const Description> make_description(std::string_view name, const RawField* fields, std::size_t count,
-                                                    std::size_t size, std::size_t alignment) {
+                                                    std::size_t size, std::size_t alignment, bool is_of_changes) {
   std::vector<Field> made(count);
   for (std::size_t i = 0; i < count; ++i) {
     const RawField& raw = fields[i];
@@ -340,7 +342,7 @@ std::shared_ptr<const Description> make_description(std::string_view name, const
     }
     if (raw.record != nullptr) field.fields = raw.record()->fields();
   }
-  return Description::make(std::string(name), std::move(made), size, alignment).or_throw();
+  return Description::make(std::string(name), std::move(made), size, alignment, is_of_changes).or_throw();
 }
 
 }  // namespace detail

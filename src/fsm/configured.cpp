@@ -34,7 +34,8 @@ struct ConfiguredMachine::Core {
 
   void build(const std::vector<std::string>& names);
   void listen();
-  void take(std::size_t input, const EventView& event);
+  void take(std::size_t input, const EventView& event, Time time);
+  void recall();
   void tell_missing(const rtdata::detail::ExpressionSources::Source& source) const;
   void forget_old();
   void evaluate(When& when, Time time);
@@ -43,7 +44,8 @@ struct ConfiguredMachine::Core {
   void tell_silence();
   void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
   bool is_old(const Age& age) const {
-    return !age.has_come || (settings.max_age > Duration{0} && loop.now() - age.came > settings.max_age);
+    const bool is_held = inputs.all()[static_cast<std::size_t>(&age - ages.data())].is_held;
+    return !age.has_come || (!is_held && settings.max_age > Duration{0} && loop.now() - age.came > settings.max_age);
   }
   // Who acts
   void act();
@@ -131,8 +133,9 @@ void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
 
 /// Apart, since a subscription may fail.
 void ConfiguredMachine::Core::listen() {
-  subscriptions = inputs.subscribe(loop, "machine " + settings.name,
-                                   [this](std::size_t input, const EventView& event) { take(input, event); });
+  subscriptions = inputs.subscribe(loop, "machine " + settings.name, [this](std::size_t input, const EventView& event) {
+    take(input, event, event.time());
+  });
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
       report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
@@ -147,7 +150,14 @@ void ConfiguredMachine::Core::listen() {
   }
 }
 
-void ConfiguredMachine::Core::take(std::size_t input, const EventView& event) {
+/// The last of inputs that bring an event only when something changes.
+void ConfiguredMachine::Core::recall() {
+  const std::shared_ptr<Core> kept = self.lock();
+  const Time now = loop.core().runtime.event_time(loop.now());
+  inputs.recall(loop, [&](std::size_t input, const EventView& event) { take(input, event, now); });
+}
+
+void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Time time) {
   if (!machine.is_started()) return;
   Age& age = ages[input];
   const bool was_old = age.has_come && is_old(age);
@@ -160,13 +170,13 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event) {
         rtdata::detail::set_or_unknown(expression, name, value);
   });
   if (is_new) tell_missing(inputs.all()[input]);
-  last_time = event.time();
+  last_time = time;
   forget_old();
   // All of them, since memories take in each event, whichever transitions are tried.
-  for (const std::size_t number : own) evaluate(whens[number], event.time());
+  for (const std::size_t number : own) evaluate(whens[number], time);
   is_evaluated = true;
   const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
-  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), event.time(),
+  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), time,
                       was_old ? detail::Before::stale : detail::Before::fresh);
   is_evaluated = false;
 }
@@ -252,7 +262,7 @@ void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
 
 void ConfiguredMachine::Core::tell_silence() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
-    const bool is_silent = loop.now() - ages[i].came > settings.max_age;
+    const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
     if (!is_silent || std::exchange(ages[i].is_silence_told, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
            ages[i].has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
@@ -266,7 +276,7 @@ void ConfiguredMachine::Core::report(Errc code, const char* what, const std::str
   rtdata::detail::LoopCore& core = loop.core();
   const std::string object = "machine " + settings.name;
   core.call_own("machine", [&] {
-    core.runtime.report(&core, object, {code, what, object + ", " + where, std::move(why), std::move(advice)});
+    core.runtime.report(&core, object, {code, what, where, std::move(why), std::move(advice)});
   });
 }
 
@@ -280,6 +290,7 @@ ConfiguredMachine::ConfiguredMachine(Loop& loop, const MachineSettings& settings
   } else {
     core_->machine.start();
   }
+  core_->recall();
 }
 ConfiguredMachine::ConfiguredMachine(ConfiguredMachine&&) noexcept = default;
 ConfiguredMachine& ConfiguredMachine::operator=(ConfiguredMachine&&) noexcept = default;

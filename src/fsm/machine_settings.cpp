@@ -105,6 +105,10 @@ class Checker {
     const std::vector<std::string> names = rtdata::detail::names_of({transition.when});
     if (settings_.inputs.empty() && !names.empty())
       return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
+    // Of numbers alone, without a function, it is always the same.
+    if (Expression::available() && names.empty() && transition.when.find('(') == std::string::npos &&
+        !Expression(transition.when, names).evaluate(Time{}).is_true())
+      return add(at, "bad-value", "it is never true");
     if (!is_a_condition(transition.when) && !flag_named(transition.when))
       add(at, "bad-value", "it is a number, no condition; compare it with something");
   }

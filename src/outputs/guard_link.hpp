@@ -22,9 +22,10 @@ namespace detail {
 inline constexpr std::size_t most_guarded = 1024;        // outputs
 inline constexpr std::size_t most_guarded_text = 65536;  // bytes of what one is made of
 
-/// Until when the guard waits for the output's loop, in ns of CLOCK_MONOTONIC. A line of cache each.
+/// In ns of CLOCK_MONOTONIC. A line of cache each.
 struct alignas(64) GuardBeat {
-  std::atomic<std::int64_t> until{0};
+  std::atomic<std::int64_t> until{0};  // when the guard does not wait for the output's loop any longer
+  std::atomic<std::int64_t> seen{0};   // when the guard looked at that last, which it does while the output is not safe
 };
 static_assert(std::atomic<std::int64_t>::is_always_lock_free, "two processes share it");
 

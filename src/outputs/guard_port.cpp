@@ -41,6 +41,10 @@ class GuardPort final : public OutputPort {
   void beat(MonotonicTime until) noexcept override {
     if (socket_ >= 0) link_->beats[slot_].until.store(until.time_since_epoch().count(), std::memory_order_release);
   }
+  std::optional<MonotonicTime> guard_seen() const noexcept override {
+    if (socket_ < 0) return {};
+    return MonotonicTime{Duration{link_->beats[slot_].seen.load(std::memory_order_acquire)}};
+  }
   void arm() noexcept override { (void)send({GuardOrder::arm, 0U, 0}); }
   bool is_guarded() const noexcept override { return true; }
 

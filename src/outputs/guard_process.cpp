@@ -28,7 +28,7 @@ constexpr Duration longest_after_end = std::chrono::seconds{10};
 /// One output. Thread: its own.
 class Keeper {
  public:
-  Keeper(int socket, const GuardIntroduction& introduction, const std::atomic<std::int64_t>& beat, MakeActuator make)
+  Keeper(int socket, const GuardIntroduction& introduction, GuardBeat& beat, MakeActuator make)
       : socket_(socket), safe_(introduction.safe), beat_(beat), held_(std::move(make)) {}
 
   /// Until the program has gone, or wants the device back.
@@ -42,6 +42,7 @@ class Keeper {
         most = {static_cast<time_t>(left / 1'000'000'000), static_cast<long>(left % 1'000'000'000)};
       }
       const int ready = ::ppoll(&one, 1, wait ? &most : nullptr, nullptr);
+      beat_.seen.store(now(), std::memory_order_release);
       if (is_due()) be_safe();
       if (ready > 0) receive();
     }
@@ -49,12 +50,12 @@ class Keeper {
   }
 
  private:
-  bool is_due() const noexcept { return is_watching() && now() >= beat_.load(std::memory_order_acquire); }
+  bool is_due() const noexcept { return is_watching() && now() >= beat_.until.load(std::memory_order_acquire); }
   /// Something other than the safe value may be set.
   bool is_watching() const noexcept { return is_open_ && !is_safe_; }
   std::optional<Duration> time_left() const noexcept {
     if (!is_watching()) return {};
-    return has_tripped_ ? retry_period : Duration{beat_.load(std::memory_order_acquire) - now()};
+    return has_tripped_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()};
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
@@ -106,7 +107,7 @@ class Keeper {
 
   const int socket_;
   const double safe_;
-  const std::atomic<std::int64_t>& beat_;
+  GuardBeat& beat_;
   HeldActuator held_;
   bool is_open_ = false;
   bool is_safe_ = true;
@@ -137,7 +138,7 @@ int receive_introduction(int socket, GuardIntroduction& introduction, std::strin
   return received;
 }
 
-void serve(int socket, const GuardBeat* beats, const OutputGuard::Make& make) {
+void serve(int socket, GuardBeat* beats, const OutputGuard::Make& make) {
   std::list<std::thread> threads;
   for (;;) {
     GuardIntroduction introduction;
@@ -146,7 +147,7 @@ void serve(int socket, const GuardBeat* beats, const OutputGuard::Make& make) {
     if (output < 0) break;
     try {
       threads.emplace_back([=, &make] {
-        Keeper(output, introduction, beats[introduction.slot].until, [&make, text] { return make(text); }).run();
+        Keeper(output, introduction, beats[introduction.slot], [&make, text] { return make(text); }).run();
       });
     } catch (const std::exception&) {
       ::close(output);  // by which its output sees that it is not guarded

@@ -1,5 +1,6 @@
 #include "outputs/input.hpp"
 
+#include <cmath>
 #include <utility>
 
 namespace rtdata::detail {
@@ -40,6 +41,10 @@ std::optional<double> OutputInput::evaluate(Time time) {
   const ExpressionResult result = expression_.evaluate(time);
   if (result.has_failed()) why_ = expression_.why();
   if (!result.has_value()) return {};
+  if (!std::isfinite(result.value)) {
+    why_ = "it is no finite number";
+    return {};
+  }
   if (hysteresis_) return hysteresis_->update(result.value) ? 1 : 0;
   if (pid_) return pid_->update(result.value, time);
   return result.value;

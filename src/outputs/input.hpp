@@ -24,6 +24,12 @@ class OutputInput {
   std::vector<Subscription> subscribe(Loop& loop, const std::string& output,
                                       const std::function<void(std::size_t, const EventView&)>& take) const;
   void put(std::size_t topic, const EventView& event);
+  /// The last events of topics that bring one only when something changes, as if they came now.
+  void recall(Loop& loop, const std::function<void(std::size_t, const EventView&)>& take) {
+    sources_.recall(loop, take);
+  }
+  /// The first topic is such a one: it may be silent.
+  bool is_held() const noexcept { return sources_.all().front().is_held; }
   /// As of an event of the first topic. None: it has none now; `why` says why, if it is not just waiting.
   std::optional<double> evaluate(Time time);
   /// Empty: it is waiting, or has a value.

@@ -64,9 +64,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     else
       port_ = make_lane_port(loop, name(), make_, *this);
     if (input_)
-      subscriptions_ = input_->subscribe(loop, name(),
-                                         [this](std::size_t topic, const EventView& event) { take(topic, event); });
+      subscriptions_ = input_->subscribe(
+          loop, name(), [this](std::size_t topic, const EventView& event) { take(topic, event, event.time()); });
     take_device();
+    recall();
     if (!port_->is_guarded()) {
       this->loop()->runtime.log(LogLevel::info, name(),
                                 "no guard holds it: nothing sets its safe value when this program hangs or crashes");
@@ -107,6 +108,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = true;
     has_tripped_ = false;
     record({config_.safe, OutputCause::arm, fitted<48>(by), now()}, value_, "");
+    recall();
     settle();
     return {};
   }
@@ -120,6 +122,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   bool is_armed() const noexcept { return is_armed_; }
+  bool has_ended_unsafe() const noexcept { return has_ended_unsafe_; }
+  bool is_safe() const noexcept { return !is_busy_ && value_ && *value_ == config_.safe; }
   std::optional<double> value() const noexcept { return value_; }
   bool is_guarded() const noexcept { return port_ != nullptr && port_->is_guarded(); }
 
@@ -127,6 +131,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (is_running() || !is_open()) return;
     FeedNode::start();
     take_device();
+    recall();
   }
   void stop() override {
     give_back();
@@ -164,6 +169,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
     if (!opened) throw SetupError(placed(opened.error()));
     is_held_ = true;
+    has_ended_unsafe_ = false;
     is_failing_ = false;
     is_armed_ = config_.armed == Arming::at_start;
     if (!config_.keep) value_ = config_.safe;
@@ -185,6 +191,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       if (next_) record(*next_, {}, "it ends");
       const Result<void> done = port_->finish(config_.keep ? std::nullopt : std::optional(config_.safe));
       if (!done) {
+        has_ended_unsafe_ = !config_.keep;
+        value_.reset();
         record(order, {}, done.error().why);
         complain(placed(done.error()), Health::faulted);
       } else {
@@ -235,10 +243,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!std::exchange(is_busy_, false)) return;
     if (!result) return failed(placed(result.error()));
     value_ = busy_.value;
-    is_failing_ = false;
+    const bool had_failed = std::exchange(is_failing_, false);
     retry_.stop();
     record(busy_, value_, "");
     settle();
+    if (had_failed) recall();
     go_on();
   }
   void go_on() {
@@ -277,7 +286,19 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   // ---- The guard
 
   void beat() {
-    if (port_ != nullptr) port_->beat(now() + config_.watchdog);
+    if (port_ == nullptr) return;
+    port_->beat(now() + config_.watchdog);
+    look_at_guard();
+  }
+  /// It looks at the beat once in a watchdog's time at least, while the output is not safe.
+  void look_at_guard() {
+    const std::optional<MonotonicTime> seen = port_->guard_seen();
+    const bool is_silent = is_held_ && !is_busy_ && value_ && *value_ != config_.safe && seen &&
+                           now() - *seen > 4 * config_.watchdog;
+    if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
+      complain({Errc::timed_out, "nobody would set the output safe", name(), "its guard does not run",
+                "look for what has stopped the process rtdata-guard"},
+               Health::faulted);
   }
   void tripped() override {
     Call call(*this);
@@ -309,17 +330,24 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- What it follows
 
-  void take(std::size_t topic, const EventView& event) {
+  /// Follows at once what holds since before, of topics that bring an event only when something changes.
+  void recall() {
+    if (!input_) return;
+    const Time time = loop()->runtime.event_time(now());
+    input_->recall(loop()->face, [&](std::size_t topic, const EventView& event) { take(topic, event, time); });
+  }
+  void take(std::size_t topic, const EventView& event, Time time) {
     if (!is_held_) return;
     Call call(*this);
     input_->put(topic, event);
     if (topic != 0) return;
-    const std::optional<double> value = input_->evaluate(event.time());
+    heard_ = now();
+    const std::optional<double> value = input_->evaluate(time);
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (!stale_.is_running()) stale_.start(config_.max_age);
+    if (!stale_.is_running() && !input_->is_held()) stale_.start(config_.max_age);
     if (is_armed_ && !is_failing_)
       request({*value, OutputCause::input, fitted<48>(config_.on), now()});
     else
@@ -328,9 +356,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void look_at_age() {
     Call call(*this);
-    if (!is_held_) return;
+    if (!is_held_ || input_->is_held()) return;
     if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
-    go_stale(Errc::timed_out, "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.max_age),
+    const bool is_silent = now() - heard_ >= config_.max_age;
+    go_stale(Errc::timed_out,
+             "the topic \"" + config_.on + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
+                 " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
@@ -385,7 +416,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::optional<double> value_;  // that the device has
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
-  MonotonicTime last_set_{}, last_input_{};
+  MonotonicTime last_set_{}, last_input_{}, heard_{};
   bool is_held_ = false;
   bool is_busy_ = false;
   bool is_armed_ = false;
@@ -394,6 +425,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   bool is_failing_ = false;
   bool has_tripped_ = false;
   bool is_lost_ = false;
+  bool is_guard_silent_ = false;
+  bool has_ended_unsafe_ = false;
 };
 
 }  // namespace detail
@@ -409,7 +442,18 @@ void check_config(const OutputConfig& config, const ConfigItem& item, Problems& 
 void check_output_names(const OutputConfig& config,
                         const std::function<const Description*(std::string_view topic)>& payload_of,
                         const ConfigItem& item, Problems& problems) {
-  if (!config.on.empty()) check_derived_names(detail::derived_of(config), payload_of, item, problems);
+  if (config.on.empty()) return;
+  check_derived_names(detail::derived_of(config), payload_of, item, problems);
+  // It would be set before the change is on the card, from which a machine goes on.
+  for (const std::string& topic : detail::topics_of(config.on, config.with)) {
+    const Description* const payload = payload_of(topic);
+    if (payload == nullptr || payload->name() != "state_change") continue;
+    const ConfigItem* const at = item.find(topic == config.on ? "on" : "with");
+    problems.add((at != nullptr ? *at : item)
+                     .problem("bad-value", "\"" + topic +
+                                               "\" brings the changes of a machine: let its states set this output, "
+                                               "as in {\"name\": \"hot\", \"set\": {\"fan\": 1}}"));
+  }
 }
 
 Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded) {
@@ -459,6 +503,12 @@ Result<void> Output::disarm(std::string_view by) {
 }
 bool Output::is_armed() const noexcept {
   return with(node(), false, [](const detail::OutputNode& output) { return output.is_armed(); });
+}
+bool Output::has_ended_unsafe() const noexcept {
+  return with(node(), false, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });
+}
+bool Output::is_safe() const noexcept {
+  return with(node(), false, [](const detail::OutputNode& output) { return output.is_safe(); });
 }
 std::optional<double> Output::value() const noexcept {
   return with(node(), std::optional<double>{}, [](const detail::OutputNode& output) { return output.value(); });

@@ -51,6 +51,8 @@ class OutputPort {
   virtual Result<void> finish(std::optional<double> value) = 0;
   /// The loop turns: the guard is to wait until then.
   virtual void beat(MonotonicTime) noexcept {}
+  /// When the guard has last shown that it is there, of an output that is not safe. None: there is no guard.
+  virtual std::optional<MonotonicTime> guard_seen() const noexcept { return {}; }
   virtual void arm() noexcept {}
   virtual bool is_guarded() const noexcept { return false; }
 };

@@ -2,6 +2,9 @@
 
 #include <utility>
 
+#include "loop/core/loop_core.hpp"
+#include "loop/events/topic_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "loop/support/deadline.hpp"
 
 namespace rtdata::detail {
@@ -25,9 +28,20 @@ std::vector<Subscription> ExpressionSources::subscribe(
   return made;
 }
 
+void ExpressionSources::recall(Loop& loop,
+                               const std::function<void(std::size_t source, const EventView& event)>& take) {
+  for (std::size_t i = sources_.size(); i-- > 0;) {
+    const TopicCore* const topic = loop.core().runtime.find_topic(sources_[i].topic);
+    if (topic == nullptr || topic->type.description == nullptr) continue;
+    sources_[i].is_held = topic->type.description->is_of_changes();
+    if (const std::optional<EventView> last = topic->last_change()) take(i, *last);
+  }
+}
+
 void ExpressionSources::bind(Source& source, const Description& description) {
   source.description = description.serial();
   source.missing = nullptr;
+  source.is_held = description.is_of_changes();
   for (Field& field : source.fields) {
     field.leaf = leaf_named(description, field.meaning, field.name);
     if (field.leaf == nullptr && source.missing == nullptr) source.missing = &field;
@@ -38,7 +52,7 @@ const ExpressionSources::Source* ExpressionSources::lacking(Time now, Duration a
   for (const Source& source : sources_) {
     if (source.missing != nullptr) return &source;
     if (source.fields.empty() || &source == &sources_.front()) continue;
-    if (!source.has_come || span_between(source.time, now) > age) return &source;
+    if (!source.has_come || (!source.is_held && span_between(source.time, now) > age)) return &source;
   }
   return nullptr;
 }

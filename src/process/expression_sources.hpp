@@ -28,7 +28,8 @@ class ExpressionSources {
     std::uint64_t description = 0;   ///< of which the leaves are; 0: none yet
     const Field* missing = nullptr;  ///< the first field that what it carries does not have
     bool has_come = false;
-    Time time{};  ///< of the last event
+    bool is_held = false;  ///< what came last holds until the next, however old: see `Description::is_of_changes`
+    Time time{};           ///< of the last event
   };
 
   /// `names`: of all expressions, as they were made with.
@@ -37,9 +38,12 @@ class ExpressionSources {
   ExpressionSources& operator=(ExpressionSources&&) = default;
 
   /// `take(source)` is called for each event, of the first topic after those of others of that time.
-  std::vector<Subscription> subscribe(
-      Loop& loop, const std::string& whose,
-      const std::function<void(std::size_t source, const EventView& event)>& take) const;
+  std::vector<Subscription> subscribe(Loop& loop, const std::string& whose,
+                                      const std::function<void(std::size_t source, const EventView& event)>& take) const;
+
+  /// Calls `take(source, event)` with the last event of each topic that is held, the first topic's last. For who begins
+  /// later than that event, which is then as if it came now.
+  void recall(Loop& loop, const std::function<void(std::size_t source, const EventView& event)>& take);
 
   /// Calls `set(index, value)` for each name that is of this source; the value is an optional.
   /// Returns whether what the topic carries is of another description than before.
@@ -54,8 +58,8 @@ class ExpressionSources {
       set(field.index, field.leaf != nullptr ? number_in(*field.leaf, event.payload().data()) : std::nullopt);
     return is_new;
   }
-  /// The first source, of those with names, that does not have them, or (but for the first) has brought nothing within
-  /// `age`. None: null.
+  /// The first source, of those with names, that does not have them, or (but for the first, and those that are held)
+  /// has brought nothing within `age`. None: null.
   const Source* lacking(Time now, Duration age) const noexcept;
   static std::string why(const Source& lacking, Duration age);
 

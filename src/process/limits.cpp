@@ -48,14 +48,26 @@ Result<void> check_limits(const LimitSettings& settings) {
 }
 
 LimitWatch::LimitWatch(const LimitSettings& settings)
-    : limits_{{{settings.high_high, 1, LimitLevel::high_high},
-               {settings.high, 1, LimitLevel::high},
-               {settings.low_low, -1, LimitLevel::low_low},
-               {settings.low, -1, LimitLevel::low}}},
-      hysteresis_(settings.hysteresis),
-      delay_(settings.delay),
-      is_latched_(settings.latched) {
+    : limits_{{{{}, 1, LimitLevel::high_high},
+               {{}, 1, LimitLevel::high},
+               {{}, -1, LimitLevel::low_low},
+               {{}, -1, LimitLevel::low}}} {
+  change(settings);
+}
+
+void LimitWatch::change(const LimitSettings& settings) {
   check_limits(settings).or_throw();
+  const std::optional<double> all[] = {settings.high_high, settings.high, settings.low_low, settings.low};
+  for (std::size_t i = 0; i < limits_.size(); ++i) {
+    limits_[i].at = all[i];
+    if (all[i]) continue;
+    limits_[i].is_passed = false;
+    limits_[i].beyond_since.reset();
+  }
+  hysteresis_ = settings.hysteresis;
+  delay_ = settings.delay;
+  is_latched_ = settings.latched;
+  state_.limit = limit_of(state_.alarm);
 }
 
 bool LimitWatch::take(double value, Time time) noexcept {

@@ -53,7 +53,9 @@ TEST_SUITE("app") {
                "valve is \xc3\xbc"
                "ber"},
               0) == "noted\n");
-    CHECK(ctl({"note", std::string(1000, 'x')}, 0) == "noted\n");
+    CHECK(has(ctl({"note", std::string(1000, 'x')}, 1), "it has 1005 bytes, of 240 at most"));
+    CHECK(has(ctl({"note", "two\nlines"}, 1), "it has a control character"));
+    CHECK(has(ctl({"acknowledge", "alarm"}, 2), "there is no command \"acknowledge\""));
     CHECK(ctl({"ack", "alarm"}, 0) == "the alarm of alarm is acknowledged\n");
     CHECK(ctl({"ack", "alarm"}, 0) == "there is no alarm of alarm to acknowledge\n");
     // What cannot be done is refused with the reason, and changes nothing.
@@ -81,14 +83,14 @@ TEST_SUITE("app") {
       const auto event = nlohmann::json::parse(line);
       if (event.contains("topic") && event["topic"] == rtdata::app::command_topic) commands.push_back(event);
     }
-    REQUIRE(commands.size() == 16);
+    REQUIRE(commands.size() == 17);
     CHECK(has(commands[0].dump(), "rate load 50 Hz"));
     CHECK(has(commands[0].dump(), "uid " + std::to_string(::geteuid()) + ", pid "));
     CHECK(has(commands[4].dump(),
               "note the valve is \xc3\xbc"
               "ber"));
     CHECK(has(commands[5].dump(), "xxx..."));
-    CHECK(has(commands[8].dump(), "sensor load is no limit"));
+    CHECK(has(commands[9].dump(), "sensor load is no limit"));
     CHECK(has(folder.read("rig.log"), "`rate load 50 Hz` by uid"));
     CHECK(Process(folder, program, {"ctl", "note", "x"}).end() == 1);  // nothing runs any more
   }

@@ -51,6 +51,24 @@ TEST_SUITE("outputs") {
     CHECK(d.update(std::numeric_limits<double>::infinity(), at(5s)) == 0);
   }
 
+  TEST_CASE("US-35 Pid: a value so large that the arithmetic overflows costs only itself") {
+    Pid pid({.setpoint = 20, .kp = 0.1, .ki = 0.01, .kd = 0.01, .least = 0, .most = 10});
+    double output = 0;
+    int tick = 0;
+    for (int i = 0; i < 3; ++i) output = pid.update(10, at(++tick * 100ms));
+    const double before = output;
+    CHECK(before > 0.9);
+    for (double huge : {1e308, -1e308}) {
+      CHECK(std::isfinite(pid.update(huge, at(++tick * 100ms))));
+      for (int i = 0; i < 4; ++i) output = pid.update(10, at(++tick * 100ms));
+      CHECK(output == doctest::Approx(before).epsilon(0.1));
+    }
+    Pid first({.setpoint = 20, .kp = 0.1, .kd = 1, .least = 0, .most = 10});
+    CHECK(first.update(-1e308, at(0s)) == 10);
+    for (int i = 1; i < 4; ++i) output = first.update(10, at(i * 100ms));
+    CHECK(output == doctest::Approx(10).epsilon(0.5));
+  }
+
   TEST_CASE("US-35 Pid: the derivative's filter answers a step as a low pass of first order") {
     Pid d({.kd = 1, .least = -100, .most = 100, .derivative_filter = 1s});
     double measured = 0;

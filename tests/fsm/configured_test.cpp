@@ -91,12 +91,13 @@ TEST_SUITE("fsm") {
         unknown[0]);
     CHECK(said_of(machine(a_and_b, go, "pad")).at(0).find("start: there is no state \"pad\" in `states`") !=
           std::string::npos);
-    CHECK(plan_system(standard_registry(),
-                      parse_config("{\"sensors\": [" + load + R"(,
+    CHECK(plan_system(
+              standard_registry(),
+              parse_config("{\"sensors\": [" + load + R"(,
       {"name": "busy", "type": "limit", "on": "load", "field": "running", "high": 3}],
       "machines": [{"name": "m", "inputs": ["busy"], "start": "a", "states": [)" +
-                                       a_and_b + R"(], "transitions": [{"from": "a", "to": "b", "when": "is_active"}]}]})",
-                                   "f.json"))
+                               a_and_b + R"(], "transitions": [{"from": "a", "to": "b", "when": "is_active"}]}]})",
+                           "f.json"))
               .problems.empty());  // a flag is a condition
     const auto says = [](const std::string& item, const std::string& path, const std::string& why) {
       const Lines lines = said_of(item);
@@ -119,6 +120,8 @@ TEST_SUITE("fsm") {
          "it ends where a value is missing");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running"})"), "machines[0].transitions[0].when",
          "it is a number, no condition; compare it with something");
+    says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "false"})"), "machines[0].transitions[0].when",
+         "it is never true");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running + 1"})"), "machines[0].transitions[0].when",
          "it is a number, no condition; compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
@@ -186,7 +189,7 @@ TEST_SUITE("fsm") {
     CHECK(b.give(0).empty());
     CHECK(b.give(0).empty());
     REQUIRE(b.errors.size() == 1);
-    CHECK_MESSAGE(b.errors[0].find("machine m, from a to b: division by zero") != std::string::npos, b.errors[0]);
+    CHECK_MESSAGE(b.errors[0].find("from a to b: division by zero") != std::string::npos, b.errors[0]);
     CHECK(b.machine->raise("abrot").error().text() ==
           "cannot raise event: abrot: no transition of machine m waits for it: did you mean \"abort\"?");
     CHECK(b.machine->raise("abort"));

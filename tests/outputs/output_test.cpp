@@ -13,7 +13,9 @@
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/limit.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;
@@ -95,6 +97,50 @@ TEST_SUITE("outputs") {
     CHECK(b.device.did == Lines{"open 0", "set 1", "set 0.5", "set 0", "gone"});
     CHECK(b.output.set(1).error().code == Errc::closed);
     CHECK(b.errors.empty());
+  }
+
+  TEST_CASE("US-35 an alarm holds until it changes: what follows it is never stale, and has it from its start") {
+    if (!Expression::available()) return;
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"});
+    LimitSensor alarm(b.loop, {.name = "hot"}, {.on = "air", .high = 30, .silence = 0s});
+    const auto give = [&](double temperature) {
+      air.publish({temperature});
+      b.loop.advance(1ms);
+    };
+    give(40);
+    b.make({.safe = 0, .on = "hot", .expression = "is_active", .max_age = 1s});
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 1);  // it was made later than the alarm
+    for (int i = 0; i < 10; ++i) {
+      give(41);
+      b.loop.advance(1s);
+    }
+    CHECK(b.output.value() == 1);
+    CHECK(b.errors.empty());
+    CHECK(b.output.disarm("me").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0);
+    CHECK(b.output.arm("me").has_value());
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 1);
+    give(20);
+    CHECK(b.output.value() == 0);
+    CHECK(b.told() == Lines{"start 0 > 0", "input 1 > 1 by hot", "disarm 0 > 0 by me, disarmed", "arm 0 > 0 by me",
+                            "input 1 > 1 by hot", "input 0 > 0 by hot"});
+    b.output.close();
+
+    // With another topic, whose silence counts.
+    give(40);
+    b.make(
+        {.safe = 0, .on = "air", .with = {"hot"}, .expression = "temperature > 35 and hot.is_active", .max_age = 1s});
+    for (int i = 0; i < 10; ++i) {
+      give(41);
+      b.loop.advance(500ms);
+    }
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1s);
+    CHECK(b.output.value() == 0);
   }
 
   TEST_CASE("US-35 a device that is slow holds no loop: the time it took is told, and only the latest value waits") {

@@ -147,6 +147,24 @@ TEST_CASE("limits: a latched alarm stays until it is acknowledged") {
   CHECK(watch.state().acknowledged);
 }
 
+TEST_CASE("limits: other limits keep the alarm and who has seen it, until the next value") {
+  LimitWatch watch({.high = 30, .high_high = 40, .latched = true});
+  const auto at = [](int ms) { return Time{std::chrono::milliseconds{ms}}; };
+  CHECK(watch.take(45, at(0)));
+  watch.change({.high = 30, .high_high = 50, .latched = true});
+  CHECK(watch.state().alarm == LimitLevel::high_high);
+  CHECK_FALSE(watch.state().acknowledged);
+  CHECK(watch.take(45, at(1)));
+  CHECK(watch.state().level == LimitLevel::high);
+  CHECK(watch.state().alarm == LimitLevel::high_high);  // latched
+  CHECK(watch.acknowledge());
+  watch.change({.high_high = 50});
+  CHECK(watch.take(45, at(2)));
+  CHECK(watch.state().alarm == LimitLevel::normal);
+  CHECK_THROWS_AS(watch.change({}), SetupError);
+  CHECK(watch.state().alarm == LimitLevel::normal);
+}
+
 TEST_CASE("limits: random values against a plain account of each limit") {
   for (unsigned seed = 1; seed <= 50; ++seed) {
     CAPTURE(seed);

@@ -259,8 +259,7 @@ TEST_CASE("FW-5 several topics are replayed by their names, and those beside the
        std::vector<std::vector<std::string>>{{"room/two", "yard"}, {"yard", "room/two"}, {"room/+", "yard"}}) {
     Again again(path);
     std::map<std::string, int> events;
-    const auto heard =
-        again.loop.subscribe("#", [&](const EventView& event) { ++events[std::string(event.topic())]; });
+    const auto heard = again.loop.subscribe("#", [&](const EventView& event) { ++events[std::string(event.topic())]; });
     Replay replay(again.loop, {.file = path, .topics = topics});
     again.finish(replay);
     CHECK(again.errors == "");

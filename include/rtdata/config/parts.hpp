@@ -139,7 +139,11 @@ struct PartPlan {
   using PayloadOf = std::function<const Description*(std::string_view topic)>;
   std::function<void(const PartPlan& part, const PayloadOf& payload_of, Problems& problems)> check_topics = {};
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
-  std::function<PartObject(Loop& loop, const Parts& parts)> make = {};
+  using Make = std::function<PartObject(Loop& loop, const Parts& parts)>;
+  Make make = {};
+  /// Returns what makes it in the place of the one before, of its kind and name, which is closed after this call and
+  /// before it is made: a machine goes on in its state. Empty: as `make`.
+  std::function<Make(const PartObject& before)> make_again = {};
 
   /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
   /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
@@ -188,7 +192,8 @@ class Parts {
   Part& part_named(std::string_view kind, std::string_view name) const;
   [[noreturn]] void refuse_type(std::string_view kind, std::string_view name) const;
   void add(std::unique_ptr<Part> part);
-  void remove(std::string_view kind, std::string_view name);
+  void remove(std::string_view kind, std::string_view name) { take(kind, name); }
+  std::unique_ptr<Part> take(std::string_view kind, std::string_view name);
 
   std::vector<std::unique_ptr<Part>> made_;
   std::map<std::pair<std::string, std::string>, Part*> by_name_;

@@ -119,13 +119,16 @@ class System {
   /// Makes the system what the plan says, in this turn of the loop: closes what is removed or restarted, makes what is
   /// restarted or added, then changes live what can be (config/change.hpp). What is unchanged goes on; handles of parts
   /// that were closed are not valid any more. Closing a sink waits for what it has queued, at most its
-  /// `close_deadline`, and for parts on tiers the tier; ticks that are missed meanwhile are counted. Recordings keep
-  /// the text and the time.
+  /// `close_deadline`, and for parts on tiers the tier; ticks that are missed meanwhile are counted. One that sends
+  /// over a network sends what it has queued afterwards, while the loop turns, beside the one in its place. Recordings
+  /// keep the text and the time.
   ///
   /// Throws before anything is changed: ConfigError, the plan has mistakes; SetupError (busy), something is refused.
   /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot
   /// be, is gone, and named in the error.
   PlanChange apply(const SystemPlan& next);
+  /// Events that sinks had queued which `apply` closed, and could not send in their time.
+  std::uint64_t lost_in_changes() const noexcept { return finishing_->lost; }
 
  private:
   friend class config_detail::PlanApplication;
@@ -140,6 +143,11 @@ class System {
   LogSettings log_;
   std::unique_ptr<config_detail::Neighbours> neighbours_;  // what the parts have taken; null: to be made anew
   Parts parts_;
+  struct Finishing {
+    std::vector<std::unique_ptr<Parts::Part>> sinks;  // that send what they have queued
+    std::uint64_t lost = 0;
+  };
+  std::shared_ptr<Finishing> finishing_ = std::make_shared<Finishing>();
 };
 
 }  // namespace rtdata

@@ -14,7 +14,8 @@
 ///
 /// The time between two updates is that of their `time`, whatever the rate; one that is not after the last counts as no
 /// time. The first update has no integral and no derivative yet. A measured value that is not finite changes nothing:
-/// the last output is returned.
+/// the last output is returned. One so large that the arithmetic overflows counts as such a one, and the next update
+/// goes on from the last output.
 ///
 /// A value; one thread at a time. Takes no memory, throws nothing. Form and anti-windup by clamping: K. J. Astrom,
 /// T. Hagglund, "Advanced PID Control", sections 3.2 to 3.5.
@@ -73,6 +74,10 @@ class Pid {
       rate_ += ((measured - last_measured_) / seconds - rate_) * seconds / (filter + seconds);
     }
     const double fast = config_.kp * error - config_.kd * rate_;
+    if (!std::isfinite(fast) || !std::isfinite(rate_) || !std::isfinite(config_.ki * error * seconds)) {
+      follow(output_);
+      return output_;
+    }
     if (is_following_) {
       integral_ = output_ - fast;
       is_following_ = false;

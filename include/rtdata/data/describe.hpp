@@ -65,6 +65,13 @@ template <class... Fields>
 struct RecordSpec {
   std::string_view name;
   std::tuple<Fields...> fields;
+  bool has_changes = false;
+  /// See `Description::is_of_changes`.
+  constexpr RecordSpec of_changes() const {
+    RecordSpec spec = *this;
+    spec.has_changes = true;
+    return spec;
+  }
 };
 
 /// A named value in the `describe` of an enumeration.
@@ -88,7 +95,7 @@ constexpr FieldSpec<Owner, Member> field(std::string_view name, Member Owner::*m
 template <class... Owners, class... Members>
 constexpr RecordSpec<FieldSpec<Owners, Members>...> record(std::string_view name,
                                                            FieldSpec<Owners, Members>... fields) {
-  return {name, {fields...}};
+  return {name, {fields...}, false};
 }
 
 template <class E>
@@ -161,7 +168,7 @@ struct RawField {
 
 /// Throws SetupError.
 std::shared_ptr<const Description> make_description(std::string_view name, const RawField* fields, std::size_t count,
-                                                    std::size_t size, std::size_t alignment);
+                                                    std::size_t size, std::size_t alignment, bool is_of_changes);
 
 template <class T>
 inline constexpr bool is_optional = false;
@@ -399,12 +406,12 @@ RawField raw_field(const FieldSpec<Owner, Member>& spec) {
 template <class T, class... Fields>
 std::shared_ptr<const Description> describe_type(const RecordSpec<Fields...>& spec) {
   if constexpr (sizeof...(Fields) == 0) {
-    return make_description(spec.name, nullptr, 0, sizeof(T), alignof(T));
+    return make_description(spec.name, nullptr, 0, sizeof(T), alignof(T), spec.has_changes);
   } else {
     return std::apply(
         [&spec](const auto&... field) {
           const RawField raw[] = {raw_field<T>(field)...};
-          return make_description(spec.name, raw, sizeof...(Fields), sizeof(T), alignof(T));
+          return make_description(spec.name, raw, sizeof...(Fields), sizeof(T), alignof(T), spec.has_changes);
         },
         spec.fields);
   }

@@ -102,13 +102,16 @@ class Description {
   /// time, origin, sequence and run are refused. A field of the record itself may be called PATH.name, where PATH is
   /// that of a value or an array of values in it: it was added to that ("pressure.raw"). Errors: bad_description.
   static Result<std::shared_ptr<const Description>> make(std::string name, std::vector<Field> fields, std::size_t size,
-                                                         std::size_t alignment);
+                                                         std::size_t alignment, bool is_of_changes = false);
 
   const std::string& name() const noexcept { return name_; }
   const std::vector<Field>& fields() const noexcept { return fields_; }
   const std::vector<Leaf>& leaves() const noexcept { return leaves_; }
   std::size_t size() const noexcept { return size_; }  ///< bytes of a payload
   std::size_t alignment() const noexcept { return alignment_; }
+  /// An event comes only when something has changed: the last one holds until the next, however old it is. It is kept
+  /// for those that come later. What a recording gives back does not say so.
+  bool is_of_changes() const noexcept { return is_of_changes_; }
 
   Description(const Description&) = delete;  // leaves point into it
   Description& operator=(const Description&) = delete;
@@ -139,6 +142,7 @@ class Description {
   std::vector<Leaf> leaves_;
   std::size_t size_ = 0;
   std::size_t alignment_ = 1;
+  bool is_of_changes_ = false;
   std::uint64_t serial_ = 0;
 };
 

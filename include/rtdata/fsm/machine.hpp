@@ -60,7 +60,8 @@ struct StateChange {
   double lasted = 0;      ///< how long the machine was in `from`
   friend constexpr auto describe(type_tag<StateChange>) {
     return record("state_change", field("from", &StateChange::from), field("to", &StateChange::to),
-                  field("cause", &StateChange::cause), field("lasted", &StateChange::lasted, "s"));
+                  field("cause", &StateChange::cause), field("lasted", &StateChange::lasted, "s"))
+        .of_changes();
   }
 };
 

@@ -90,7 +90,8 @@ struct OutputChange {
     return record("output_change", field("asked", &OutputChange::asked), field("done", &OutputChange::done),
                   field("cause", &OutputChange::cause), field("armed", &OutputChange::armed),
                   field("took", &OutputChange::took, "s"), field("by", &OutputChange::by),
-                  field("why", &OutputChange::why));
+                  field("why", &OutputChange::why))
+        .of_changes();
   }
 };
 
@@ -165,6 +166,10 @@ class Output : public AnySensor {
   Result<void> disarm(std::string_view by);
 
   bool is_armed() const noexcept;
+  /// The device is known to have its safe value.
+  bool is_safe() const noexcept;
+  /// It was stopped, and nobody knows whether its device has the safe value.
+  bool has_ended_unsafe() const noexcept;
   /// What the device has; none: it is not known.
   std::optional<double> value() const noexcept;
   /// A guard holds the device.

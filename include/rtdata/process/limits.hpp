@@ -16,7 +16,7 @@
 /// A value that is unknown (absent, not finite, or because nothing comes) has the level `unknown`. The alarm then stays
 /// what it was, or is `unknown` where there was none: somebody is to look.
 ///
-/// No function allocates, locks or throws, but for the constructor. Values; one thread at a time.
+/// No function allocates, locks or throws, but for the constructor and `change`. Values; one thread at a time.
 #pragma once
 
 #include <array>
@@ -67,6 +67,8 @@ class LimitWatch {
   /// Somebody has seen the alarm. False: there was nothing to acknowledge.
   bool acknowledge() noexcept;
   const LimitState& state() const noexcept { return state_; }
+  /// Other limits: the alarm and its acknowledgement stay until the next value. SetupError: as `check_limits`.
+  void change(const LimitSettings& settings);
   /// As it was made.
   void reset() noexcept;
 
@@ -82,9 +84,9 @@ class LimitWatch {
   std::optional<double> limit_of(LimitLevel level) const noexcept;
 
   std::array<Limit, 4> limits_;  // the worst of each side first
-  double hysteresis_;
-  Duration delay_;
-  bool is_latched_;
+  double hysteresis_ = 0;
+  Duration delay_{0};
+  bool is_latched_ = false;
   LimitState state_;
 };
 

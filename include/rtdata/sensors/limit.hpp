@@ -80,7 +80,8 @@ struct Alarm {
   friend constexpr auto describe(type_tag<Alarm>) {
     return record("alarm", field("level", &Alarm::level), field("alarm", &Alarm::alarm),
                   field("is_active", &Alarm::is_active), field("acknowledged", &Alarm::acknowledged),
-                  field("value", &Alarm::value), field("limit", &Alarm::limit), field("joined", &Alarm::joined));
+                  field("value", &Alarm::value), field("limit", &Alarm::limit), field("joined", &Alarm::joined))
+        .of_changes();
   }
 };
 
@@ -92,6 +93,9 @@ class LimitSensor : public AnySensor {
 
   /// Somebody has seen the alarm, which is published. False: there is nothing to acknowledge.
   bool acknowledge();
+  /// Other limits, delay, latch, silence and joining, from the next event on; the alarm stays as it is until then. What
+  /// it watches (`on`, `field`) stays. SetupError: as the constructor.
+  void change(const LimitConfig& config);
   /// As it is now; normal when it is closed.
   LimitState state() const;
 

@@ -227,6 +227,9 @@ class Sink : public Handle {
   /// Hands over what is queued now; `done` is called on the loop when that is stored and, as far as the writer can see
   /// to it, survives a power cut. When storing fails, it is tried again first; of a sink that is closed, never.
   void sync(Callback<void()> done);
+  /// Takes nothing from here on, and stores what is queued while the loop turns, for `close_deadline` at most; then
+  /// `done` is called with the number of events that were lost, and the sink may be closed, not from within it.
+  void finish(Callback<void(std::uint64_t lost)> done);
 };
 
 }  // namespace rtdata

@@ -80,13 +80,23 @@ std::string arm(System& system, const Words& words, std::string_view by) {
 }
 
 std::string disarm(System& system, const Words& words, std::string_view by) {
-  system.parts().get<Output>("output", words[1]).disarm(by).or_throw();
-  return "output " + words[1] + " is disarmed: it has its safe value";
+  Output& output = system.parts().get<Output>("output", words[1]);
+  output.disarm(by).or_throw();
+  return "output " + words[1] + " is disarmed" +
+         (output.is_safe() ? ": it has its safe value"
+                           : ", and is being set to its safe value; `rtdata top` shows what it has");
 }
 
 std::string raise(System& system, const Words& words, std::string_view) {
-  system.parts().get<fsm::ConfiguredMachine>("machine", words[1]).raise(words[2]).or_throw();
-  return "machine " + words[1] + " has got the event " + words[2];
+  auto& machine = system.parts().get<fsm::ConfiguredMachine>("machine", words[1]);
+  machine.raise(words[2]).or_throw();
+  const std::string state(machine.now().state);
+  const auto& all = machine.settings().transitions;
+  const bool is_awaited = std::any_of(all.begin(), all.end(), [&](const fsm::TransitionSettings& one) {
+    return one.from == state && one.event == words[2];
+  });
+  return "machine " + words[1] + " has got the event " + words[2] +
+         (is_awaited ? "" : "; in the state " + state + " nothing waits for it");
 }
 
 std::string note(System&, const Words&, std::string_view) { return "noted"; }
@@ -106,6 +116,8 @@ const std::vector<Verb>& verbs() {
   };
   return all;
 }
+
+constexpr std::size_t longest_command = 240;
 
 std::string joined(const Words& words) {
   std::string text;
@@ -132,6 +144,13 @@ CommandOutcome act(System& system, const Words& words, std::string_view by) {
   }
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
     return {false, std::string("it is written `") + verb->help.words + "`"};
+  // As it is to be recorded.
+  const std::string all = joined(words);
+  if (all.size() > longest_command)
+    return {false,
+            "it has " + std::to_string(all.size()) + " bytes, of " + std::to_string(longest_command) + " at most"};
+  if (std::any_of(all.begin(), all.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
+    return {false, "it has a control character, such as the end of a line"};
   try {
     return {true, verb->act(system, words, by)};
   } catch (const std::exception& error) {
@@ -181,7 +200,8 @@ void CommandDesk::keep(const Words& words, std::string_view by, const CommandOut
       record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
       record_.set_numbered();  // it makes its events itself
     }
-    record_.publish({shortened<240>(command), shortened<60>(by), outcome.done, shortened<240>(outcome.text)});
+    record_.publish(
+        {shortened<longest_command>(command), shortened<60>(by), outcome.done, shortened<240>(outcome.text)});
   } catch (const std::exception& error) {
     log_(std::string("a command is not recorded: ") + error.what(), false);
   }

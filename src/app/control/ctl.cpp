@@ -65,6 +65,8 @@ int ctl(const std::vector<std::string>& given) {
     return exit_other;
   };
   if (!line) return fail(line.error().text() + "; whether it was done, its log says");
+  if (line->find_first_not_of(" \r\n") == std::string::npos)
+    return fail("it is not done yet; its log says what comes of it");
   const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
   for (const char* key : {"done", "refused", "error", "ended"}) {
     if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;

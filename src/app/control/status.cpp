@@ -59,8 +59,7 @@ void add_change(Json& json, const Description& description, const std::vector<st
   } else if (description.same_meaning(*description_of<OutputChange>()) && payload.size() == sizeof(OutputChange)) {
     OutputChange change;
     std::memcpy(&change, payload.data(), sizeof change);
-    json["value"] = (change.done ? short_value(*change.done) : std::string("not set")) + ", by " +
-                    named("cause");
+    json["value"] = (change.done ? short_value(*change.done) : std::string("not set")) + ", by " + named("cause");
   }
 }
 

@@ -37,8 +37,8 @@ class TimeCounts {
 };
 
 /// Answers the requests of the control socket. What it must see of events for that (last values, lateness) it looks at
-/// only while a client asks, but for what changes seldom: an instance without clients pays nothing. On the loop it copies how things stand; the
-/// text is made of that elsewhere. Thread: the loop's.
+/// only while a client asks, but for what changes seldom: an instance without clients pays nothing. On the loop it
+/// copies how things stand; the text is made of that elsewhere. Thread: the loop's.
 class StatusSource {
  public:
   struct Info {

@@ -56,11 +56,10 @@ bool add_alarm(Lines& lines, const Json& of, std::size_t columns) {
   if (alarm == of.end() || !alarm->is_object()) return false;
   const bool is_acknowledged = alarm->value("acknowledged", true);
   if (!alarm->value("active", false) && is_acknowledged) return false;
-  const std::string text = wrapped("  ! alarm " + alarm->value("alarm", "") +
-                                       (is_acknowledged ? ", acknowledged"
-                                                        : ", not acknowledged: rtdata ctl ack " +
-                                                              text_or_dash(of.at("name"))),
-                                   columns);
+  const std::string text = wrapped(
+      "  ! alarm " + alarm->value("alarm", "") +
+          (is_acknowledged ? ", acknowledged" : ", not acknowledged: rtdata ctl ack " + text_or_dash(of.at("name"))),
+      columns);
   for (std::size_t at = 0; at < text.size();) {
     const std::size_t end = std::min(text.find('\n', at), text.size());
     lines.push_back(text.substr(at, end - at));

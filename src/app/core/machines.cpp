@@ -75,8 +75,24 @@ class OutputSetter {
   std::map<std::string, Output*> outputs_;
 };
 
-PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings) {
+/// Where a machine goes on that a reload makes anew. None: its state is not there any more, which is said.
+std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const fsm::MachineSettings& settings,
+                                                              const fsm::ConfiguredMachine::Now& before,
+                                                              MonotonicTime now) {
+  const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
+                                    [&](const fsm::StateSettings& state) { return state.name == before.state; });
+  if (is_there) return fsm::ConfiguredMachine::Beginning{std::string(before.state), now - before.since, "reloaded"};
+  loop.runtime().core().log(
+      LogLevel::warning, "machine " + settings.name,
+      "it was in " + std::string(before.state) + ", which is no state of it any more: it begins in " + settings.start);
+  return std::nullopt;
+}
+
+/// `before`: the state of the one in whose place it is made.
+PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings,
+                const std::optional<fsm::ConfiguredMachine::Now>& before) {
   std::optional<fsm::ConfiguredMachine::Beginning> beginning;
+  if (before) beginning = after_reload(loop, settings, *before, loop.now());
   fsm::ConfiguredMachine::Sync sync;
   const auto setter = std::make_shared<OutputSetter>(loop, parts, settings);
 #ifdef RTDATA_WITH_SQLITE
@@ -84,8 +100,8 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
     std::string path;
     for (const PartPlan* plan : parts.plans())
       if (plan->kind == "sink" && plan->name == settings.resume->recording) path = plan->stores->path;
-    beginning = resumed(loop, settings, path);
-    if (beginning) setter->arm_again(parts, path);
+    if (!before) beginning = resumed(loop, settings, path);
+    if (!before && beginning) setter->arm_again(parts, path);
     Sink& sink = parts.get<Sink>("sink", settings.resume->recording);
     sync = [&sink](Callback<void()> done) { sink.sync(std::move(done)); };
   }
@@ -139,7 +155,15 @@ void add_machines(Registry& registry) {
                                        Problems& problems) {
           check_machine_names(settings, payload_of, part.item, problems);
         };
-        plan.make = [settings](Loop& loop, const Parts& parts) { return make(loop, parts, settings); };
+        plan.make = [settings](Loop& loop, const Parts& parts) { return make(loop, parts, settings, std::nullopt); };
+        plan.make_again = [settings](const PartObject& object) -> PartPlan::Make {
+          const auto* const machine = object.as<fsm::ConfiguredMachine>();
+          if (machine == nullptr) return {};
+          const auto [state, since] = machine->now();
+          return [settings, state = std::string(state), since = since](Loop& loop, const Parts& parts) {
+            return make(loop, parts, settings, fsm::ConfiguredMachine::Now{state, since});
+          };
+        };
       });
 }
 

@@ -282,6 +282,9 @@ Registry standard_registry() {
         plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
           check_limit_field(config, payload_of, part.item, problems);
         };
+        for (const char* key :
+             {"low_low", "low", "high", "high_high", "hysteresis", "delay", "latched", "silence", "join"})
+          plan.live[key] = [config](const PartObject& part) { part.as<LimitSensor>()->change(config); };
       });
   app::add_machines(registry);
   registry.add_sensor<W1Config>(

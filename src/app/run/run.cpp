@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <future>
 #include <iostream>
+#include <set>
 #include <utility>
 
 #include "app/control/account.hpp"
@@ -14,7 +15,7 @@
 #include "app/run/console.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
-#include "app/run/log_file.hpp"
+#include "app/run/reload.hpp"
 #include "app/run/service.hpp"
 #include "app/run/stop_signals.hpp"
 #include "loop/core/loop_core.hpp"
@@ -23,6 +24,7 @@
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/guard.hpp"
+#include "rtdata/outputs/output.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -85,11 +87,22 @@ class Run {
     note_sinks(plan);
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
+    Reload reload(loop, system, registry_, options_, console_,
+                  {[this] { return is_closing_; },
+                   [&](const SystemPlan& next) {
+                     note_sinks(next);
+                     if (console_.leaves_stdout()) console_.close_view();
+                     status.set(status_info(next, system));
+                   },
+                   guard_ != nullptr});
     signals_.attach(
         loop,
         {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
          [this](const char* signal, std::optional<std::uint64_t> queued) { console_.end_at_once(signal, queued); },
-         [&] { reload(loop, system, status); }});
+         [&] {
+           loop.post(
+               [&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
+         }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }
@@ -98,7 +111,7 @@ class Run {
       console_.say(done ? LogLevel::info : LogLevel::warning, "command", text);
     });
     std::optional<ControlSocket> control;
-    open_control(control, loop, system, status, desk);
+    open_control(control, loop, reload, status, desk);
     tell_start(plan);
 
     console_.open_view(loop);
@@ -123,7 +136,8 @@ class Run {
     const std::string hanging = stop_tiers(plan, system);
     tell_buses(system);
     console_.close_view();
-    const int exit_status = report(runtime, loop.core().runtime.unknown_end);
+    not_stored_ += reload.not_stored();
+    const int exit_status = report(runtime, loop.core().runtime.unknown_end, unsafe_outputs(system));
     if (!hanging.empty()) {
       control.reset();
       leave_behind(hanging);
@@ -138,6 +152,7 @@ class Run {
       if (!part.stores) continue;
       paths_[part.name] = console_.without_secrets(part.stores->path);
       if (part.stores->path == "-") console_.leave_stdout();
+      if (part.stores->is_recording) recordings_.insert(part.name);
       close_deadline_ = std::max(close_deadline_, part.stores->close_deadline);
     }
   }
@@ -158,42 +173,16 @@ class Run {
     return info;
   }
 
-  struct NextPlan {
-    SystemPlan plan;
-    std::string failed;  // empty: there is a plan, perhaps with mistakes
-  };
-  /// Reads and checks the configuration again: on a thread that is not the loop's, so that nothing waits for it.
-  std::shared_ptr<NextPlan> read_again() {
-    auto next = std::make_shared<NextPlan>();
-    try {
-      next->plan = plan_system(registry_, load_config(options_.file));
-      check_log_file(log_file_of(next->plan, options_.log_file), next->plan);
-      if (next->plan.good()) {
-        warn_of_growth(next->plan, growth_span);
-        warn_of_losses(next->plan);
-      }
-    } catch (const std::exception& error) {
-      next->failed = error.what();
-    }
-    return next;
-  }
-
-  /// On the signals' thread.
-  void reload(Loop& loop, System& system, StatusSource& status) {
-    loop.post([this, &runtime = loop.runtime(), &system, &status, next = read_again()] {
-      apply(runtime, system, status, *next, "SIGHUP");
-    });
-  }
-
   /// On the control socket's thread: waits for the loop, but not for ever.
-  CommandOutcome reload_for(Loop& loop, System& system, StatusSource& status, CommandDesk& desk,
-                            const std::vector<std::string>& words, const std::string& by) {
+  static CommandOutcome reload_for(Loop& loop, Reload& reload, CommandDesk& desk, const std::vector<std::string>& words,
+                                   const std::string& by) {
     auto outcome = std::make_shared<std::promise<CommandOutcome>>();
     auto told = outcome->get_future();
-    loop.post([this, &runtime = loop.runtime(), &system, &status, &desk, next = read_again(), outcome, words, by] {
-      const CommandOutcome came = apply(runtime, system, status, *next, "reload");
-      desk.keep(words, by, came);
-      outcome->set_value(came);
+    loop.post([&reload, &desk, next = reload.read_again(), outcome, words, by] {
+      reload.apply(next, "reload", [&desk, outcome, words, by](const CommandOutcome& came) {
+        desk.keep(words, by, came);
+        outcome->set_value(came);
+      });
     });
     if (told.wait_for(reload_patience) == std::future_status::ready) return told.get();
     return {false,
@@ -201,76 +190,22 @@ class Run {
             "comes of it"};
   }
 
-  static std::uint64_t refused_by_sinks(const Runtime& runtime) {
+  /// Outputs of which nobody knows whether they have their safe value: "output heater, output fan".
+  static std::string unsafe_outputs(const System& system) {
+    std::string names;
+    for (const std::string& name : system.parts().names("output")) {
+      const Output* const output = system.parts().find<Output>("output", name);
+      if (output != nullptr && output->has_ended_unsafe()) names += (names.empty() ? "output " : ", output ") + name;
+    }
+    return names;
+  }
+  /// What their disks or files did not take.
+  std::uint64_t refused_by_recordings(const Runtime& runtime) const {
     std::uint64_t refused = 0;
     for (const SinkStatus& sink : runtime.sinks())
-      refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+      if (recordings_.contains(sink.name))
+        refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
     return refused;
-  }
-
-  /// `why`: what asked for it, for the messages.
-  CommandOutcome apply(const Runtime& runtime, System& system, StatusSource& status, const NextPlan& read,
-                       const std::string& why) {
-    const auto conclude = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
-      console_.say(level, "program", why + ": " + text, id);
-      return CommandOutcome{level == LogLevel::info, console_.without_secrets(text)};
-    };
-    if (is_closing_) {
-      CommandOutcome ended = conclude(LogLevel::info, "it ends already; nothing was changed");
-      ended.done = false;
-      return ended;
-    }
-    if (!read.failed.empty()) return conclude(LogLevel::error, "nothing was changed: " + read.failed);
-    const SystemPlan& next = read.plan;
-    console_.add_secrets(next.secrets);
-    std::string details;  // a line each
-    const auto tell_detail = [&](LogLevel level, const std::string& text, std::string_view id = {}) {
-      console_.say(level, "configuration", text, id);
-      details += "\n" + console_.without_secrets(text);
-    };
-    const auto with_details = [&](CommandOutcome outcome) {
-      outcome.text += details;
-      return outcome;
-    };
-    for (const Problem& problem : next.problems) tell_detail(LogLevel::error, problem.text(), problem.id);
-    if (!next.good()) {
-      return with_details(conclude(LogLevel::error, "nothing was changed: " + std::to_string(next.problems.size()) +
-                                                        (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
-                                                        options_.file));
-    }
-    for (const Problem& warning : next.warnings) tell_detail(LogLevel::warning, warning.text(), warning.id);
-    if (guard_ == nullptr && !next.of_kind("output").empty())
-      return with_details(conclude(
-          LogLevel::error, "nothing was changed: the guard of outputs is started with the program: start it again"));
-    const PlanChange change = system.change_to(next);
-    const bool is_refused = change.refused() != 0;
-    if (is_refused) {
-      for (const PartChange& part : change.all)
-        if (part.fate == Fate::refused) tell_detail(LogLevel::error, part.text());
-      return with_details(
-          conclude(LogLevel::error, "nothing was changed: what is refused can be done by starting the program again"));
-    }
-    const std::uint64_t refused_before = refused_by_sinks(runtime);
-    std::string failed, id;
-    try {
-      (void)system.apply(next);
-    } catch (const SetupError& error) {
-      failed = error.what();
-      id = error.error().id();
-    } catch (const std::exception& error) {
-      failed = error.what();
-    }
-    // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
-    not_stored_ += refused_by_sinks(runtime) - refused_before;
-    if (!failed.empty()) return conclude(LogLevel::error, "not applied: " + failed, id);
-    for (const PartChange& part : change.all)
-      if (part.fate != Fate::unchanged) tell_detail(LogLevel::info, part.text());
-    note_sinks(next);
-    if (console_.leaves_stdout()) console_.close_view();
-    status.set(status_info(next, system));
-    return with_details(conclude(LogLevel::info, options_.file + " is applied" +
-                                                     (change.is_empty() ? "; nothing has changed in it" : "") + ": " +
-                                                     counts_text(registry_, next)));
   }
 
   /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
@@ -299,14 +234,14 @@ class Run {
     ::_exit(exit_other);
   }
 
-  void open_control(std::optional<ControlSocket>& control, Loop& loop, System& system, StatusSource& status,
+  void open_control(std::optional<ControlSocket>& control, Loop& loop, Reload& reload, StatusSource& status,
                     CommandDesk& desk) {
     const auto answer = [&, this](std::uint64_t client, std::string_view line) -> ControlSocket::Work {
       const std::vector<std::string> words = command_words(line);
       if (words.empty()) return status.answer(client, line);
       const std::string by = control->peer_of(client);
       if (words == std::vector<std::string>{"reload"})
-        return [&, this, words, by] { return command_answer(reload_for(loop, system, status, desk, words, by)); };
+        return [&, words, by] { return command_answer(reload_for(loop, reload, desk, words, by)); };
       return [outcome = is_closing_ ? CommandOutcome{false, "it ends already"} : desk.run(words, by)] {
         return command_answer(outcome);
       };
@@ -407,18 +342,20 @@ class Run {
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
-  int report(const Runtime& runtime, const std::string& unknown) {
+  int report(const Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
     console_.tell_log_failure();
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
-    const std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
-    const LogLevel level = !balances || not_stored_ > 0        ? LogLevel::error
-                           : has_loss || !account.mute.empty() ? LogLevel::warning
-                                                               : LogLevel::info;
+    std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
+    if (!unsafe.empty()) said += "; NOT known to be safe: " + unsafe;
+    const bool is_all_stored = not_stored_ == 0 && refused_by_recordings(runtime) == 0;
+    const LogLevel level = !balances || !is_all_stored || !unsafe.empty() ? LogLevel::error
+                           : has_loss || !account.mute.empty()            ? LogLevel::warning
+                                                                          : LogLevel::info;
     console_.report(level, account, paths_, said);
     if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
-    return balances && not_stored_ == 0 ? exit_good : exit_other;
+    return balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
   }
 
   /// Of a file with outputs. Before there are threads, and so before the file is checked: one with mistakes has none.
@@ -439,6 +376,7 @@ class Run {
   bool is_closing_ = false;
   Duration close_deadline_{0};
   std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
+  std::set<std::string> recordings_;          // of the sinks
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost

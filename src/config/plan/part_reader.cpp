@@ -54,6 +54,8 @@ void check_topic(const PartPlan& plan, Problems& problems) {
   if (!is_topic_name(topic)) mistake = topic_advice(topic) + "; give the " + plan.kind + " a `topic`, or another name";
   if (topic.starts_with("$"))
     mistake = "topics that begin with $ are the library's own; give the " + plan.kind + " a `topic`";
+  if (topic == "rtdata/commands")
+    mistake = "on this topic the program records commands; give the " + plan.kind + " another `topic` or name";
   if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
 }
 

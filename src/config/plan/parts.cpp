@@ -65,12 +65,13 @@ void Parts::add(std::unique_ptr<Part> part) {
 }
 
 /// The part leaves the list before it goes, since what it does at its end may look at the list.
-void Parts::remove(std::string_view kind, std::string_view name) {
+std::unique_ptr<Parts::Part> Parts::take(std::string_view kind, std::string_view name) {
   const Part& part = part_named(kind, name);
   const auto at = std::find_if(made_.begin(), made_.end(), [&](const auto& made) { return made.get() == &part; });
-  const std::unique_ptr<Part> last = std::move(*at);
+  std::unique_ptr<Part> last = std::move(*at);
   made_.erase(at);
   by_name_.erase({last->plan.kind, last->plan.name});
+  return last;
 }
 
 }  // namespace rtdata

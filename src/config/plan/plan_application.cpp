@@ -6,11 +6,17 @@
 
 #include "config/plan/neighbours.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/sinks/sink.hpp"
 
 namespace rtdata::config_detail {
 namespace {
 
 bool ends(Fate fate) { return fate == Fate::restarted || fate == Fate::removed; }
+/// What it has queued is in memory alone, and another may send at the same time. Not to a broker of MQTT, which knows
+/// clients by their names.
+bool sends_beside_another(const PartPlan& plan) {
+  return plan.stores && plan.stores->is_sender && plan.stores->through.empty() && plan.type != "mqtt";
+}
 bool is_made(Fate fate) { return fate == Fate::restarted || fate == Fate::added; }
 
 }  // namespace
@@ -59,16 +65,52 @@ void PlanApplication::close() {
   for (const PartPlan& plan : closed_) order.push_back(&plan);
   std::stable_partition(order.begin(), order.end(),
                         [&](const PartPlan* plan) { return !plan->stores || is_used(*plan); });
+  keep_what_is_taken_over();
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
-    system_.parts_.remove((*plan)->kind, (*plan)->name);
+    std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
+    if (sends_beside_another(**plan)) finish(std::move(part));
+    part = nullptr;
     closed_at_[(*plan)->object()] = system_.loop_.now();
   }
+}
+
+void PlanApplication::finish(std::unique_ptr<Parts::Part> part) {
+  const auto* const sending = part.get();
+  Sink& sink = *part->object.as<Sink>();
+  system_.finishing_->sinks.push_back(std::move(part));
+  sink.finish([&loop = system_.loop_, all = std::weak_ptr(system_.finishing_), sending](std::uint64_t lost) {
+    const auto finishing = all.lock();
+    if (finishing == nullptr) return;
+    finishing->lost += lost;
+    loop.post([all, sending] {  // not from within it
+      if (const auto still = all.lock())
+        std::erase_if(still->sinks, [&](const auto& one) { return one.get() == sending; });
+    });
+  });
+}
+
+void PlanApplication::keep_what_is_taken_over() {
+  for (const PlannedChange& planned : changes_.parts) {
+    if (planned.now == nullptr || !ends(planned.change.fate)) continue;
+    const PartPlan& now = *planned.now;
+    const PartObject& before = system_.parts_.part_named(now.kind, now.name).object;
+    if (now.make_again) back_[now.object()] = now.make_again(before);
+    if (planned.next != nullptr && planned.next->make_again)
+      again_[planned.next->object()] = planned.next->make_again(before);
+  }
+}
+
+void PlanApplication::make_part(const PartPlan& plan, PartPlan::Make make) {
+  auto part = std::make_unique<Parts::Part>(Parts::Part{plan, {}});
+  if (make) part->plan.make = std::move(make);
+  system_.make(std::move(part));
+  system_.parts_.part_named(plan.kind, plan.name).plan.make = plan.make;
 }
 
 void PlanApplication::make() {
   for (const PlannedChange& planned : changes_.parts) {
     if (!is_made(planned.change.fate)) continue;
-    system_.make(std::make_unique<Parts::Part>(Parts::Part{*planned.next, {}}));
+    make_part(*planned.next, std::move(again_[planned.next->object()]));
     made_.emplace_back(planned.next->kind, planned.next->name);
     report_absence(*planned.next);
   }
@@ -130,7 +172,7 @@ void PlanApplication::undo(Error& error) {
   for (PartPlan& plan : closed_) {
     std::string object = plan.object();
     try {
-      system_.make(std::make_unique<Parts::Part>(Parts::Part{plan, {}}));
+      make_part(plan, std::move(back_[object]));
       report_absence(plan);
     } catch (const SetupError& failed) {
       lost += (lost.empty() ? "" : "; ") + object + " (" + failed.what() + ")";

@@ -24,7 +24,13 @@ class PlanApplication {
  private:
   /// Those that end: what stores, then the others, of each the last one made first.
   void close();
+  /// While there are those before: they say what those that follow take over.
+  void keep_what_is_taken_over();
+  /// Of a sink that sends over a network, which needs a loop that turns.
+  void finish(std::unique_ptr<Parts::Part> part);
   void make();
+  /// By `make` if it is not empty.
+  void make_part(const PartPlan& plan, PartPlan::Make make);
   void change_live();
   /// The plans of all others are those of the next one from here on.
   void settle();
@@ -37,6 +43,8 @@ class PlanApplication {
   const SystemPlan& next_;
   const ComparedPlans& changes_;
   std::map<std::string, MonotonicTime> closed_at_;         // by object
+  std::map<std::string, PartPlan::Make> again_;            // those that are made anew, by object
+  std::map<std::string, PartPlan::Make> back_;             // those that are closed, should they have to be made again
   std::vector<PartPlan> closed_;                           // in the order in which they were made
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
   using Live = std::function<void(const PartObject& part)>;

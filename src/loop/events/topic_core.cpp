@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cstddef>
 #include <cstring>
 #include <new>
 
@@ -31,7 +32,13 @@ TopicCore::TopicCore(RuntimeCore& runtime, std::string name_, PayloadType type_)
       type(std::move(type_)),
       payload_offset(event_payload_offset(type.alignment)),
       runtime_(runtime),
-      is_short_(type.move_construct == nullptr && type.size <= few_bytes) {}
+      is_short_(type.move_construct == nullptr && type.size <= few_bytes) {
+  if (type.description == nullptr || !type.description->is_of_changes() || type.move_construct != nullptr ||
+      type.alignment > alignof(std::max_align_t))
+    return;
+  change_ = std::make_unique<std::byte[]>(payload_offset + type.size);
+  followers_ = Followers::several;
+}
 
 TopicCore::~TopicCore() {
   drop_slots(head_);
@@ -64,7 +71,19 @@ void TopicCore::give_again(OriginCore& origin, Time time, std::uint64_t sequence
   go_on(origin, time, sequence, const_cast<void*>(payload));
 }
 
+void TopicCore::keep_change(const OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) noexcept {
+  ::new (change_.get()) EventHeader{time, sequence, origin.name};
+  std::memcpy(change_.get() + payload_offset, payload, type.size);
+  has_change_ = true;
+}
+
+std::optional<EventView> TopicCore::last_change() const {
+  if (!has_change_) return std::nullopt;
+  return view_of(*this, change_.get());
+}
+
 void TopicCore::hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload) {
+  if (change_ != nullptr) keep_change(origin, time, sequence, payload);
   for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->offer(origin, time, sequence, payload);
   for (Channel* channel : channels_out_) {
     if (Passage* passage = channel->passage_of(origin)) channel->send(*passage, time, sequence, payload);
@@ -94,6 +113,8 @@ void TopicCore::receive(OriginCore& mirror, const Arrival* first, std::size_t co
   };
   mirror.sequence = arrival(count - 1)->sequence;
   mirror.last_time = arrival(count - 1)->time;
+  if (change_ != nullptr)
+    keep_change(mirror, arrival(count - 1)->time, arrival(count - 1)->sequence, arrival(count - 1) + 1);
   for (std::size_t i = 0; i < count && !taps_.empty(); ++i) {
     const Arrival& event = *arrival(i);
     for (std::size_t tap = 0; tap < taps_.size(); ++tap)
@@ -131,7 +152,9 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
 void TopicCore::followers_changed() noexcept {
   const Followers before = followers_;
   const bool is_wanted = !taps_.empty() || !links_.empty() || runtime_.exchange.is_wanted(name);
-  if (taps_.empty() && channels_out_.empty()) {
+  if (change_ != nullptr) {
+    followers_ = Followers::several;
+  } else if (taps_.empty() && channels_out_.empty()) {
     followers_ = links_.empty() ? Followers::none : Followers::handlers;
   } else {
     followers_ = !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;

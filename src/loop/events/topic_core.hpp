@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -95,6 +96,8 @@ class TopicCore final : public DeliveryQueue {
   void followers_changed() noexcept;
   /// To be called when the origin's passage over a channel is made.
   void find_way(OriginCore& origin) noexcept;
+  /// The last event, of payloads that come only when something has changed. None: there was none yet.
+  std::optional<EventView> last_change() const;
   /// Queued deliveries of this origin will not happen.
   void cancel(const OriginCore& origin) noexcept;
   /// To every link.
@@ -145,6 +148,9 @@ class TopicCore final : public DeliveryQueue {
   std::vector<Channel*> channels_in_;
   std::vector<Link> links_;
   std::vector<OriginCore*> origins_;
+  void keep_change(const OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) noexcept;
+  std::unique_ptr<std::byte[]> change_;  // as in a slot, the last; null: of payloads that do not come as changes
+  bool has_change_ = false;
   std::byte* slots_ = nullptr;
   std::vector<std::uint8_t> is_cancelled_;  // by slot; holds for events before `cancelled_until_`
   std::uint64_t cancelled_until_ = 0;

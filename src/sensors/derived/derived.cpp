@@ -68,6 +68,7 @@ class DerivedNode final : public FeedNode {
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
+    recall();
   }
 
   void start() override {
@@ -75,9 +76,17 @@ class DerivedNode final : public FeedNode {
     FeedNode::start();
     for (Output& output : outputs_) output.expression.reset();
     sources_.forget();
+    recall();
   }
 
  private:
+  /// What the topics `with` have, of those that bring an event only when something changes.
+  void recall() {
+    sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
+      if (from != 0) take(from, event);
+    });
+  }
+
   struct Output {
     Expression expression;
     const Leaf* leaf;

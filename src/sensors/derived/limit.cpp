@@ -65,6 +65,14 @@ class LimitNode final : public FeedNode {
     return true;
   }
   const LimitState& state() const noexcept { return watch_.state(); }
+  void change(const LimitConfig& config) {
+    watch_.change(config.settings());
+    const Duration silence = std::exchange(config_.silence, config.silence);
+    config_.join = config.join;
+    if (!is_running() || silence == config.silence) return;
+    silence_.stop();
+    if (config.silence > Duration{0}) silence_.start(config.silence);
+  }
 
  private:
   void begin() {
@@ -133,7 +141,7 @@ class LimitNode final : public FeedNode {
     FeedNode::on_close();
   }
 
-  const LimitConfig config_;
+  LimitConfig config_;
   LimitWatch watch_;
   Subscription subscription_;
   Timer silence_;
@@ -179,6 +187,16 @@ LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {
   auto* const node = new detail::LimitNode(loop, feed, config);
   *this = LimitSensor(node);
   node->subscribe(loop);
+}
+
+void LimitSensor::change(const LimitConfig& config) {
+  check_limits(config.settings()).or_throw();
+  auto* const limit = static_cast<detail::LimitNode*>(node());
+  if (limit == nullptr || !limit->is_open()) return;
+  if (!limit->loop()->runs_elsewhere()) return limit->change(config);
+  limit->loop()->call_there([&] {
+    if (limit->is_open()) limit->change(config);
+  });
 }
 
 bool LimitSensor::acknowledge() {

@@ -279,5 +279,11 @@ void Sink::sync(Callback<void()> done) {
   s->loop()->check_thread("cannot sync", s->name());
   s->sync(std::move(done));
 }
+void Sink::finish(Callback<void(std::uint64_t)> done) {
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return done(0);
+  s->loop()->check_thread("cannot finish", s->name());
+  s->finish(std::move(done));
+}
 
 }  // namespace rtdata

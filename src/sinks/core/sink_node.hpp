@@ -43,6 +43,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   SinkStatus status() const override;
   void drain(MonotonicTime deadline, Callback<void(std::uint64_t)> done) override;
+  /// The same, for its own `close_deadline`.
+  void finish(Callback<void(std::uint64_t)> done) {
+    drain(later(loop()->now(), config_.close_deadline), std::move(done));
+  }
   bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
 

@@ -636,7 +636,7 @@ void ReplayNode::finish(const Result<void>& how) {
   if (std::exchange(has_ref_, false)) loop()->unref();
   tell_end(how && counts_.refused == 0);
   if (!how) own_->begin_absence(Gap::Kind::disconnected, how.error().id(), loop()->now());  // what would have followed
-  if (on_done) on_done(how);  // last: it may close this
+  if (on_done) on_done(how);                                                                // last: it may close this
 }
 
 void ReplayNode::tell_end(bool is_complete) {

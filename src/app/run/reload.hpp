@@ -1,0 +1,76 @@
+// The configuration of a run is read again, and applied while the run goes on.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <set>
+#include <string>
+
+#include "app/control/commands.hpp"
+#include "app/core/configuration_commands.hpp"
+#include "app/run/console.hpp"
+#include "rtdata/config/change.hpp"
+#include "rtdata/config/system.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/timer.hpp"
+
+namespace rtdata::app {
+
+/// Thread: the loop's, unless said otherwise. Gone before the system.
+class Reload {
+ public:
+  struct Run {
+    std::function<bool()> is_ending;
+    std::function<void(const SystemPlan& next)> applied;
+    bool has_guard = false;  ///< the process that sets outputs safe, which is started with the program
+  };
+  struct NextPlan {
+    SystemPlan plan;
+    std::string failed = {};  ///< empty: there is a plan, perhaps with mistakes
+  };
+  using Told = std::function<void(const CommandOutcome&)>;
+
+  Reload(Loop& loop, System& system, const Registry& registry, const RunOptions& options, RunConsole& console, Run run)
+      : loop_(loop), system_(system), registry_(registry), options_(options), console_(console), run_(std::move(run)) {}
+
+  /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
+  std::shared_ptr<const NextPlan> read_again() const;
+  /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the loop
+  /// turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed.
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
+  /// Events of sinks that were closed before they could store them.
+  std::uint64_t not_stored() const noexcept { return not_stored_ + system_.lost_in_changes(); }
+
+ private:
+  /// A change that waits for sinks.
+  struct Waiting {
+    std::set<std::string> sinks = {};
+    Timer patience = {};
+  };
+  /// One that is under way: what is said of it, a line each.
+  struct Change {
+    std::shared_ptr<const NextPlan> read;
+    std::string why;
+    Told told;
+    std::string details = {};
+  };
+  void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
+  void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
+  /// False: it is refused, and concluded.
+  bool may_be_applied(Change& change);
+  /// Those that the change closes and that have something to store; of `patient` ones alone those that may lose it.
+  std::set<std::string> closing_sinks(const SystemPlan& next, bool recordings_alone) const;
+  void apply_now(Change& change);
+
+  Loop& loop_;
+  System& system_;
+  const Registry& registry_;
+  const RunOptions& options_;
+  RunConsole& console_;
+  const Run run_;
+  std::shared_ptr<Waiting> waiting_;  // null: no change waits
+  std::uint64_t not_stored_ = 0;
+};
+
+}  // namespace rtdata::app
