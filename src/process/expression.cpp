@@ -278,13 +278,17 @@ struct Expression::Program {
            node.type == Type::function;
   }
 
+  static bool moves_with_time(ExpressionNode::Memory memory) noexcept {
+    return memory == ExpressionNode::Memory::since || memory == ExpressionNode::Memory::age;
+  }
+
   void add_memory(const ExpressionTree& tree, std::size_t at) {
     const ExpressionNode& node = tree.nodes[at];
     Memory memory;
     memory.type = node.memory;
     memory.column = node.column;
     memory.name = node.text;
-    memory.is_always_new = node.memory == ExpressionNode::Memory::since;
+    memory.is_always_new = moves_with_time(node.memory);
     if (node.children.size() == 2) memory.window = std::make_unique<Window>(seconds(tree, node));
     memory.argument = add(tree, node.children[0]);
     collect(tree, node.children[0], memory);
@@ -297,8 +301,7 @@ struct Expression::Program {
   void collect(const ExpressionTree& tree, std::size_t at, Memory& memory) const {
     const ExpressionNode& node = tree.nodes[at];
     if (node.type == ExpressionNode::Type::name) memory.names.push_back(places[at]);
-    if (node.type == ExpressionNode::Type::memory && node.memory == ExpressionNode::Memory::since)
-      memory.is_always_new = true;
+    if (node.type == ExpressionNode::Type::memory && moves_with_time(node.memory)) memory.is_always_new = true;
     for (const std::size_t child : node.children) collect(tree, child, memory);
   }
 
@@ -500,13 +503,24 @@ struct Expression::Program {
     return {};
   }
 
+  static double seconds_between(Time from, Time to) noexcept {
+    return static_cast<double>(detail::span_between(from, to).count()) * 1e-9;
+  }
+
   /// The result of a memory after one more event.
   Got remember(Memory& memory, std::size_t place, const Got& argument, Time time) noexcept {
-    if (argument.state != State::value) return argument;
-    const bool is_new = memory.is_always_new || !memory.has_value ||
-                        std::any_of(memory.names.begin(), memory.names.end(),
-                                    [this](std::size_t n) { return is_fresh[n] != 0; });
-    if (is_new) take(memory, argument.value, time);
+    const bool is_age = memory.type == ExpressionNode::Memory::age;
+    if (argument.state != State::value && !is_age) return argument;
+    const auto has_come = [&] {
+      return std::any_of(memory.names.begin(), memory.names.end(), [this](std::size_t n) { return is_fresh[n] != 0; });
+    };
+    if (is_age) {
+      const bool is_first = !std::exchange(memory.has_result, true);
+      if (is_first || (argument.state == State::value && has_come())) memory.last_time = time;
+      memory.result = seconds_between(memory.last_time, time);
+    } else if (memory.is_always_new || !memory.has_value || has_come()) {
+      take(memory, argument.value, time);
+    }
     Got got;
     got.at = static_cast<std::uint32_t>(place);
     if (!memory.has_result) return got;
@@ -560,10 +574,17 @@ struct Expression::Program {
           memory.has_result = true;
         }
         memory.was_true = is_true;
-        if (memory.has_result)
-          memory.result = static_cast<double>(detail::span_between(memory.last_time, time).count()) * 1e-9;
+        if (memory.has_result) memory.result = seconds_between(memory.last_time, time);
         break;
       }
+      case Type::integral: {
+        const double before = is_first ? 0 : memory.result;
+        give(before + (is_first ? 0 : (last + value) / 2 * seconds_between(memory.last_time, time)));
+        memory.last_time = time;
+        break;
+      }
+      case Type::age:  // needs no value: see `remember`
+        break;
       case Type::previous:
         if (!is_first) give(last);
         break;

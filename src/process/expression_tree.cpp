@@ -40,8 +40,10 @@ struct MemoryFunction {
   std::size_t arguments;
 };
 constexpr auto memory_functions = std::to_array<MemoryFunction>({
+    {"age", Memory::age, 1},
     {"delta", Memory::delta, 1},
     {"highest", Memory::highest, 1},
+    {"integral", Memory::integral, 1},
     {"lowest", Memory::lowest, 1},
     {"mean", Memory::mean, 2},
     {"previous", Memory::previous, 1},

@@ -24,7 +24,7 @@ struct ExpressionNode {
     choice,  // condition, then, else
     memory,
   };
-  enum class Memory : std::uint8_t { highest, lowest, mean, rate, rate_over, since, previous, delta };
+  enum class Memory : std::uint8_t { age, delta, highest, integral, lowest, mean, previous, rate, rate_over, since };
 
   Type type = Type::number;
   Memory memory{};

@@ -342,6 +342,49 @@ TEST_CASE("a memory takes a value in when a name in its argument was set") {
   CHECK(both.evaluate(start + 3s).value == 0);
 }
 
+TEST_CASE("integral: the area under what came, across gaps") {
+  NEEDS_EXPRESSIONS();
+  Expression area("integral(x)", {"x"});
+  const auto take = [&](Duration at, double x) {
+    area.set(0, x);
+    return area.evaluate(start + at).value;
+  };
+  CHECK(area.evaluate(start).state == State::waiting);
+  CHECK(take(0s, 4) == 0);
+  CHECK(take(1s, 6) == 5);
+  CHECK(area.evaluate(start + 2s).value == 5);  // nothing new
+  CHECK(take(3s, 0) == 11);
+  CHECK(take(3s, 8) == 11);  // at one time
+  CHECK(take(4s, -8) == 11);
+  area.set_unknown(0);
+  CHECK(area.evaluate(start + 5s).state == State::waiting);
+  CHECK(take(6s, -8) == -5);
+  area.reset();
+  CHECK(take(7s, 1) == 0);
+  CHECK(take(8s, 1) == 1);
+}
+
+TEST_CASE("age: seconds since a value came, also of one that never came or fails") {
+  NEEDS_EXPRESSIONS();
+  Expression age("age(x)", {"x"});
+  CHECK(age.evaluate(start).value == 0);
+  CHECK(age.evaluate(start + 2s).value == 2);
+  age.set(0, 5);
+  CHECK(age.evaluate(start + 3s).value == 0);
+  CHECK(age.evaluate(start + 4s).value == 1);
+  age.set_unknown(0);
+  CHECK(age.evaluate(start + 5s).value == 2);
+  age.set(0, std::numeric_limits<double>::quiet_NaN());
+  CHECK(age.evaluate(start + 6s).value == 3);
+  age.set(0, 5);
+  CHECK(age.evaluate(start + 7s).value == 0);
+  age.reset();
+  CHECK(age.evaluate(start + 9s).value == 0);
+  Expression silent("age(x) > 2 or x > 100", {"x"});
+  CHECK_FALSE(silent.evaluate(start).is_true());
+  CHECK(silent.evaluate(start + 3s).is_true());
+}
+
 TEST_CASE("memories within memories") {
   NEEDS_EXPRESSIONS();
   Series steepest("highest(rate(x))");

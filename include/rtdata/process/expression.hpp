@@ -13,6 +13,8 @@
 ///     many seconds
 ///   - previous(x), delta(x): the value before this one; the change since it
 ///   - since(condition): seconds since the condition last became true, which includes that it was true at first
+///   - integral(x): the area under x, in its unit times seconds: straight from each value to the next
+///   - age(x): seconds since x last had a new value; before the first one, since the first event
 /// `seconds` is a constant. Each of them takes a value in when a name in its argument has been `set` since the
 /// evaluation before, whatever `? :`, `and` and `or` around it choose: setting one name says nothing about the others.
 /// Without a new value it gives what it gave before.
@@ -21,8 +23,8 @@
 /// tell yet (`previous(x)` of the first value, `since(c)` before c was ever true). Failed: a number that is not finite
 /// anywhere on the way, even where the result would be finite (1 / (1 / 0)), with a reason. An `and` with a side that
 /// is false is false, and an `or` with one that is true is true, whatever the other side is; `? :` needs only what it
-/// chooses. Otherwise failed wins over waiting. A memory whose argument is waiting or failed is so too, and keeps what
-/// it has.
+/// chooses. Otherwise failed wins over waiting. A memory but `age` whose argument is waiting or failed is so too, and
+/// keeps what it has.
 ///
 /// A name is words joined by dots, with an index where there is one: `altitude`, `imu.x`, `imu.accel[0]`. The "/" of a
 /// topic is written as a dot, since "/" divides: topic "room/climate", field "temperature" is
