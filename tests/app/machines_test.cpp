@@ -112,12 +112,13 @@ TEST_SUITE("app") {
     const Done flown = done(folder, {"replay", "flight.db", "rocket.json", "--speed", "max"});
     CHECK_MESSAGE(flown.status == 0, flown.err);
     const Changes changes = changes_in(folder, "rocket.db", "flight");
-    REQUIRE(changes.to == std::vector<std::string>{"pad", "boost", "coast", "descent", "landed"});
-    CHECK(changes.cause == std::vector<std::string>{"start", "liftoff", "burnout", "apogee", "landing"});
+    REQUIRE(changes.to == std::vector<std::string>{"pad", "boost", "coast", "apogee", "descent", "landed"});
+    CHECK(changes.cause ==
+          std::vector<std::string>{"start", "liftoff", "burnout", "apogee", "the parachute is out", "landing"});
     CHECK(std::abs(changes.at[1] - 10.0) < 0.3);
     CHECK(std::abs(changes.at[2] - 14.0) < 0.5);
     CHECK(std::abs(changes.at[3] - 25.95) < 1);
-    CHECK(std::abs(changes.at[4] - 137.85) < 20);
+    CHECK(std::abs(changes.at[5] - 137.85) < 20);
     CHECK(done(folder, {"verify", "rocket.db"}).status == 0);
     // What was decided is in the recording, and is not decided again.
     CHECK(has(done(folder, {"replay", "rocket.db", "rocket.json"}).err, "records into it"));
