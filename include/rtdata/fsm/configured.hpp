@@ -21,6 +21,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -37,10 +38,16 @@ namespace rtdata::fsm {
 struct StateSettings {
   std::string name;
   bool is_final = false;
+  std::map<std::string, double> set = {};  ///< by the program that makes the machine (ConfiguredMachine::on_state)
+  std::vector<std::string> arm = {};       ///< the same
 
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
         parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::recorded),
+        parameter("set", &StateSettings::set, "outputs, and what they are set to when the machine arrives"),
+        parameter("arm", &StateSettings::arm,
+                  "outputs that can be armed in this state; an output that states name here, in no other",
+                  names_part("output")),
         parameter("final", &StateSettings::is_final, "nothing leads out of it, and that is meant"));
   }
 };

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "app/core/machines.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/fsm/configured.hpp"
 #include "rtdata/outputs/output.hpp"
@@ -71,6 +72,9 @@ std::string set(System& system, const Words& words, std::string_view by) {
 std::string arm(System& system, const Words& words, std::string_view by) {
   Output& output = system.parts().get<Output>("output", words[1]);
   if (output.is_armed()) return "output " + words[1] + " is armed already";
+  if (const auto refused = refuses_arming(system.parts(), words[1]))
+    throw std::invalid_argument("machine " + refused->machine + " is in " + refused->state + ": output " + words[1] +
+                                " can be armed in " + refused->states + " only");
   output.arm(by).or_throw();
   return "output " + words[1] + " is armed";
 }

@@ -4,6 +4,7 @@
 #include "app/core/machines.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/sinks/recording.hpp"
 
 namespace rtdata::app {
@@ -11,6 +12,8 @@ namespace {
 
 using fsm::MachineSettings;
 using Beginning = fsm::ConfiguredMachine::Beginning;
+
+constexpr std::size_t most_runs = 100;  // that are looked at
 
 struct LastKnown {
   std::string state;
@@ -38,7 +41,6 @@ std::optional<Duration> pause_since(const Recording& recording, const RunInfo& r
 }
 
 Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& settings, const std::string& path) {
-  constexpr std::size_t most_runs = 100;
   auto recording = Recording::open(path);
   if (!recording) return std::move(recording).error();
   auto runs = recording->runs();
@@ -104,6 +106,30 @@ std::optional<Beginning> resumed(Loop& loop, const MachineSettings& settings, co
   }
   tell(LogLevel::warning, "it goes on in " + last.state + ", after " + pause);
   return Beginning{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause};
+}
+
+bool was_armed(const std::string& path, const std::string& output, const std::string& topic) {
+  const auto recording = Recording::open(path);
+  const auto runs = recording ? recording->runs() : Result<std::vector<RunInfo>>(recording.error());
+  if (!runs) return false;
+  std::size_t looked_at = 0;
+  for (auto run = runs->rbegin(); run != runs->rend() && looked_at < most_runs; ++run, ++looked_at) {
+    RowFilter filter;
+    filter.topic = topic;
+    filter.run = run->run;
+    filter.origin = output;
+    auto changes = recording->events<OutputChange>(filter);
+    if (!changes) return false;
+    std::optional<bool> is_armed;
+    for (;;) {
+      const auto next = changes->next();
+      if (!next) return false;
+      if (*next == nullptr) break;
+      if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
+    }
+    if (is_armed) return *is_armed;
+  }
+  return false;
 }
 
 }  // namespace rtdata::app

@@ -1,5 +1,14 @@
 #include "app/core/machines.hpp"
 
+#include <algorithm>
+#include <map>
+#include <memory>
+#include <set>
+#include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sinks/sink.hpp"
 
@@ -18,22 +27,93 @@ struct PlacedMachine {
   }
 };
 
+/// What a state does to outputs.
+class OutputSetter {
+ public:
+  OutputSetter(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings)
+      : loop_(loop), settings_(settings), by_("machine " + settings.name) {
+    for (const fsm::StateSettings& state : settings.states) {
+      for (const auto& [name, value] : state.set) outputs_[name] = parts.find<Output>("output", name);
+      for (const std::string& name : state.arm) outputs_[name] = parts.find<Output>("output", name);
+    }
+    std::erase_if(outputs_, [](const auto& output) { return output.second == nullptr; });  // a replay makes none
+  }
+  bool is_needed() const { return !outputs_.empty(); }
+  void arrive(std::string_view name) const {
+    for (const fsm::StateSettings& state : settings_.states) {
+      if (state.name != name) continue;
+      for (const auto& [output, value] : state.set)
+        if (const auto known = outputs_.find(output); known != outputs_.end())
+          tell(output, "set", known->second->set(value, by_));
+    }
+  }
+  /// Those that were armed when the machine paused.
+  void arm_again(const Parts& parts, const std::string& recording) const {
+    for (const PartPlan* plan : parts.plans()) {
+      const auto known = plan->kind == "output" ? outputs_.find(plan->name) : outputs_.end();
+      if (known == outputs_.end() || !is_armed_by_states(plan->name)) continue;
+      if (was_armed(recording, plan->name, plan->publishes->topic))
+        tell(plan->name, "armed", known->second->arm(by_ + ", resumed"));
+    }
+  }
+
+ private:
+  bool is_armed_by_states(const std::string& output) const {
+    return std::any_of(settings_.states.begin(), settings_.states.end(), [&](const fsm::StateSettings& state) {
+      return std::find(state.arm.begin(), state.arm.end(), output) != state.arm.end();
+    });
+  }
+  void tell(const std::string& output, const char* what, const Result<void>& done) const {
+    if (!done)
+      loop_.runtime().core().log(LogLevel::error, by_, "output " + output + " is not " + what + ": " + done.error().why);
+  }
+
+  Loop& loop_;
+  const fsm::MachineSettings settings_;
+  const std::string by_;
+  std::map<std::string, Output*> outputs_;
+};
+
 PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings) {
   std::optional<fsm::ConfiguredMachine::Beginning> beginning;
   fsm::ConfiguredMachine::Sync sync;
+  const auto setter = std::make_shared<OutputSetter>(loop, parts, settings);
 #ifdef RTDATA_WITH_SQLITE
   if (settings.resume) {
+    std::string path;
     for (const PartPlan* plan : parts.plans())
-      if (plan->kind == "sink" && plan->name == settings.resume->recording)
-        beginning = resumed(loop, settings, plan->stores->path);
+      if (plan->kind == "sink" && plan->name == settings.resume->recording) path = plan->stores->path;
+    beginning = resumed(loop, settings, path);
+    if (beginning) setter->arm_again(parts, path);
     Sink& sink = parts.get<Sink>("sink", settings.resume->recording);
     sync = [&sink](Callback<void()> done) { sink.sync(std::move(done)); };
   }
-#else
-  (void)parts;
 #endif
-  return PartObject::made_by<fsm::ConfiguredMachine>(
+  const bool is_at_once = !sync;
+  PartObject made = PartObject::made_by<fsm::ConfiguredMachine>(
       [&] { return fsm::ConfiguredMachine(loop, settings, beginning, std::move(sync)); });
+  if (setter->is_needed()) {
+    auto& machine = *made.as<fsm::ConfiguredMachine>();
+    machine.on_state([setter](std::string_view state) { setter->arrive(state); });
+    if (is_at_once) setter->arrive(machine.now().state);
+  }
+  return made;
+}
+
+/// One machine sets an output, which follows no topic (seen where parts are compared).
+void take_outputs(PartPlan& plan, const fsm::MachineSettings& settings) {
+  const ConfigItem* const states = plan.item.find("states");
+  std::set<std::string> taken;
+  for (std::size_t i = 0; i < settings.states.size(); ++i) {
+    const ConfigItem* const state = states != nullptr && states->is_array() ? states->find(i) : nullptr;
+    const ConfigItem* const set = state != nullptr ? state->find("set") : nullptr;
+    for (const auto& [output, value] : settings.states[i].set) {
+      const ConfigItem* const at = set != nullptr ? set->find(output) : nullptr;
+      plan.uses.push_back({"output", output, {}, at != nullptr ? *at : plan.item});
+      if (taken.insert(output).second)
+        plan.more_places.push_back({"output", output, "one machine sets an output", "", ""});
+    }
+  }
 }
 
 }  // namespace
@@ -52,6 +132,7 @@ void add_machines(Registry& registry) {
                                         description_of<fsm::StateChange>(),
                                         std::nullopt,
                                         {}};
+        take_outputs(plan, settings);
         if (settings.resume) plan.stored_by = settings.resume->recording;
         plan.check_topics = [settings](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
                                        Problems& problems) {
@@ -59,6 +140,23 @@ void add_machines(Registry& registry) {
         };
         plan.make = [settings](Loop& loop, const Parts& parts) { return make(loop, parts, settings); };
       });
+}
+
+std::optional<NotArmedIn> refuses_arming(const Parts& parts, const std::string& output) {
+  for (const std::string& name : parts.names("machine")) {
+    const auto* const machine = parts.find<fsm::ConfiguredMachine>("machine", name);
+    if (machine == nullptr) continue;
+    const std::string now(machine->now().state);
+    std::string states;
+    bool is_possible = false;
+    for (const fsm::StateSettings& state : machine->settings().states) {
+      if (std::find(state.arm.begin(), state.arm.end(), output) == state.arm.end()) continue;
+      states += (states.empty() ? "" : ", ") + state.name;
+      is_possible = is_possible || state.name == now;
+    }
+    if (!states.empty() && !is_possible) return NotArmedIn{name, now, states};
+  }
+  return std::nullopt;
 }
 
 }  // namespace rtdata::app

@@ -17,4 +17,13 @@ void add_machines(Registry& registry);
 std::optional<fsm::ConfiguredMachine::Beginning> resumed(Loop& loop, const fsm::MachineSettings& settings,
                                                          const std::string& path);
 
+/// Whether an output was armed when the last run of a recording that knows it ended. Reads the file.
+bool was_armed(const std::string& recording, const std::string& output, const std::string& topic);
+
+/// The machine in whose present state this output cannot be armed, and that state; nothing: it can be.
+struct NotArmedIn {
+  std::string machine, state, states;
+};
+std::optional<NotArmedIn> refuses_arming(const Parts& parts, const std::string& output);
+
 }  // namespace rtdata::app

@@ -341,6 +341,14 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
                                                      " at a time; give the bus a longer `timeout`"));
       continue;
     }
+    if (use.kind == "output") {
+      const bool follows = !text_or_empty(other->item, "on").empty();
+      if (follows || other->tier() != part.tier())
+        problems.add(use.item.problem("wrong-part", "the output " + name + ", at " + place_of_name(*other) +
+                                                        (follows ? ", follows a topic, and is set by nobody else"
+                                                                 : ", is on another loop; give both the same `tier`")));
+      continue;
+    }
     const bool is_known = other->make != nullptr && !use.types.empty();
     if (!is_known) continue;
     if (std::find(use.types.begin(), use.types.end(), other->type) != use.types.end()) {
