@@ -1,4 +1,5 @@
-/// Flights of rockets as rows of altitude and acceleration, simulated and real, with the times at which things happened.
+/// Flights of rockets as rows of altitude and acceleration, simulated and real, with the times at which things
+/// happened.
 #pragma once
 
 #include <algorithm>
@@ -17,9 +18,9 @@
 namespace rtdata::test {
 
 struct FlightRow {
-  double time = 0;                         // s
-  std::optional<double> altitude = {};     // m, by the barometer
-  std::optional<double> acceleration = {}; // g, along the rocket, as it is felt in it: 1 on the pad
+  double time = 0;                          // s
+  std::optional<double> altitude = {};      // m, by the barometer
+  std::optional<double> acceleration = {};  // g, along the rocket, as it is felt in it: 1 on the pad
 };
 
 struct Flight {
@@ -27,11 +28,12 @@ struct Flight {
   std::vector<FlightRow> rows = {};
   double liftoff = 0;  // s, as it truly was
   double burnout = 0;
+  double fading = 0.5;  // s before it in which drag may already be stronger than the motor
   double apogee = 0;
   double landing = 0;
   double dip_from = 0;  // the pressure near Mach 1, after burnout; both 0: none
   double dip_until = 0;
-  double height = 0;    // m
+  double height = 0;  // m
 
   std::string csv() const {
     std::ostringstream text;
@@ -77,6 +79,7 @@ inline Flight simulated(const Rocket& rocket, std::uint32_t seed = 1) {
   Flight flight{rocket.name};
   flight.liftoff = rocket.pad;
   flight.burnout = rocket.pad + rocket.burn;
+  flight.fading = 0.2 * rocket.burn;
   double height = 0;
   double speed = 0;
   double shown = 0;
@@ -132,14 +135,45 @@ inline Flight simulated(const Rocket& rocket, std::uint32_t seed = 1) {
 /// Rockets that differ in what matters: height, speed, rate, and what their sensors do wrong.
 inline std::vector<Rocket> rockets() {
   return {
-      {.name = "hobby", .thrust = 5.3, .burn = 0.8, .drag = 4e-4, .fall = 5, .fall_below = 5, .rate = 50, .noise = 0.3, .dip = 0},
-      {.name = "low and slow", .thrust = 3.5, .burn = 2.5, .drag = 3e-4, .fall = 6, .rate = 10, .noise = 0.8, .dip = 0, .base = 812},
+      {.name = "hobby",
+       .thrust = 5.3,
+       .burn = 0.8,
+       .drag = 4e-4,
+       .fall = 5,
+       .fall_below = 5,
+       .rate = 50,
+       .noise = 0.3,
+       .dip = 0},
+      {.name = "low and slow",
+       .thrust = 3.5,
+       .burn = 2.5,
+       .drag = 3e-4,
+       .fall = 6,
+       .rate = 10,
+       .noise = 0.8,
+       .dip = 0,
+       .base = 812},
       {.name = "mid", .thrust = 9, .burn = 3, .drag = 3e-4, .rate = 20, .lag = 0.2},
       {.name = "mid, wobbling", .thrust = 9, .burn = 3, .drag = 3e-4, .rate = 37, .noise = 1, .shake = 0.1, .wobble = 1},
       {.name = "transonic", .thrust = 12, .burn = 3.5, .drag = 2e-4, .rate = 37, .noise = 0.8},
       {.name = "supersonic", .thrust = 15, .burn = 5, .drag = 2e-4, .rate = 37, .noise = 1, .lag = 0.1, .bias = 0.05},
-      {.name = "supersonic, coarse", .thrust = 15, .burn = 4, .drag = 3e-4, .rate = 100, .noise = 0.2, .step = 1, .dip = 1500},
-      {.name = "15 km", .thrust = 9, .burn = 10, .drag = 8e-5, .fall = 30, .rate = 50, .noise = 2, .lag = 0.1, .wobble = 0.3},
+      {.name = "supersonic, coarse",
+       .thrust = 15,
+       .burn = 4,
+       .drag = 3e-4,
+       .rate = 100,
+       .noise = 0.2,
+       .step = 1,
+       .dip = 1500},
+      {.name = "15 km",
+       .thrust = 9,
+       .burn = 10,
+       .drag = 8e-5,
+       .fall = 30,
+       .rate = 50,
+       .noise = 2,
+       .lag = 0.1,
+       .wobble = 0.3},
       {.name = "15 km, fast", .thrust = 22, .burn = 5, .drag = 1.2e-4, .fall = 30, .rate = 20, .noise = 2, .base = 1400},
   };
 }
@@ -147,7 +181,9 @@ inline std::vector<Rocket> rockets() {
 /// One of the many that are possible.
 inline Rocket any_rocket(std::uint32_t seed) {
   std::mt19937 random(seed);
-  const auto between = [&](double least, double most) { return std::uniform_real_distribution<double>(least, most)(random); };
+  const auto between = [&](double least, double most) {
+    return std::uniform_real_distribution<double>(least, most)(random);
+  };
   Rocket rocket{.name = "any " + std::to_string(seed)};
   rocket.burn = std::exp(between(std::log(0.7), std::log(9)));
   rocket.thrust = between(4, 16);
@@ -191,9 +227,8 @@ inline Flight barometer_noisy(Flight flight, double metres, std::uint32_t seed) 
 }
 /// No rows for two seconds of each `period`.
 inline Flight with_gaps(Flight flight, double period, double first) {
-  std::erase_if(flight.rows, [&](const FlightRow& row) {
-    return row.time >= first && std::fmod(row.time - first, period) < 2;
-  });
+  std::erase_if(flight.rows,
+                [&](const FlightRow& row) { return row.time >= first && std::fmod(row.time - first, period) < 2; });
   return flight;
 }
 /// An accelerometer of so many g.
@@ -208,9 +243,9 @@ inline Flight accelerometer_stuck(Flight flight, double from, double at) {
   return flight;
 }
 
-/// The flight of ../shared/data/flight, with 10 s on the pad before its first row, which is 0.1 s before 3 g, and a
-/// minute on the ground after its last. None: the folder is not there.
-inline std::optional<Flight> real_flight() {
+/// The flight of ../shared/data/flight, with so many seconds on the pad before its first row, which is 0.1 s before 3
+/// g, and a minute on the ground after its last. None: the folder is not there.
+inline std::optional<Flight> real_flight(double pad = 10) {
   const std::string folder = in_source("../shared/data/flight/");
   const auto column_of = [&](const char* name, int column) {
     std::vector<std::pair<double, double>> values;
@@ -230,7 +265,6 @@ inline std::optional<Flight> real_flight() {
   const auto altitude = column_of("tars_barometer.csv", 3);
   const auto acceleration = column_of("tars_highg_imu.csv", 4);
   if (altitude.empty() || acceleration.empty()) return std::nullopt;
-  constexpr double pad = 10;
   constexpr double period = 0.027;
   Flight flight{"real"};
   const double first = altitude.front().first;

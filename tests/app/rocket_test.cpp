@@ -4,47 +4,19 @@
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
-#include <map>
+#include <sstream>
 #include <string>
 #include <vector>
 
+#include "app/decided.hpp"
 #include "app/flights.hpp"
 #include "app/process.hpp"
 #include "paths.hpp"
 #include "rtdata/process/expression.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/fsm/machine.hpp"
 
-using rtdata::fsm::StateChange;
 using namespace rtdata::test;
 
 namespace {
-
-struct Decided {
-  std::vector<std::string> states;
-  std::map<std::string, double> at;  // s
-  std::map<std::string, std::string> cause;
-};
-
-Decided decided_in(const std::string& recording) {
-  Decided decided;
-  auto file = rtdata::Recording::open(recording).or_throw();
-  auto changes = file.events<StateChange>("flight").or_throw();
-  while (const auto* change = changes.next().or_throw()) {
-    const std::string to((*change)->to);
-    decided.states.push_back(to);
-    decided.at[to] = std::chrono::duration<double>(change->time.time_since_epoch()).count();
-    decided.cause[to] = std::string((*change)->cause);
-  }
-  return decided;
-}
-
-int run(const Folder& folder, std::vector<std::string> arguments, std::string* err = nullptr) {
-  Process process(folder, built("rtdata"), std::move(arguments));
-  const int status = process.end();
-  if (err != nullptr) *err = process.err;
-  return status;
-}
 
 /// What examples/rocket/rocket.json decides of a flight.
 Decided fly(const Flight& flight) {
@@ -74,7 +46,7 @@ void check_whole(const Flight& flight, const Decided& decided) {
   const double apogee = off(decided, "apogee", flight.apogee);
   const double landing = off(decided, "landed", flight.landing);
   CHECK_MESSAGE((liftoff > 0 && liftoff < 0.4), "liftoff " << liftoff);
-  CHECK_MESSAGE((burnout > -1 && burnout < 1), "burnout " << burnout);  // the thrust fades; then drag is stronger
+  CHECK_MESSAGE((burnout > -flight.fading && burnout < 1), "burnout " << burnout);
   CHECK_MESSAGE((apogee > -1 && apogee < 1), "apogee " << apogee);
   CHECK_MESSAGE((landing > 0 && landing < 15), "landing " << landing);
   if (flight.dip_until > 0) CHECK(decided.at.at("apogee") > flight.dip_until);

@@ -65,7 +65,8 @@ class OutputSetter {
   }
   void tell(const std::string& output, const char* what, const Result<void>& done) const {
     if (!done)
-      loop_.runtime().core().log(LogLevel::error, by_, "output " + output + " is not " + what + ": " + done.error().why);
+      loop_.runtime().core().log(LogLevel::error, by_,
+                                 "output " + output + " is not " + what + ": " + done.error().why);
   }
 
   Loop& loop_;

@@ -56,7 +56,8 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
     if (part.kind == "sensor") ++sensors;
     return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier" || part.kind == "output";
   });
-  for (PartPlan& part : plan.parts) std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "tier" || use.kind == "output"; });
+  for (PartPlan& part : plan.parts)
+    std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "tier" || use.kind == "output"; });
   plan.settings.tiers.clear();
   if (sensors > 0) {
     std::cerr << "rtdata: " << sensors << (sensors == 1 ? " sensor" : " sensors") << " of " << options.configuration
