@@ -148,4 +148,34 @@ TEST_SUITE("app") {
       check_apogee(flight, fly(accelerometer_stuck(flight, flight.liftoff + 0.5, 2)), 2, 5, "it falls");
     }
   }
+
+  TEST_CASE("US-40 US-39 rocket in C++: it decides the same flights") {
+    const std::string program = built("examples/example_rocket");
+    if (!std::filesystem::exists(program)) {
+      MESSAGE("skipped: examples are not built");
+      return;
+    }
+    const auto fly_in_cpp = [&](const Flight& flight) {
+      const Folder folder;
+      folder.write("flight.csv", flight.csv());
+      REQUIRE(run(folder, {"import", "flight.csv", "--time", "t", "--topic", "rocket", "--origin", "rocket", "--into",
+                           "flight.db"}) == 0);
+      Process process(folder, program, {"flight.db", "decided.db"});
+      process.end();
+      CHECK(process.err == "");
+      return decided_in(folder.path() + "/decided.db");
+    };
+    for (const Rocket& rocket : rockets()) {
+      const Flight flight = simulated(rocket);
+      check_whole(flight, fly_in_cpp(flight));
+    }
+    for (const Flight& flight : tried()) {
+      const double coast = flight.apogee - flight.burnout;
+      check_whole(flight, fly_in_cpp(flight));
+      check_whole(flight, fly_in_cpp(saturated(flight, 2)));
+      check_apogee(flight, fly_in_cpp(barometer_noisy(flight, 20, 1)), -1, 1, "apogee");
+      check_apogee(flight, fly_in_cpp(barometer_frozen(flight, flight.burnout + coast / 2)), -1 - coast / 8,
+                   1 + coast / 8, "apogee, without a barometer");
+    }
+  }
 }
