@@ -1,5 +1,5 @@
-// The rocket of rocket.json once more, in C++: flown from a recording of its sensors, as fast as it goes. On board, a sensor
-// takes the place of the replay. What the numbers mean: docs/tutorial-rocket.md.
+// The rocket of rocket.json once more, in C++: flown from a recording of its sensors, as fast as it goes. On board, a
+// sensor takes the place of the replay. What the numbers mean: docs/tutorial-rocket.md.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -31,8 +31,8 @@ struct Readings {
 
 double seconds(rtdata::Duration duration) { return std::chrono::duration<double>(duration).count(); }
 
-// The speed now of something that is thrown upwards: the slope of a straight line through its latest altitudes, which is its
-// speed in their middle, less what gravity takes away from there on.
+// The speed now of something that is thrown upwards: the slope of a straight line through its latest altitudes, which
+// is its speed in their middle, less what gravity takes away from there on.
 class Climb {
  public:
   explicit Climb(rtdata::Duration length) : length_(length) {}
@@ -70,7 +70,7 @@ class Climb {
 // What the states look at.
 struct Sensors {
   Climb quick{1s}, slow{4s};
-  double noise = 0;        // m, of the barometer
+  double noise = 0;  // m, of the barometer
   bool is_flying = false;
   double felt_speed = 0;   // m/s, what was felt since liftoff, less gravity
   rtdata::Time changed{};  // when the altitude last did
@@ -119,9 +119,7 @@ class Apogee : public fsm::State {
 class Coast : public fsm::State {
  public:
   explicit Coast(const Sensors& sensors) : sensors_(sensors) {}
-  bool check(const fsm::Moment&) override {
-    return std::max(sensors_.felt_speed, sensors_.quick.speed()) > 5;
-  }
+  bool check(const fsm::Moment&) override { return std::max(sensors_.felt_speed, sensors_.quick.speed()) > 5; }
 
  private:
   const Sensors& sensors_;
@@ -137,7 +135,7 @@ int main(int argc, char** argv) {
   Sensors sensors;
   const auto take = loop.subscribe<Readings>("rocket", [&](const auto& event) { sensors.take(event.time, *event); });
   fsm::Machine flight(loop, {.name = "flight", .start = "pad"});
-  fsm::Input<Readings> rocket(flight, "rocket", 1s);  // behind `take`: the sensors know of a row before the machine does
+  fsm::Input<Readings> rocket(flight, "rocket", 1s);  // behind `take`, which knows of a row first
   const auto falls = [&] { return sensors.quick.is_whole() && sensors.quick.speed() < -15; };
 
   flight.add_state("pad");
@@ -147,29 +145,42 @@ int main(int argc, char** argv) {
   flight.add_state("descent");
   flight.add_state("landed", {.is_final = true});
 
-  flight.add_transition({.from = "pad", .to = "boost", .when = [&] { return rocket->acceleration > 1.8; },
-                         .hold = 100ms, .cause = "liftoff"});
-  flight.add_transition({.from = "boost", .to = "coast",
-                         .when = [&] { return rocket->acceleration < 0.5; }, .hold = 200ms, .cause = "burnout"});
+  flight.add_transition({.from = "pad",
+                         .to = "boost",
+                         .when = [&] { return rocket->acceleration > 1.8; },
+                         .hold = 100ms,
+                         .cause = "liftoff"});
+  flight.add_transition({.from = "boost",
+                         .to = "coast",
+                         .when = [&] { return rocket->acceleration < 0.5; },
+                         .hold = 200ms,
+                         .cause = "burnout"});
   flight.add_transition({.from = "boost", .to = "apogee", .when = falls, .hold = 2s, .cause = "it falls"});
-  flight.add_transition({.from = "coast", .to = "apogee",
-                         .when = [&](const fsm::Moment& moment) {
-                           const Climb& climb = sensors.climb();
-                           return moment.in_state > climb.length() && climb.is_whole() && climb.speed() < 0 &&
-                                  sensors.now - sensors.fast > 1s && sensors.unchanged() < 0.5;
-                         },
+  flight.add_transition({.from = "coast",
+                         .to = "apogee",
+                         .when =
+                             [&](const fsm::Moment& moment) {
+                               const Climb& climb = sensors.climb();
+                               return moment.in_state > climb.length() && climb.is_whole() && climb.speed() < 0 &&
+                                      sensors.now - sensors.fast > 1s && sensors.unchanged() < 0.5;
+                             },
                          .cause = "apogee"});
-  flight.add_transition({.from = "coast", .to = "apogee",
+  flight.add_transition({.from = "coast",
+                         .to = "apogee",
                          .when = [&] { return sensors.felt_speed < 0 && sensors.unchanged() > 2.5; },
                          .cause = "apogee, without a barometer"});
   flight.add_transition({.from = "coast", .to = "apogee", .when = falls, .hold = 2s, .cause = "it falls"});
   flight.add_transition({.from = "apogee", .to = "descent", .after = 2s, .cause = "the parachute is out"});
-  flight.add_transition({.from = "descent", .to = "landed",
-                         .when = [&](const fsm::Moment& moment) {
-        return sensors.slow.is_whole() && std::abs(sensors.slow.speed() + 2 * g) < 2 &&
-               sensors.unchanged() < seconds(moment.in_state);
-      },
-                         .hold = 5s, .after = 10s, .cause = "landing"});
+  flight.add_transition({.from = "descent",
+                         .to = "landed",
+                         .when =
+                             [&](const fsm::Moment& moment) {
+                               return sensors.slow.is_whole() && std::abs(sensors.slow.speed() + 2 * g) < 2 &&
+                                      sensors.unchanged() < seconds(moment.in_state);
+                             },
+                         .hold = 5s,
+                         .after = 10s,
+                         .cause = "landing"});
 
   const auto tell = loop.subscribe<fsm::StateChange>("flight", [](const rtdata::Event<fsm::StateChange>& change) {
     std::printf("%8.2f s  %s: %s\n", seconds(change.time.time_since_epoch()), std::string(change->to).c_str(),
