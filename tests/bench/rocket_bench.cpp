@@ -1,6 +1,6 @@
-// rocket_replay: the whole example of the rocket (examples/rocket) on a flight of two hours on the pad and in the air, as
-// `rtdata replay --speed max` does it in a process of its own: reading, derived topics, machine, and the recording of all
-// of it; beside it a bare select of the rows. As a remark, the seconds of flight a second.
+// rocket_replay: the whole example of the rocket (examples/rocket) on half an hour on the pad and in the air, as
+// `rtdata replay --speed max` does it in a process of its own: reading, derived topics, machine, and the recording of
+// all of it; beside it a bare select of the rows. As a remark, the seconds of flight a second.
 #ifdef RTDATA_BENCH_SQLITE
 #include <fcntl.h>
 #include <spawn.h>
