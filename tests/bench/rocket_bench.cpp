@@ -43,7 +43,9 @@ double run(std::vector<std::string> command, const std::string& folder) {
   int status = -1;
   rusage usage{};
   if (child < 0 || ::wait4(child, &status, 0, &usage) != child || status != 0) return -1;
-  const auto ns = [](const timeval& time) { return static_cast<double>(time.tv_sec) * 1e9 + static_cast<double>(time.tv_usec) * 1e3; };
+  const auto ns = [](const timeval& time) {
+    return static_cast<double>(time.tv_sec) * 1e9 + static_cast<double>(time.tv_usec) * 1e3;
+  };
   return ns(usage.ru_utime) + ns(usage.ru_stime);
 }
 
@@ -99,7 +101,8 @@ void bench_rocket(Report& report) {
   write_flight(folder + "/flight.csv");
   const std::string program = std::filesystem::absolute(report.options().program).string();
   std::error_code ignored;
-  if (run({program, "import", "flight.csv", "--time", "t", "--topic", "rocket", "--origin", "rocket", "--into", "flight.db"},
+  if (run({program, "import", "flight.csv", "--time", "t", "--topic", "rocket", "--origin", "rocket", "--into",
+           "flight.db"},
           folder) < 0) {
     report.remark("rocket_replay: the flight cannot be imported: is " + program + " the program?");
     std::filesystem::remove_all(folder, ignored);
