@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <fstream>
+#include <iomanip>
 #include <numbers>
 #include <optional>
 #include <random>
@@ -37,7 +38,7 @@ struct Flight {
 
   std::string csv() const {
     std::ostringstream text;
-    text.precision(9);
+    text << std::fixed << std::setprecision(3);
     text << "t,altitude [m],acceleration\n";
     for (const FlightRow& row : rows) {
       text << row.time << ',';

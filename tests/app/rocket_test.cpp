@@ -123,6 +123,10 @@ TEST_SUITE("app") {
         check_apogee(flight, frozen, -most, most, without);
         CHECK(frozen.states == up_to_descent);
       }
+      // In the descent, there is nothing to tell it from a rocket that lies still.
+      const double frozen_at = flight.apogee + 20;
+      const double landing = off(fly(barometer_frozen(flight, frozen_at)), "landed", frozen_at);
+      CHECK_MESSAGE((landing > 8 && landing < 15), landing);
       for (const std::uint32_t seed : {1u, 2u}) {
         const Decided noisy = fly(barometer_noisy(flight, 20, seed));
         check_apogee(flight, noisy, -1, 1, "apogee, by a noisy barometer");
@@ -146,6 +150,36 @@ TEST_SUITE("app") {
       check_whole(flight, fly(saturated(flight, 2)));
       // It shows 2 g for ever: no end of the boost is seen, and only that it falls.
       check_apogee(flight, fly(accelerometer_stuck(flight, flight.liftoff + 0.5, 2)), 2, 5, "it falls");
+    }
+  }
+
+  TEST_CASE("US-40 US-39 rocket in C++: it decides the same flights") {
+    const std::string program = built("examples/example_rocket");
+    if (!std::filesystem::exists(program)) {
+      MESSAGE("skipped: examples are not built");
+      return;
+    }
+    const auto fly_in_cpp = [&](const Flight& flight) {
+      const Folder folder;
+      folder.write("flight.csv", flight.csv());
+      REQUIRE(run(folder, {"import", "flight.csv", "--time", "t", "--topic", "rocket", "--origin", "rocket", "--into",
+                           "flight.db"}) == 0);
+      Process process(folder, program, {"flight.db", "decided.db"});
+      process.end();
+      CHECK(process.err == "");
+      return decided_in(folder.path() + "/decided.db");
+    };
+    for (const Rocket& rocket : rockets()) {
+      const Flight flight = simulated(rocket);
+      check_whole(flight, fly_in_cpp(flight));
+    }
+    for (const Flight& flight : tried()) {
+      const double coast = flight.apogee - flight.burnout;
+      check_whole(flight, fly_in_cpp(flight));
+      check_whole(flight, fly_in_cpp(saturated(flight, 2)));
+      check_apogee(flight, fly_in_cpp(barometer_noisy(flight, 20, 1)), -1, 1, "apogee");
+      check_apogee(flight, fly_in_cpp(barometer_frozen(flight, flight.burnout + coast / 2)), -1 - coast / 8,
+                   1 + coast / 8, "apogee, without a barometer");
     }
   }
 }

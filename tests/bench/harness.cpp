@@ -70,7 +70,8 @@ void Report::add(const Figure& figure) {
     std::printf("%-18s %10s %10s  %-14s %7s %7s %7s\n", "figure", "value", "limit", "unit", "ratio", "control",
                 "reach");
   }
-  const char* verdict = !is_conclusive(figure)                ? "inconclusive"
+  const char* verdict = figure.reach == 0                     ? "reported"
+                        : !is_conclusive(figure)              ? "inconclusive"
                         : figure.ratio <= figure.reach + 1e-9 ? "reached"
                                                               : "missed";
   std::printf("%-18s %10s %10s  %-14s %7.3f %7.3f %7.2f  %s%s%s\n", figure.name.c_str(), number(figure.value).c_str(),
@@ -208,6 +209,7 @@ int run(int count, char** arguments) {
   bench_http(report);
   bench_verify(report);
   bench_retrieval(report);
+  bench_rocket(report);
   bench_program(report);
   bench_real_time(report);
   bench_sending(report);

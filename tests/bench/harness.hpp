@@ -14,7 +14,7 @@ namespace bench {
 struct Figure {
   std::string name;
   std::string unit;
-  double reach = 1;    // the ratio aimed at
+  double reach = 1;    // the ratio aimed at; 0: none, it is only reported
   double value = 0;    // median
   double limit = 0;    // median
   double ratio = 1;    // value / limit: 1 is the limit, lower is better
@@ -98,6 +98,7 @@ void bench_export(Report& report);
 void bench_http(Report& report);
 void bench_verify(Report& report);
 void bench_retrieval(Report& report);
+void bench_rocket(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
 void bench_real_time(Report& report);

@@ -3,7 +3,7 @@
 A comment on the line before a code block says what is done with it:
   <!-- test: configuration [TYPE...] -->   `rtdata check` finds no mistake in it; skipped where the program has no such type
   <!-- test: compile -->         it compiles
-  <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program
+  <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program and EXAMPLES
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
@@ -85,7 +85,7 @@ def check_blocks(source, build, compiler, program):
                     if done.returncode != 0 or not done.stdout:
                         problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
                 else:
-                    environment = dict(os.environ, PATH=f"{build}:{os.environ['PATH']}")
+                    environment = dict(os.environ, PATH=f"{build}:{os.environ['PATH']}", EXAMPLES=str(source / "examples"))
                     done = run(["sh", "-euc", block["text"]], cwd=folder, env=environment)
                     if done.returncode != 0:
                         problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)

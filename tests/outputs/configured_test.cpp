@@ -20,7 +20,9 @@
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/fsm/configured.hpp"
 #include "rtdata/outputs/guard.hpp"
+#include "rtdata/process/expression.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -133,6 +135,70 @@ TEST_SUITE("outputs") {
     const std::string both = R"({"sensors": [{"name": "b", "type": "edge", "line": "A"}],
         "outputs": [{"name": "x", "type": "gpio", "line": "A"}]})";
     CHECK(plan_system(standard_registry(), parse_config(both, "f.json")).problems.size() == 1);
+  }
+
+  TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {
+    const auto is_refused_with = [](const std::string& states, const std::string& more, const std::string& why) {
+      const std::string text = "{" + std::string(load) + R"(, "tiers": {"fast": {}},
+        "outputs": [{"name": "fan", "type": "pwm"}, {"name": "far", "type": "pwm", "channel": 1, "tier": "fast"},
+          {"name": "own", "type": "pwm", "channel": 2, "on": "load", "expression": "minutes_1 > 2"}],
+        "machines": [{"name": "m", "start": "a", "states": [)" +
+                               states + R"(]})" + more + "]}";
+      const SystemPlan plan = plan_system(standard_registry(), parse_config(text, "f.json"));
+      CAPTURE(plan.report());
+      return why.empty() ? plan.good() : plan.problems.size() == 1 && plan.report().find(why) != std::string::npos;
+    };
+    if (!Expression::available()) return;
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}], "arm": ["fan"]})", "",
+                          ""));
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "fam", "value": 1}]})", "",
+                          "did you mean \"fan\"?"));
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "arm": ["fam"]})", "", "did you mean \"fan\"?"));
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "fan", "value": "on"}]})", "", "number"));
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "own", "value": 1}]})", "",
+                          "follows a topic, and is set by nobody else"));
+    CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "far", "value": 1}]})", "",
+                          "is on another loop"));
+    CHECK(is_refused_with(
+        R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}]})",
+        R"(, {"name": "n", "start": "a", "states": [{"name": "a", "final": true, "set": [{"output": "fan", "value": 0}]}]})",
+        "machine m, at f.json:4:22, has the output fan already; one machine sets an output"));
+  }
+
+  TEST_CASE("US-35 US-41 a state sets outputs when the machine arrives, also in its start; who is disarmed is told") {
+    if (!Expression::available()) return;
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const SystemPlan plan = plan_system(devices.registry, parse_config("{" + std::string(load) + R"(, "outputs": [
+        {"name": "a", "type": "memory", "device": "A"}, {"name": "b", "type": "memory", "device": "B", "armed": "by command"}],
+        "machines": [{"name": "m", "start": "one",
+          "states": [{"name": "one", "set": [{"output": "a", "value": 2}], "arm": ["b"]}, {"name": "two", "set": [{"output": "a", "value": 3}, {"output": "b"}]}],
+          "transitions": [{"from": "one", "to": "two", "event": "go"}, {"from": "two", "to": "one", "event": "back"}]}]})",
+                                                                       "f.json"));
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    std::vector<std::string> changes;
+    const auto listen = loop.subscribe<OutputChange>("b", [&](const auto& change) {
+      changes.push_back(std::string(change->by) + (change->done ? ": done" : ": " + std::string(change->why)));
+    });
+    System system(loop, devices.registry, plan);
+    loop.advance(1ms);
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 2"});
+    auto& machine = system.parts().get<fsm::ConfiguredMachine>("machine", "m");
+    Output& b = system.parts().get<Output>("output", "b");
+    changes.clear();
+    machine.raise("go").or_throw();
+    loop.advance(1ms);
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 2", "set 3"});
+    CHECK(devices.all["B"].did == Lines{"open 0"});
+    REQUIRE(changes.size() == 1);
+    CHECK(changes[0].starts_with("machine m: it is disarmed"));
+    machine.raise("back").or_throw();
+    b.arm("test").or_throw();
+    machine.raise("go").or_throw();
+    loop.advance(1ms);
+    CHECK(devices.all["B"].did == Lines{"open 0", "set 1"});
+    CHECK(changes.back() == "machine m: done");
   }
 
   TEST_CASE("US-35 an output of a configuration follows its sensor; a reload leaves it untouched or makes it anew") {

@@ -35,16 +35,27 @@
 
 namespace rtdata::fsm {
 
+/// What a state sets. By the program that makes the machine (ConfiguredMachine::on_state).
+struct OutputValue {
+  std::string output;
+  double value = 1;
+
+  friend constexpr auto parameters(type_tag<OutputValue>) {
+    return parameter_list(parameter("output", &OutputValue::output, "which output", required, names_part("output")),
+                          parameter("value", &OutputValue::value, "what it is set to; of a line 1 is on, 0 off"));
+  }
+};
+
 struct StateSettings {
   std::string name;
   bool is_final = false;
-  std::map<std::string, double> set = {};  ///< by the program that makes the machine (ConfiguredMachine::on_state)
-  std::vector<std::string> arm = {};       ///< the same
+  std::vector<OutputValue> set = {};
+  std::vector<std::string> arm = {};
 
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
         parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::recorded),
-        parameter("set", &StateSettings::set, "outputs, and what they are set to when the machine arrives"),
+        parameter("set", &StateSettings::set, "what outputs are set to when the machine arrives"),
         parameter("arm", &StateSettings::arm,
                   "outputs that can be armed in this state; an output that states name here, in no other",
                   names_part("output")),

@@ -33,7 +33,7 @@ class OutputSetter {
   OutputSetter(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings)
       : loop_(loop), settings_(settings), by_("machine " + settings.name) {
     for (const fsm::StateSettings& state : settings.states) {
-      for (const auto& [name, value] : state.set) outputs_[name] = parts.find<Output>("output", name);
+      for (const fsm::OutputValue& one : state.set) outputs_[one.output] = parts.find<Output>("output", one.output);
       for (const std::string& name : state.arm) outputs_[name] = parts.find<Output>("output", name);
     }
     std::erase_if(outputs_, [](const auto& output) { return output.second == nullptr; });  // a replay makes none
@@ -42,9 +42,9 @@ class OutputSetter {
   void arrive(std::string_view name) const {
     for (const fsm::StateSettings& state : settings_.states) {
       if (state.name != name) continue;
-      for (const auto& [output, value] : state.set)
-        if (const auto known = outputs_.find(output); known != outputs_.end())
-          tell(output, "set", known->second->set(value, by_));
+      for (const fsm::OutputValue& one : state.set)
+        if (const auto known = outputs_.find(one.output); known != outputs_.end())
+          tell(one.output, "set", known->second->set(one.value, by_));
     }
   }
   /// Those that were armed when the machine paused.
@@ -117,20 +117,13 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
   return made;
 }
 
-/// One machine sets an output, which follows no topic (seen where parts are compared).
+/// One machine sets an output. That it follows no topic, and is on the same loop, is seen where parts are compared.
 void take_outputs(PartPlan& plan, const fsm::MachineSettings& settings) {
-  const ConfigItem* const states = plan.item.find("states");
   std::set<std::string> taken;
-  for (std::size_t i = 0; i < settings.states.size(); ++i) {
-    const ConfigItem* const state = states != nullptr && states->is_array() ? states->find(i) : nullptr;
-    const ConfigItem* const set = state != nullptr ? state->find("set") : nullptr;
-    for (const auto& [output, value] : settings.states[i].set) {
-      const ConfigItem* const at = set != nullptr ? set->find(output) : nullptr;
-      plan.uses.push_back({"output", output, {}, at != nullptr ? *at : plan.item});
-      if (taken.insert(output).second)
-        plan.more_places.push_back({"output", output, "one machine sets an output", "", ""});
-    }
-  }
+  for (const fsm::StateSettings& state : settings.states)
+    for (const fsm::OutputValue& one : state.set)
+      if (taken.insert(one.output).second)
+        plan.more_places.push_back({"output", one.output, "one machine sets an output", "", ""});
 }
 
 }  // namespace
