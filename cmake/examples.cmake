@@ -41,6 +41,10 @@ foreach(source ${RTDATA_EXAMPLES})
   rtdata_fresh_folder(${name})
 endforeach()
 
+if(TARGET example_analysis)
+  add_dependencies(rtdata_tests example_analysis)  # tests/app/fleet_example_test.cpp runs it
+endif()
+
 find_package(Python3 COMPONENTS Interpreter QUIET)
 if(Python3_FOUND AND TARGET example_01_record)  # reads what 01 has recorded, in the folder of 01
   rtdata_example_test(08_read_with_python FOLDER 01_record
