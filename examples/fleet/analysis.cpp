@@ -1,5 +1,5 @@
-// An analysis of what a collector has (collector.json): its recording is replayed, as fast as it goes, to a handler that
-// sorts the events by node and looks for those that are missing and those that came twice.
+// An analysis of what a collector has (collector.json): its recording is replayed, as fast as it goes, to a handler
+// that sorts the events by node and looks for those that are missing and those that came twice.
 //   analysis collector-1.db      Without an argument it makes a recording of its own first.
 #include <cstdint>
 #include <cstdio>
@@ -61,7 +61,8 @@ int main(int argc, char** argv) {
   for (const auto& [key, node] : nodes) {
     const std::uint64_t lost = *node.numbers.rbegin() - node.numbers.size();
     std::printf("%s %s: %zu events, %llu missing, %llu twice\n", key.first.c_str(), key.second.c_str(),
-                node.numbers.size(), static_cast<unsigned long long>(lost), static_cast<unsigned long long>(node.doubles));
+                node.numbers.size(), static_cast<unsigned long long>(lost),
+                static_cast<unsigned long long>(node.doubles));
     events += node.numbers.size();
     missing += lost;
   }

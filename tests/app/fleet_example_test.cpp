@@ -69,7 +69,8 @@ bool wait_until(Done&& done) {
 }  // namespace
 
 TEST_SUITE("app") {
-  TEST_CASE("US-30 US-32 FW-4 FW-5 FW-1 the example's fleet: nodes send by MQTT and HTTP, a collector stores, all agree") {
+  TEST_CASE(
+      "US-30 US-32 FW-4 FW-5 FW-1 the example's fleet: nodes send by MQTT and HTTP, a collector stores, all agree") {
     NEEDS_BROKER();
     SERVER_OR_SKIP(server);
     if (!is_program(python)) {
@@ -137,8 +138,8 @@ TEST_SUITE("app") {
     CHECK(stored() == loads);
 
     // All of it proves to be whole, on each machine and on the server.
-    for (const std::string& file : {std::string("north.db"), std::string("east.db"), std::string("collector-1.db"),
-                                    server.url(database)}) {
+    for (const std::string& file :
+         {std::string("north.db"), std::string("east.db"), std::string("collector-1.db"), server.url(database)}) {
       Process verify(folder, program, {"verify", file});
       CHECK_MESSAGE(verify.end() == 0, verify.out);
     }

@@ -35,6 +35,15 @@ class Store {
   virtual rtdata::Sink make(rtdata::Loop& loop, rtdata::SinkConfig config) = 0;
   /// All that is stored, in order within each topic.
   virtual std::vector<Row> rows() = 0;
+
+  // Of one whose peer is another thread or program, which virtual time does not wait for:
+  virtual bool is_answered() const { return false; }
+  /// Until all that is queued is stored.
+  virtual void settle(rtdata::Loop&, const rtdata::Sink&) {}
+  /// With all that is queued.
+  virtual void close(rtdata::Loop&, rtdata::Sink& sink) { sink.close(); }
+  /// The loop with all that is on it; how many events are lost.
+  virtual std::uint64_t close(rtdata::Loop& loop) { return loop.close(std::chrono::seconds{10}); }
 };
 
 struct SinkKind {
