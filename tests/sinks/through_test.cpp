@@ -1,7 +1,6 @@
 // Sinks that go through a recording: what is committed there is sent, in order, once it is; the position is kept in it.
 #include <doctest/doctest.h>
 
-#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <numeric>
@@ -10,9 +9,7 @@
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sender.hpp"
-#include "sinks/recordings.hpp"
-#include "sinks/scripted_peer.hpp"
-#include "sinks/sink_kinds.hpp"
+#include "sinks/through_run.hpp"
 
 using namespace rtdata;
 using namespace sinks;
@@ -23,53 +20,7 @@ using recordings::sql;
 
 namespace {
 
-const Error away{Errc::io_failed, "cannot send", "peer", "it is away", ""};
-
-/// What the peer of all runs has.
-using Peer = std::shared_ptr<ScriptedPeer::Script>;
-
-struct Run {
-  Loop loop{Loop::Manual{}};
-  std::vector<std::string> errors, log;
-  SqliteSink recording;
-  Sink sink;
-
-  Run(const std::string& path, const Peer& peer, SinkConfig config = {.name = "peer"}, SqliteConfig file = {}) {
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
-    loop.runtime().on_log([this](const LogRecord& entry) { log.push_back(std::string(entry.text)); });
-    file.path = path;
-    file.sink.name = "recording";
-    if (file.sink.topics == std::vector<std::string>{"#"}) file.sink.batch_time = 1s;
-    recording = SqliteSink(loop, file);
-    config.through = "recording";
-    config.retry_first = 100ms;
-    config.retry_longest = 1s;
-    sink = Sink(loop, config, std::make_unique<ScriptedPeer>(peer));
-  }
-  void publish(int count, const std::string& topic = "a") {
-    for (int i = 0; i < count; ++i) loop.topic<Number>(topic).publish({++published});
-  }
-  double published = 0;
-};
-
-/// Each event once, in order of its origin, without a hole; how many there are.
-std::size_t count_all_once(const ScriptedPeer::Script& peer) {
-  std::map<std::string, std::uint64_t> last;
-  std::size_t holes = 0;
-  for (const auto& event : peer.events) {
-    std::uint64_t& before = last[event.run + " " + event.topic + " " + event.origin];
-    holes += event.sequence != before + 1;
-    before = event.sequence;
-  }
-  CHECK(holes == 0);
-  return peer.events.size();
-}
-
 Verdict verdict_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw().verdict(); }
-
-bool has(const std::vector<std::string>& texts, const std::string& part) {
-  return std::any_of(texts.begin(), texts.end(), [&](const std::string& text) { return text.find(part) != text.npos; });
-}
 
 }  // namespace
 
