@@ -34,11 +34,14 @@ using Answering = std::function<std::string(std::string& in, std::string& got)>;
 
 class Peer {
  public:
-  explicit Peer(Answering answering) : answering_(std::move(answering)) {
+  /// On a free port, or on this one.
+  explicit Peer(Answering answering, std::uint32_t at = INADDR_LOOPBACK, std::uint16_t port = 0)
+      : answering_(std::move(answering)) {
     listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     sockaddr_in address{};
     address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_addr.s_addr = htonl(at);
+    address.sin_port = htons(port);
     socklen_t size = sizeof address;
     REQUIRE(::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) == 0);
     REQUIRE(::listen(listener_, 16) == 0);
@@ -75,6 +78,12 @@ class Peer {
   void vanish() {
     lose_connections();
     go_silent(listener_);
+  }
+  /// As a program that ends: nobody listens, and the connections are closed.
+  void leave() {
+    for (const Connection& one : connections_) ::close(one.fd);
+    connections_.clear();
+    ::close(std::exchange(listener_, -1));
   }
   void return_() { hear_again(listener_); }
 

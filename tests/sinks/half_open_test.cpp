@@ -4,113 +4,22 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include <functional>
-#include <string>
 #include <string_view>
 #include <vector>
 
-#include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
-#include "rtdata/sinks/tcp.hpp"
-#include "sinks/answering_peer.hpp"
-#include "sinks/sink_kinds.hpp"
-#ifdef RTDATA_WITH_HTTP
-#include "rtdata/sinks/http.hpp"
-#endif
-#ifdef RTDATA_WITH_MQTT
-#include "rtdata/sinks/mqtt.hpp"
-#endif
+#include "sinks/answered_senders.hpp"
 
 using namespace rtdata;
 using namespace sinks;
 using namespace std::chrono_literals;
 
-namespace {
-
-constexpr Duration timeout = std::chrono::seconds{2};
-const SinkConfig sink_config{.name = "peer", .batch_time = 10ms, .retry_longest = 1s};
-
-struct SenderKind {
-  const char* name;
-  Answering answering;
-  std::function<Sink(Loop&, std::uint16_t port)> make;
-};
-
-std::vector<SenderKind> kinds() {
-  const SendingConfig sending{.window = 2, .parcel_rows = 5, .timeout = timeout};
-  std::vector<SenderKind> all;
-  all.push_back({"tcp", answer_line, [sending](Loop& loop, std::uint16_t port) -> Sink {
-                   return TcpSink(loop, {.host = "127.0.0.1",
-                                         .port = port,
-                                         .acknowledge = Acknowledge::line,
-                                         .connect_timeout = 1s,
-                                         .sending = sending,
-                                         .sink = sink_config});
-                 }});
-#ifdef RTDATA_WITH_HTTP
-  all.push_back({"http", answer_request, [sending](Loop& loop, std::uint16_t port) -> Sink {
-                   return HttpSink(loop, {.url = "http://127.0.0.1:" + std::to_string(port) + "/",
-                                          .format = "jsonl",
-                                          .sending = sending,
-                                          .sink = sink_config});
-                 }});
-#endif
-#ifdef RTDATA_WITH_MQTT
-  all.push_back({"mqtt", answer_packet, [sending](Loop& loop, std::uint16_t port) -> Sink {
-                   MqttConfig config;
-                   config.host = "127.0.0.1";
-                   config.port = port;
-                   config.topic = "t";
-                   config.qos = 1;
-                   config.connect_timeout = 1s;
-                   config.sending = sending;
-                   config.sink = sink_config;
-                   return MqttSink(loop, config);
-                 }});
-#endif
-  return all;
-}
-
-struct Bench {
-  explicit Bench(const SenderKind& kind) : peer(kind.answering) {
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
-    sink = kind.make(loop, peer.port());
-  }
-  void publish(int count) {
-    for (int i = 0; i < count; ++i) loop.topic<Number>("a").publish({++published});
-  }
-  template <class Done>
-  bool wait_for(Done&& done, int turns = 3000) {
-    for (int i = 0; i < turns && !done(); ++i) {
-      loop.advance(10ms);
-      loop.poll();
-      peer.look();
-    }
-    return done();
-  }
-  bool has_all() const {
-    for (int i = 1; i <= static_cast<int>(published); ++i) {
-      if (peer.got().find("\"value\":" + std::to_string(i)) == std::string::npos) return false;
-    }
-    return true;
-  }
-
-  std::vector<std::string> errors;
-  Loop loop{Loop::Manual{}};
-  Peer peer;
-  Sink sink;
-  double published = 0;
-  std::uint64_t missed = 0;
-  Ticker ticker{loop, 10ms, [this](const Tick& tick) { missed += tick.missed; }};
-};
-
-}  // namespace
-
 TEST_SUITE("sinks") {
-  TEST_CASE("US-32 a connection whose packets are dropped is given up after timeout, and all is sent by another") {
-    for (const SenderKind& kind : kinds()) {
+  TEST_CASE(
+      "US-32 a connection whose packets are dropped is given up after answer_timeout, and all is sent by another") {
+    for (const AnsweredSender& kind : answered_senders()) {
       CAPTURE(kind.name);
-      Bench bench(kind);
+      AnsweredBench bench(kind);
       bench.publish(50);
       REQUIRE(bench.wait_for([&] { return bench.sink.counts().stored == 50; }));
       bench.peer.lose_connections();
@@ -119,8 +28,8 @@ TEST_SUITE("sinks") {
       bench.publish(50);
       CHECK(bench.wait_for([&] { return bench.sink.counts().stored == 100; }));
       CHECK(bench.peer.connections() > before);
-      CHECK(bench.loop.now() - begin >= timeout);
-      CHECK(bench.loop.now() - begin < 10 * timeout);
+      CHECK(bench.loop.now() - begin >= answer_timeout);
+      CHECK(bench.loop.now() - begin < 10 * answer_timeout);
       CHECK(bench.has_all());
       CHECK_FALSE(bench.errors.empty());
       CHECK(bench.sink.health() == Health::ok);
@@ -130,13 +39,13 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-32 a peer that has vanished keeps nobody from closing in time, and gets all when it is back") {
-    for (const SenderKind& kind : kinds()) {
+    for (const AnsweredSender& kind : answered_senders()) {
       // libmosquitto connects on the lane, which in virtual time would block here until the kernel gives up.
       if (kind.name == std::string_view("mqtt")) continue;
       for (const bool comes_back : {false, true}) {
         CAPTURE(kind.name);
         CAPTURE(comes_back);
-        Bench bench(kind);
+        AnsweredBench bench(kind);
         bench.publish(10);
         REQUIRE(bench.wait_for([&] { return bench.sink.counts().stored == 10; }));
         bench.peer.vanish();
@@ -160,8 +69,8 @@ TEST_SUITE("sinks") {
 
 #ifdef RTDATA_WITH_HTTP
   TEST_CASE("a connection of HTTP that never came about leaves no watch on its descriptor's number") {
-    const auto all = kinds();
-    Bench bench(all[1]);
+    const auto all = answered_senders();
+    AnsweredBench bench(all[1]);
     bench.peer.vanish();
     bench.publish(5);
     for (int round = 0; round < 3; ++round) {

@@ -28,7 +28,8 @@ SinkCounts last_counts(Loop& loop, const std::string& name) {
 }  // namespace
 
 TEST_SUITE("sinks") {
-  TEST_CASE("US-32 a clock that is set by an hour while parcels are under way: each event once, in order, with its UTC") {
+  TEST_CASE(
+      "US-32 a clock that is set by an hour while parcels are under way: each event once, in order, with its UTC") {
     for (const Duration hour : {Duration{1h}, Duration{-1h}}) {
       CAPTURE(hour.count());
       Folder folder;
@@ -73,7 +74,8 @@ TEST_SUITE("sinks") {
       CHECK(sink.counts().balances());
       CHECK(loop.close(5s) == 0);
       recordings::check_balanced(folder / "run.db");
-      // What was read after the clock was set has the UTC that the recording has, and from then on what the clock showed.
+      // What was read after the clock was set has the UTC that the recording has, and from then on what the clock
+      // showed.
       for (const auto& event : peer->events) {
         if (event.sequence <= under_way) continue;
         const Duration off = event.time - right.at(event.sequence - 1);
@@ -165,7 +167,8 @@ TEST_SUITE("sinks") {
     CHECK(WEXITSTATUS(status) == 0);
   }
 
-  TEST_CASE("a recording that is deleted while parcels are under way: their answers count, and the sink says why it ends") {
+  TEST_CASE(
+      "a recording that is deleted while parcels are under way: their answers count, and the sink says why it ends") {
     Folder folder;
     auto peer = std::make_shared<ScriptedPeer::Script>();
     peer->on_send = [&](const Parcel& parcel, Answer answer) { peer->hold(parcel, std::move(answer)); };
