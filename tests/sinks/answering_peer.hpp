@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <functional>
 #include <string>
@@ -66,9 +67,19 @@ class Peer {
       for (;;) {
         const std::string answer = answering_(one.in, got_);
         if (answer.empty()) break;
-        (void)::send(one.fd, answer.data(), answer.size(), MSG_NOSIGNAL);
+        one.out += answer;
+        if (!drips_) pour(one, one.out.size());
       }
     }
+  }
+  /// From now on it answers a byte for each call of `drop`, or all at once again.
+  void drip(bool drips) {
+    drips_ = drips;
+    for (Connection& one : connections_)
+      if (!drips) pour(one, one.out.size());
+  }
+  void drop() {
+    for (Connection& one : connections_) pour(one, 1);
   }
   /// The connections that there are.
   void lose_connections() {
@@ -91,7 +102,12 @@ class Peer {
   struct Connection {
     int fd;
     std::string in;
+    std::string out = {};  // answers, not sent yet
   };
+  static void pour(Connection& one, std::size_t most) {
+    const ssize_t sent = ::send(one.fd, one.out.data(), std::min(most, one.out.size()), MSG_NOSIGNAL);
+    if (sent > 0) one.out.erase(0, static_cast<std::size_t>(sent));
+  }
   int accept() const {
     const int fd = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC), on = 1;
     // In virtual time nothing waits for the kernel to send a small answer.
@@ -104,6 +120,7 @@ class Peer {
   std::uint16_t port_ = 0;
   std::vector<Connection> connections_;
   std::string got_;
+  bool drips_ = false;
 };
 
 inline std::string take(std::string& in, std::size_t size) {

@@ -11,6 +11,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <thread>
@@ -33,7 +34,8 @@ namespace {
 /// Hears all that the broker publishes, on the test's thread.
 class Listener {
  public:
-  explicit Listener(std::uint16_t port, const char* user = nullptr) : client_(::mosquitto_new(nullptr, true, this)) {
+  explicit Listener(std::uint16_t port, const char* user = nullptr, const char* name = nullptr)
+      : client_(::mosquitto_new(name, true, this)) {
     ::mosquitto_message_callback_set(client_, [](mosquitto*, void* self, const mosquitto_message* message) {
       static_cast<Listener*>(self)->messages.emplace_back(
           message->topic, std::string(static_cast<const char*>(message->payload), message->payloadlen));
@@ -302,6 +304,59 @@ TEST_SUITE("sinks") {
     CHECK_FALSE(bench.has_error("wrong-password"));
     CHECK(sink.counts().queued == 10);
     CHECK(bench.loop.close(100ms) == 10);
+  }
+
+  TEST_CASE("US-32 a broker that refuses the client's name keeps the sink faulted; with another name all arrives") {
+    NEEDS_BROKER();
+    Broker broker("allow_anonymous true\nclientid_prefixes node-\n");
+    Listener listener(broker.port(), nullptr, "node-listener");
+    for (const MqttVersion version : {MqttVersion::newest, MqttVersion::v311}) {
+      CAPTURE(static_cast<int>(version));
+      Bench bench;
+      MqttSink refused(bench.loop, bench.to(broker.port(), {.version = version, .client_id = "phone-1"}));
+      bench.publish(10);
+      CHECK(bench.wait_for([&] { return refused.health() == Health::faulted && !bench.errors.empty(); }));
+      CHECK_MESSAGE(bench.has_error("the broker refuses the connection"), bench.errors.front());
+      CHECK(bench.has_error("`client_id`"));
+      CHECK(refused.counts().queued == 10);
+      refused.close();
+      listener.messages.clear();
+      MqttSink taken(bench.loop, bench.to(broker.port(), {.version = version, .client_id = "node-1"}));
+      bench.publish(10);
+      CHECK(bench.wait_for([&] { return taken.counts().stored == 10; }));
+      CHECK(bench.wait_for([&] {
+        listener.hear();
+        return listener.messages.size() == 10;
+      }));
+      CHECK(bench.loop.close(1s) == 0);
+    }
+  }
+
+  TEST_CASE("US-32 two senders with one client's name throw each other out: it is told, and nothing is lost") {
+    NEEDS_BROKER();
+    Broker broker;
+    Listener listener(broker.port());
+    Bench bench;
+    MqttConfig one = bench.to(broker.port(), {.client_id = "node"}), two = one;
+    one.topic = "one";
+    two.topic = "two";
+    one.sink.name = "one";
+    two.sink.name = "two";
+    MqttSink first(bench.loop, one), second(bench.loop, two);
+    for (int round = 0; round < 5; ++round) {
+      bench.publish(20);
+      bench.loop.run_for(100ms);
+    }
+    CHECK(bench.wait_for([&] { return first.counts().stored == 100 && second.counts().stored == 100; }));
+    CHECK(bench.has_error("lost the connection"));
+    std::map<std::string, std::set<std::uint64_t>> arrived;
+    CHECK(bench.wait_for([&] {
+      listener.hear();
+      for (const auto& [topic, payload] : std::exchange(listener.messages, {}))
+        arrived[topic].insert(nlohmann::json::parse(payload)["sequence"].get<std::uint64_t>());
+      return arrived["one"].size() == 100 && arrived["two"].size() == 100;
+    }));
+    CHECK(bench.loop.close(1s) == 0);
   }
 
   TEST_CASE("NFR-1 a server that accepts and says nothing, or garbage, is given up, and closing ends in time") {
