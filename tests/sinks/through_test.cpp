@@ -221,6 +221,45 @@ TEST_SUITE("sinks") {
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 
+  TEST_CASE("US-32 the final account of a run goes out when everything else is settled, however many tables wait") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->sending = {.window = 4, .parcel_rows = 10};
+    bool is_away = true;
+    std::size_t under_way_with_account = 0;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      for (const auto& row : parcel.rows())
+        if (row.info->topic == account_topic) under_way_with_account += peer->held.size() + parcel.rows().size() - 1;
+      peer->hold(parcel, std::move(answer));
+    };
+    const std::string path = folder / "run.db";
+    const std::vector<std::string> topics{"#", account_topic};
+    const auto make = [&] {
+      return std::make_unique<Run>(path, peer, SinkConfig{.name = "peer", .topics = topics},
+                                   SqliteConfig{.path = "", .sink = {.topics = topics}});
+    };
+    {
+      const auto run = make();
+      Feed<Number> feed(run->loop, {.name = "chamber", .topic = "room"});
+      for (int i = 1; i <= 300; ++i) feed.publish({static_cast<double>(i)});
+      run->publish(500);
+      run->publish(20, "b");
+      run->loop.advance(3s);
+      CHECK(run->loop.close(5s) == 0);
+    }
+    is_away = false;
+    const auto run = make();
+    for (int turn = 0; turn < 1000 && (run->sink.counts().queued > 0 || run->sink.counts().offered == 0); ++turn) {
+      run->loop.advance(10ms);
+      while (!peer->held.empty()) peer->take_held(peer->held.size() - 1);  // the later ones arrive first
+    }
+    REQUIRE(peer->events.size() == 821);
+    CHECK(peer->events.back().topic == account_topic);
+    CHECK(under_way_with_account == 0);
+    CHECK(run->sink.counts().balances());
+  }
+
   TEST_CASE("a sink begins with what comes now, or at the beginning; another goes at its own speed") {
     Folder folder;
     const std::string path = folder / "run.db";

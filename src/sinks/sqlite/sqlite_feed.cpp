@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "sinks/core/sink_queue.hpp"
 
@@ -286,19 +287,23 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   if (auto looked = look(); !looked) return std::move(looked).error();
   std::size_t bytes_left = queue.bytes_at_once();
   std::size_t rows_left = config_.rows;
-  for (std::size_t i = 0; i < tables_.size() && rows_left > 0; ++i) {
-    Table& table = tables_[(next_table_ + i) % tables_.size()];
-    if (table.read >= table.last_row) continue;
-    // In turn, so that a fast topic does not hold back a slow one.
-    const std::size_t share = std::max<std::size_t>(rows_left / (tables_.size() - i), 1);
-    auto taken = take(table, queue, share, bytes_left);
-    if (!taken) {
+  const auto take_turns = [&](bool of_accounts) -> Result<void> {
+    for (std::size_t i = 0; i < tables_.size() && rows_left > 0 && bytes_left > 0; ++i) {
+      Table& table = tables_[(next_table_ + i) % tables_.size()];
+      if (table.read >= table.last_row || (table.topic.topic == account_topic) != of_accounts) continue;
+      // In turn, so that a fast topic does not hold back a slow one.
+      const std::size_t share = std::max<std::size_t>(rows_left / (tables_.size() - i), 1);
+      auto taken = take(table, queue, share, bytes_left);
       // What is in the queue already is sent; the error comes again.
-      if (marks_.empty()) return std::move(taken).error();
-      break;
+      if (!taken) return marks_.empty() ? Result<void>(std::move(taken).error()) : Result<void>{};
+      rows_left -= std::min(rows_left, *taken);
     }
-    rows_left -= std::min(rows_left, *taken);
-    if (bytes_left == 0) break;
+    return {};
+  };
+  if (auto taken = take_turns(false); !taken) return std::move(taken).error();
+  // By the final account a receiver tells whether it has everything: it goes out when all else is settled.
+  if (marks_.empty()) {
+    if (auto taken = take_turns(true); !taken) return std::move(taken).error();
   }
   if (!tables_.empty()) next_table_ = (next_table_ + 1) % tables_.size();
   if (marks_.empty()) {  // all that was left are rows that cannot be read
