@@ -136,9 +136,9 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 a server that says garbage, a byte at a time, or breaks off: each event is there once, later") {
     SERVER_OR_SKIP(server);
     using Mode = Line::Mode;
-    for (const auto& one : {std::pair{Mode::garbage, true}, std::pair{Mode::garbage, false},
-                                       std::pair{Mode::drips, true}, std::pair{Mode::drips, false},
-                                       std::pair{Mode::breaks, true}, std::pair{Mode::breaks, false}}) {
+    for (const auto& one :
+         {std::pair{Mode::garbage, true}, std::pair{Mode::garbage, false}, std::pair{Mode::drips, true},
+          std::pair{Mode::drips, false}, std::pair{Mode::breaks, true}, std::pair{Mode::breaks, false}}) {
       const Mode mode = one.first;
       const bool closes = one.second;
       INFO("mode " << static_cast<int>(mode) << (closes ? ", closed meanwhile" : ""));
@@ -191,9 +191,11 @@ TEST_SUITE("sinks") {
                "CREATE TABLE \"plant/number\" (LIKE whole INCLUDING DEFAULTS INCLUDING COMMENTS INCLUDING INDEXES) "
                "PARTITION BY RANGE (\"time\");"
                "CREATE TABLE part_1 PARTITION OF \"plant/number\" FOR VALUES FROM (MINVALUE) TO ("
-               "'" + server.sql(database, "SELECT max(\"time\") + interval '2 seconds' FROM \"plant/number\"") + "');"
-               "CREATE TABLE part_2 PARTITION OF \"plant/number\" DEFAULT;"
-               "INSERT INTO \"plant/number\" SELECT * FROM whole; DROP TABLE whole; COMMIT");
+               "'" +
+                   server.sql(database, "SELECT max(\"time\") + interval '2 seconds' FROM \"plant/number\"") +
+                   "');"
+                   "CREATE TABLE part_2 PARTITION OF \"plant/number\" DEFAULT;"
+                   "INSERT INTO \"plant/number\" SELECT * FROM whole; DROP TABLE whole; COMMIT");
     for (int second = 0; second < 10; ++second) {
       node.publish(20);
       node.loop.advance(1s);
@@ -219,7 +221,8 @@ TEST_SUITE("sinks") {
     const recordings::Folder folder;
     const std::vector<std::string> topics{"#", account_topic};
     {
-      Node away(folder / "run.db", {.url = "postgresql://rt@/none?host=" + folder / "nobody", .timeout = 200ms}, topics);
+      Node away(folder / "run.db", {.url = "postgresql://rt@/none?host=" + folder / "nobody", .timeout = 200ms},
+                topics);
       Feed<Number> feed(away.loop, {.name = "chamber", .topic = "room"});
       for (std::int64_t i = 1; i <= 700; ++i) feed.publish({i});
       away.publish(9000);
