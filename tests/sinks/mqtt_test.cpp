@@ -458,12 +458,13 @@ TEST_SUITE("sinks") {
                           .key_password = "key-s3cret"};
     TlsConfig wrong = right, nobody{.ca_file = right.ca_file};
     wrong.key_password = "another";
-    for (const auto& [tls, is_taken] : {std::pair{right, true}, std::pair{wrong, false}, std::pair{nobody, false}}) {
+    for (const auto& one : {std::pair{right, true}, std::pair{wrong, false}, std::pair{nobody, false}}) {
+      const TlsConfig& tls = one.first;
+      const bool is_good = one.second;
       INFO("certificate " << tls.certificate << ", password " << tls.key_password);
       Bench bench;
       MqttSink sink(bench.loop, bench.to(broker.port(), {.tls = tls}));
       bench.publish(20);
-      const bool is_good = is_taken;
       CHECK(bench.wait_for([&] { return is_good ? sink.counts().stored == 20 : sink.health() == Health::faulted; }));
       CHECK(sink.counts().stored == (is_good ? 20U : 0U));
       CHECK(sink.counts().balances());
