@@ -41,6 +41,13 @@ static void on_message(mosquitto*, void* client, const mosquitto_message* messag
   copy.payload.assign(length != 0 ? static_cast<const char*>(message->payload) : "", length);
   copy.is_retained = message->retain;
 }
+/// Without it, OpenSSL would ask at the terminal.
+static int password_of_key(char* to, int size, int, void* handle) {
+  const std::string& password = of(::mosquitto_userdata(static_cast<mosquitto*>(handle))).key_password;
+  if (password.size() > static_cast<std::size_t>(size)) return -1;
+  password.copy(to, password.size());
+  return static_cast<int>(password.size());
+}
 static void on_log(mosquitto*, void* client, int level, const char* text) {
   if (level == MOSQ_LOG_ERR) of(client).trouble = text;
 }
@@ -63,10 +70,6 @@ std::string MqttClient::reason(int status) const {
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept {
   return broker.port != 0 ? broker.port : static_cast<std::uint16_t>(broker.tls ? 8883 : 1883);
-}
-
-std::string obstacle_of_tls(const std::optional<MqttTls>& tls) {
-  return tls && tls->certificate.empty() != tls->key.empty() ? "`certificate` and `key` go together" : "";
 }
 
 /// Makes a client and connects it: blocks, as looking up names does. The rest is done on the loop.
@@ -132,12 +135,17 @@ class MqttConnecting final : public LaneJob {
                                   will.message.data(), will.qos, will.retain);
     }
     if (done == MOSQ_ERR_SUCCESS && broker_.tls) {
-      const MqttTls& tls = *broker_.tls;
-      if (tls.ca.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
-      if (!tls.ca.empty() || !tls.certificate.empty())
-        done = ::mosquitto_tls_set(handle, or_null(tls.ca), tls.ca.empty() ? "/etc/ssl/certs" : nullptr,
-                                   or_null(tls.certificate), or_null(tls.key), nullptr);
+      const TlsConfig& tls = *broker_.tls;
+      client->key_password = tls.key_password;
+      if (tls.ca_file.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+      if (!tls.ca_file.empty() || !tls.certificate.empty())
+        done = ::mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
+                                   or_null(tls.certificate), or_null(tls.key), password_of_key);
       if (done == MOSQ_ERR_INVAL) client->trouble = "a file of `tls` cannot be read";
+      if (done == MOSQ_ERR_SUCCESS && !tls.verify) {
+        constexpr int verify_none = 0;  // SSL_VERIFY_NONE
+        done = ::mosquitto_tls_opts_set(handle, verify_none, nullptr, nullptr);
+      }
     }
     if (done != MOSQ_ERR_SUCCESS) return done;
     mosquitto_property* properties = nullptr;

@@ -33,6 +33,7 @@ struct MqttClient {
   std::vector<Message> messages;               // that came; the first `arrived` of them, the others keep their memory
   std::size_t arrived = 0;
   std::string trouble;  // what the library says of it
+  std::string key_password;
 
   MqttClient() = default;
   MqttClient(const MqttClient&) = delete;
@@ -56,9 +57,6 @@ struct MqttOptions {
 };
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
-/// Why it cannot be one; empty: it may be.
-std::string obstacle_of_tls(const std::optional<MqttTls>& tls);
-
 class MqttConnecting;
 
 /// Shared, since what is called may end the owner. All on the loop's thread.

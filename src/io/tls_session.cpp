@@ -12,6 +12,26 @@
 
 namespace rtdata::detail {
 
+std::string advice_on_certificate(long verified, const std::string& key) {
+  switch (verified) {
+    case 10:  // X509_V_ERR_CERT_HAS_EXPIRED
+      return "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
+    case 9:  // ..._CERT_NOT_YET_VALID
+      return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
+    case 62:  // ..._HOSTNAME_MISMATCH
+    case 64:  // ..._IP_ADDRESS_MISMATCH
+      return "the server's certificate is for another name: use that name in `" + key +
+             "`, or have the certificate made for this one";
+    case 18:  // ..._DEPTH_ZERO_SELF_SIGNED_CERT
+    case 19:  // ..._SELF_SIGNED_CERT_IN_CHAIN
+      return "nobody vouches for the server's certificate but itself: give it (or that of its authority) as "
+             "`tls.ca_file`, if you know that it is right";
+    default:
+      return "this machine does not trust who has signed the server's certificate: give the authority's as "
+             "`tls.ca_file`, or install the package ca-certificates";
+  }
+}
+
 #ifdef RTDATA_WITH_OPENSSL
 
 namespace {
@@ -24,25 +44,6 @@ std::string last_reason() {
   ERR_clear_error();
   const char* text = code == 0 ? nullptr : ERR_reason_error_string(code);
   return text != nullptr ? text : "";
-}
-
-std::string advice_for(long verified) {
-  switch (verified) {
-    case X509_V_ERR_CERT_HAS_EXPIRED:
-      return "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
-    case X509_V_ERR_CERT_NOT_YET_VALID:
-      return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
-    case X509_V_ERR_HOSTNAME_MISMATCH:
-    case X509_V_ERR_IP_ADDRESS_MISMATCH:
-      return "the server's certificate is for another name: use that name as `host`, or have it made for this one";
-    case X509_V_ERR_DEPTH_ZERO_SELF_SIGNED_CERT:
-    case X509_V_ERR_SELF_SIGNED_CERT_IN_CHAIN:
-      return "nobody vouches for the server's certificate but itself: give it (or that of its authority) as "
-             "`tls.ca_file`, if you know that it is right";
-    default:
-      return "this machine does not trust who has signed the server's certificate: give the authority's as "
-             "`tls.ca_file`, or install the package ca-certificates";
-  }
 }
 
 int password_of(char* to, int size, int, void* config) {
@@ -151,7 +152,7 @@ TlsSession::State TlsSession::failed(int result) {
   const long verified = SSL_get_verify_result(ssl);
   if (context_->impl_->is_verified && verified != X509_V_OK) {
     error_ = {Errc::not_permitted, "cannot trust the server", "", X509_verify_cert_error_string(verified),
-              advice_for(verified)};
+              advice_on_certificate(verified, "host")};
   } else {
     error_ = {Errc::io_failed, "the encrypted connection failed", "",
               reason.empty() ? "the peer broke the rules of TLS" : reason,

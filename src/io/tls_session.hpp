@@ -11,6 +11,10 @@
 
 namespace rtdata::detail {
 
+/// What to do about a server's certificate that was not accepted, for the reason `verified` (X509_V_ERR_...). `key` is
+/// the parameter that has the server's name.
+std::string advice_on_certificate(long verified, const std::string& key);
+
 /// Whether this library was built with OpenSSL.
 bool has_tls() noexcept;
 

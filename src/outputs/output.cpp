@@ -452,7 +452,7 @@ void check_output_names(const OutputConfig& config,
     problems.add((at != nullptr ? *at : item)
                      .problem("bad-value", "\"" + topic +
                                                "\" brings the changes of a machine: let its states set this output, "
-                                               "as in {\"name\": \"hot\", \"set\": {\"fan\": 1}}"));
+                                               "as in {\"name\": \"hot\", \"set\": [{\"output\": \"fan\"}]}"));
   }
 }
 

@@ -5,8 +5,8 @@ cd "$(dirname "$0")/../.."
 seconds=${1:-20}
 out=build/fuzz
 mkdir -p "$out"
-# The whole library, and that of recordings.
-library=$(cat src/rtdata.sources src/rtdata_sqlite.sources)
+# The whole library, that of recordings, and what else reads what others have written. libcurl is needed.
+library="$(cat src/rtdata.sources src/rtdata_sqlite.sources) src/app/inspect/import.cpp src/sinks/http/http_answer.cpp src/sinks/http/http_url.cpp"
 # Without muParser, expressions are read and not evaluated.
 muparser=$(pkg-config --exists muparser && echo -lmuparser || true)
 cache=$(command -v ccache || true)
@@ -17,7 +17,7 @@ for source in tests/fuzz/*_fuzz.cpp; do
     name=$(basename "$source" .cpp)
     objects=$(for one in $library "$source"; do echo "$out/$(echo "$one" | tr / _).o"; done)
     # shellcheck disable=SC2086
-    clang++ -fsanitize=fuzzer,address,undefined $objects -o "$out/$name" -luv -lsqlite3 $muparser
+    clang++ -fsanitize=fuzzer,address,undefined $objects -o "$out/$name" -luv -lsqlite3 -lcurl $muparser
     mkdir -p "$out/corpus-$name"
     "$out/$name" -max_total_time="$seconds" -max_len=4096 -print_final_stats=1 -artifact_prefix="$out/" "$out/corpus-$name"
 done

@@ -64,6 +64,8 @@ class FakeGpsd {
     peer_ = peer;
     return true;
   }
+  /// A connection that somebody has made since, to be closed by the caller; -1: none.
+  int take() const { return ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC); }
   bool has_peer() const { return peer_ >= 0; }
   bool send(std::string_view text) {
     return ::send(peer_, text.data(), text.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(text.size());

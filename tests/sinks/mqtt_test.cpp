@@ -23,6 +23,7 @@
 #include "rtdata/sinks/mqtt.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sinks/broker.hpp"
+#include "sinks/certificates.hpp"
 #include "sinks/sink_kinds.hpp"
 
 using namespace rtdata;
@@ -433,7 +434,7 @@ TEST_SUITE("sinks") {
       CAPTURE(is_trusted);
       Bench bench;
       MqttSink sink(bench.loop,
-                    bench.to(broker.port(), {.tls = MqttTls{.ca = is_trusted ? directory / "cert.pem" : ""}}));
+                    bench.to(broker.port(), {.tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}}));
       bench.publish(200);
       CHECK(
           bench.wait_for([&] { return is_trusted ? sink.counts().stored == 200 : sink.health() == Health::faulted; }));
@@ -444,6 +445,51 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("US-32 with TLS this machine proves who it is where the broker asks for it, with a password on its key") {
+    NEEDS_BROKER();
+    NEEDS_PROGRAM(openssl);
+    const Certificates& certificates = Certificates::all();
+    const auto files = certificates.of("right");
+    Broker broker("allow_anonymous true\nrequire_certificate true\ncafile " + certificates / "ca.pem" + "\ncertfile " +
+                  files[0] + "\nkeyfile " + files[1] + "\n");
+    const TlsConfig right{.ca_file = certificates / "ca.pem",
+                          .certificate = certificates / "client.pem",
+                          .key = certificates / "locked.key",
+                          .key_password = "key-s3cret"};
+    TlsConfig wrong = right, nobody{.ca_file = right.ca_file};
+    wrong.key_password = "another";
+    for (const auto& one : {std::pair{right, true}, std::pair{wrong, false}, std::pair{nobody, false}}) {
+      const TlsConfig& tls = one.first;
+      const bool is_good = one.second;
+      INFO("certificate " << tls.certificate << ", password " << tls.key_password);
+      Bench bench;
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.tls = tls}));
+      bench.publish(20);
+      CHECK(bench.wait_for([&] { return is_good ? sink.counts().stored == 20 : sink.health() == Health::faulted; }));
+      CHECK(sink.counts().stored == (is_good ? 20U : 0U));
+      CHECK(sink.counts().balances());
+      CHECK_FALSE(bench.has_error("s3cret"));
+      CHECK(bench.loop.close(200ms) == (is_good ? 0U : 20U));
+    }
+  }
+
+  TEST_CASE("with TLS and `verify` false anybody is believed, which is what it says") {
+    NEEDS_BROKER();
+    NEEDS_PROGRAM(openssl);
+    const auto files = Certificates::all().of("self");
+    Broker broker("allow_anonymous true\ncertfile " + files[0] + "\nkeyfile " + files[1] + "\n");
+    for (const char* host : {"127.0.0.1", "localhost"}) {  // the certificate is for the former
+      CAPTURE(host);
+      Bench bench;
+      MqttConfig config = bench.to(broker.port(), {.tls = TlsConfig{.verify = false}});
+      config.host = host;
+      MqttSink sink(bench.loop, config);
+      bench.publish(20);
+      CHECK(bench.wait_for([&] { return sink.counts().stored == 20; }));
+      CHECK(bench.errors.empty());
+    }
+  }
+
   TEST_CASE("mqtt sinks refuse settings that cannot be right, when they are made") {
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(MqttSink(loop, {.host = ""}), SetupError);
@@ -451,7 +497,7 @@ TEST_SUITE("sinks") {
     CHECK_THROWS_AS(MqttSink(loop, {.topic = "a/#"}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.format = "csv"}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.qos = 3}), SetupError);
-    CHECK_THROWS_AS(MqttSink(loop, {.tls = MqttTls{.certificate = "x"}}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.tls = TlsConfig{.certificate = "x"}}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.will = MqttWill{.topic = "+"}}), SetupError);
   }
 }

@@ -11,6 +11,7 @@
 #include <csignal>
 #include <cstdlib>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <memory>
 #include <random>
@@ -22,13 +23,18 @@
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/tcp.hpp"
+#include "sinks/answering_peer.hpp"
 #include "sinks/recordings.hpp"
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/sinks/http.hpp"
 #endif
+#ifdef RTDATA_WITH_MQTT
+#include "rtdata/sinks/mqtt.hpp"
+#endif
 
 using namespace rtdata;
 using namespace rtdata::literals;
+using namespace sinks;
 using namespace std::chrono_literals;
 
 namespace {
@@ -38,13 +44,11 @@ struct Pulse {
   friend constexpr auto describe(type_tag<Pulse>) { return record("pulse", field("count", &Pulse::count, "1")); }
 };
 
-enum class Protocol { lines, http };
-
 /// Keeps each event in a file before it answers. One in a hundred answers is a connection that ends, before the event
 /// is kept or after it.
 class Receiver {
  public:
-  Receiver(std::string path, Protocol protocol) : path_(std::move(path)), protocol_(protocol) {
+  Receiver(std::string path, Answering answering) : path_(std::move(path)), answering_(std::move(answering)) {
     listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
     REQUIRE(listener_ >= 0);
     sockaddr_in address{};
@@ -107,16 +111,15 @@ class Receiver {
         if (got > 0) peer.in.append(bytes, static_cast<std::size_t>(got));
         peer.is_over = got <= 0;
         while (!peer.is_over) {
-          const std::string event = protocol_ == Protocol::lines ? take_line(peer.in) : take_request(peer.in);
-          if (event.empty()) break;
-          const bool is_lost = random() % 100 == 0, is_kept = !is_lost || random() % 2 == 0;
+          std::string event;
+          const std::string answer = answering_(peer.in, event);
+          if (answer.empty()) break;
+          const bool is_lost = !event.empty() && random() % 100 == 0, is_kept = !is_lost || random() % 2 == 0;
           if (is_kept) (file << event).flush();
           if (is_lost) {
             peer.is_over = true;
             break;
           }
-          const std::string_view answer = protocol_ == Protocol::lines ? "ok\n"
-                                                                       : "HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n";
           peer.is_over = ::send(one.fd, answer.data(), answer.size(), MSG_NOSIGNAL) !=
                          static_cast<ssize_t>(answer.size());
         }
@@ -126,54 +129,28 @@ class Receiver {
       }
     }
   }
-  static std::string take(std::string& in, std::size_t from, std::size_t end) {
-    std::string taken = in.substr(from, end - from);
-    in.erase(0, end);
-    return taken;
-  }
-  static std::string take_line(std::string& in) {
-    const std::size_t end = in.find('\n');
-    return end == std::string::npos ? "" : take(in, 0, end + 1);
-  }
-  static std::string take_request(std::string& in) {
-    constexpr std::string_view end_of_head = "\r\n\r\n", length = "Content-Length: ";
-    const std::size_t head = in.find(end_of_head), at = in.find(length);
-    if (head == std::string::npos || at == std::string::npos) return "";
-    const std::size_t body = head + end_of_head.size(),
-                      size = std::strtoul(in.c_str() + at + length.size(), nullptr, 10);
-    return in.size() < body + size ? "" : take(in, body, body + size);
-  }
-
   const std::string path_;
-  const Protocol protocol_;
+  const Answering answering_;
   int listener_ = -1;
   std::uint16_t port_ = 0;
   pid_t child_ = 0;
 };
 
-Sink make_sink(Loop& loop, Protocol protocol, std::uint16_t port) {
-  const SendingConfig sending{.window = 4, .parcel_rows = 20, .timeout = 300ms};
-  const SinkConfig sink{
-      .name = "peer", .batch_time = 5ms, .retry_first = 5ms, .retry_longest = 50ms, .through = "recording"};
-#ifdef RTDATA_WITH_HTTP
-  if (protocol == Protocol::http) {
-    return HttpSink(
-        loop,
-        {.url = "http://127.0.0.1:" + std::to_string(port) + "/", .format = "jsonl", .sending = sending, .sink = sink});
-  }
-#endif
-  (void)protocol;
-  return TcpSink(
-      loop, {.host = "127.0.0.1", .port = port, .acknowledge = Acknowledge::line, .sending = sending, .sink = sink});
-}
+struct Kind {
+  Answering answering;
+  std::function<Sink(Loop&, std::uint16_t port)> make;
+};
+const SendingConfig sending{.window = 4, .parcel_rows = 20, .timeout = 300ms};
+const SinkConfig sink_config{
+    .name = "peer", .batch_time = 5ms, .retry_first = 5ms, .retry_longest = 50ms, .through = "recording"};
 
 /// A run of the program; ends when it is killed, or when all is sent.
-void send(const std::string& path, Protocol protocol, std::uint16_t port, bool is_last) {
+void send(const std::string& path, const Kind& kind, std::uint16_t port, bool is_last) {
   Loop loop;
   loop.on_error([](const ErrorReport&) {});
   loop.runtime().on_log([](const LogRecord&) {});
   SqliteSink recording(loop, {.path = path, .sink = {.name = "recording", .batch_time = 5ms}});
-  const Sink sink = make_sink(loop, protocol, port);
+  const Sink sink = kind.make(loop, port);
   std::int64_t published = 0;
   Sensor<Pulse> sensor;
   if (!is_last) {
@@ -197,10 +174,10 @@ std::string text_after(const std::string& line, std::string_view name) {
   return line.substr(begin, line.find_first_of("\",}", begin) - begin);
 }
 
-void kill_at_random(Protocol protocol) {
+void kill_at_random(const Kind& kind) {
   recordings::Folder folder;
   const std::string path = folder / "run.db", received = folder / "received.jsonl";
-  Receiver receiver(received, protocol);
+  Receiver receiver(received, kind.answering);
   const char* const wanted = std::getenv("RTDATA_TEST_SEEDS");  // "FIRST COUNT", to look for more
   char* rest = nullptr;
   const unsigned long first = wanted != nullptr ? std::strtoul(wanted, &rest, 10) : 1;
@@ -211,7 +188,7 @@ void kill_at_random(Protocol protocol) {
     receiver.start(static_cast<unsigned>(seed));
     const pid_t child = ::fork();
     if (child == 0) {
-      send(path, protocol, receiver.port(), false);
+      send(path, kind, receiver.port(), false);
       ::_exit(0);
     }
     const auto wait = [&] { ::usleep(static_cast<useconds_t>(20000 + random() % 200000)); };  // that is what is tried
@@ -231,7 +208,7 @@ void kill_at_random(Protocol protocol) {
   for (int runs = 0; runs < 10 && waiting > 0; ++runs) {
     const pid_t last = ::fork();
     if (last == 0) {
-      send(path, protocol, receiver.port(), true);
+      send(path, kind, receiver.port(), true);
       ::_exit(0);
     }
     int status = 0;
@@ -269,12 +246,38 @@ void kill_at_random(Protocol protocol) {
 
 TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 killed at random moments while it sends by TCP: no event is missing") {
-    kill_at_random(Protocol::lines);
+    kill_at_random({answer_line, [](Loop& loop, std::uint16_t port) -> Sink {
+                      return TcpSink(loop, {.host = "127.0.0.1",
+                                            .port = port,
+                                            .acknowledge = Acknowledge::line,
+                                            .sending = sending,
+                                            .sink = sink_config});
+                    }});
   }
 
 #ifdef RTDATA_WITH_HTTP
   TEST_CASE("NFR-1 killed at random moments while it sends by HTTP: no event is missing") {
-    kill_at_random(Protocol::http);
+    kill_at_random({answer_request, [](Loop& loop, std::uint16_t port) -> Sink {
+                      return HttpSink(loop, {.url = "http://127.0.0.1:" + std::to_string(port) + "/",
+                                             .format = "jsonl",
+                                             .sending = sending,
+                                             .sink = sink_config});
+                    }});
+  }
+#endif
+
+#ifdef RTDATA_WITH_MQTT
+  TEST_CASE("NFR-1 killed at random moments while it sends by MQTT: no event is missing") {
+    kill_at_random({answer_packet, [](Loop& loop, std::uint16_t port) -> Sink {
+                      MqttConfig config;
+                      config.host = "127.0.0.1";
+                      config.port = port;
+                      config.qos = 1;
+                      config.connect_timeout = 1s;
+                      config.sending = sending;
+                      config.sink = sink_config;
+                      return MqttSink(loop, config);
+                    }});
   }
 #endif
 }

@@ -101,7 +101,11 @@ TEST_SUITE("sinks") {
         run.loop.advance(before);
         run.publish(20, "b");
         CHECK(run.loop.close(10s) == 0);
-        for (const SinkStatus& sink : run.loop.runtime().sinks()) CHECK(sink.counts.balances());
+        for (const SinkStatus& sink : run.loop.runtime().sinks()) {
+          CHECK(sink.counts.balances());
+          CHECK(sink.counts.offered == 270);  // what was committed last waits, too
+          if (sink.name == "peer") CHECK(sink.counts.queued == 270);
+        }
       }
       is_away = false;
       Run run(path, peer);

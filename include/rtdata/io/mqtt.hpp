@@ -1,6 +1,6 @@
 /// MqttBroker: where a broker of MQTT is, and how it is spoken to. Shared by the sink and the sensor.
 ///
-///     rtdata::MqttBroker broker{.host = "broker.local", .user = "node", .tls = rtdata::MqttTls{}};
+///     rtdata::MqttBroker broker{.host = "broker.local", .user = "node", .tls = rtdata::TlsConfig{}};
 ///
 /// A value; any thread.
 #pragma once
@@ -11,6 +11,7 @@
 #include <string>
 
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/io/tls.hpp"
 
 namespace rtdata {
 
@@ -24,20 +25,6 @@ constexpr auto describe(type_tag<MqttVersion>) {
                      value("3.1.1", MqttVersion::v311));
 }
 
-/// The certificate of the broker is always verified, and that it is of `host`.
-struct MqttTls {
-  std::string ca = {};           ///< file of certificates that are trusted; empty: the system's
-  std::string certificate = {};  ///< our own, a file
-  std::string key = {};          ///< of ours, a file
-
-  friend constexpr auto parameters(type_tag<MqttTls>) {
-    return parameter_list(
-        parameter("ca", &MqttTls::ca, "file of the certificates that are trusted; without it, the system's"),
-        parameter("certificate", &MqttTls::certificate, "file of our own certificate, where the broker wants one"),
-        parameter("key", &MqttTls::key, "file of its key"));
-  }
-};
-
 struct MqttBroker {
   std::string host = "localhost";
   std::uint16_t port = 0;  ///< 0: 1883, with TLS 8883
@@ -45,7 +32,7 @@ struct MqttBroker {
   std::string client_id = {};  ///< empty: the broker chooses
   std::string user = {};
   std::string password = {};
-  std::optional<MqttTls> tls = {};
+  std::optional<TlsConfig> tls = {};
   Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
   Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name
 

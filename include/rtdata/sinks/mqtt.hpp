@@ -62,7 +62,7 @@ struct MqttConfig {
   std::string client_id = {};  ///< empty: the broker chooses
   std::string user = {};
   std::string password = {};
-  std::optional<MqttTls> tls = {};
+  std::optional<TlsConfig> tls = {};
   std::optional<MqttWill> will = {};
   Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
   Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name

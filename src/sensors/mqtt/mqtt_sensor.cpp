@@ -301,7 +301,10 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
     if (!why.empty()) all.emplace_back(key, std::move(why));
   };
   add("host", obstacle_of_host(config.broker.host));
-  add("tls", obstacle_of_tls(config.broker.tls));
+  if (config.broker.tls) {
+    for (const TlsMistake& mistake : rtdata::mistakes_of(*config.broker.tls))
+      add("tls", mistake.key + ": " + mistake.message);
+  }
   if (config.topics.empty()) add("topics", "there is none");
   for (const std::string& topic : config.topics)
     if (std::string why = obstacle_of_filter(topic); !why.empty()) add("topics", "\"" + topic + "\": " + why);

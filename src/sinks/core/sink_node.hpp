@@ -185,6 +185,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void note_backlog() noexcept;
   /// Of a recording: tells those that go through it.
   void tell_followers();
+  void give_up();
   /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
   /// through, this is not yet due.
   bool is_end_due() const noexcept { return followers_.empty(); }
@@ -251,6 +252,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   std::vector<SinkNode*> followers_;  // of this recording
   bool is_readable_ = false;          // this recording is open: its rows may be read
   bool has_all_rows_ = false;         // it closes, and all rows are committed
+  bool has_given_up_ = false;         // it closes, its peer is away, and the recording has not all rows yet
   bool are_positions_due_ = false;    // of followers: to be stored with the next batch
   CatchUp catch_up_;                  // with what waits in its recording
 

@@ -175,7 +175,8 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     report_result(turn, before);
     // What waits in a recording is safe there: closing does not wait for a peer that is away.
     const bool gives_up = is_fed() && life_ == Life::closing && !turn.result;
-    if (is_open() && (turn.has_closed() || gives_up)) finish_drain();
+    if (is_open() && turn.has_closed()) finish_drain();
+    if (is_open() && gives_up) give_up();
     is_readable_ = is_readable_ || turn.has_opened();
     if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
     if (is_open() && turn.result) tell_followers();

@@ -74,12 +74,23 @@ void SinkNode::note_backlog() noexcept {
 void SinkNode::rows_came() {
   if (!is_attached() || recording_ == nullptr) return;
   note_backlog();
+  if (has_given_up_) {
+    if (!is_at_work()) note([&] { queue_->note_committed(); });
+    if (recording_->has_all_rows_) finish_drain();
+    return;
+  }
   if (work_ == Work::idle) {
     start_work();
     return;
   }
   is_due_ = true;
   if (!is_at_work()) note([&] { queue_->note_committed(); });
+}
+
+/// It closes, and its peer is away. What the recording has still to commit counts as waiting, too.
+void SinkNode::give_up() {
+  if (recording_ == nullptr || recording_->life_ != Life::closing || recording_->has_all_rows_) return finish_drain();
+  has_given_up_ = true;
 }
 
 void SinkNode::tell_followers() {
@@ -133,7 +144,7 @@ void SinkNode::sending_failed(const Error& error) {
   report(error, 1);
   tell_health();
   // What waits in a recording is safe there: closing does not wait for a peer that does not answer.
-  if (is_open() && life_ == Life::closing && is_fed()) finish_drain();
+  if (is_open() && life_ == Life::closing && is_fed()) give_up();
 }
 
 }  // namespace rtdata::detail

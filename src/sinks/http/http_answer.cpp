@@ -6,8 +6,10 @@
 #include <cerrno>
 #include <iterator>
 #include <system_error>
+#include <utility>
 
 #include "data/utf8.hpp"
+#include "io/tls_session.hpp"
 #include "sinks/http/http_url.hpp"
 
 namespace rtdata::detail {
@@ -194,26 +196,13 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       break;
     case CURLE_PEER_FAILED_VERIFICATION: {
       error.code = Errc::not_permitted;
-      const long result = failure.verify_result;  // X509_V_ERR_...
-      if (result == 10 || mentions("expired")) {
-        error.advice =
-            "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
-      } else if (result == 9 || mentions("not yet valid")) {
-        error
-            .advice = "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
-      } else if (mentions("subject name") || mentions("does not match") || result == 62 || result == 64) {
-        error.advice =
-            "the server's certificate is for another name: use that name in `url`, or have the certificate made "
-            "for this one";
-      } else if (result == 18 || result == 19 || mentions("self-signed") || mentions("self signed")) {
-        error.advice =
-            "nobody vouches for the server's certificate but itself: give the certificate (or that of its "
-            "authority) as `tls.ca_file`, if you know that it is right";
-      } else {
-        error.advice =
-            "this machine does not trust who has signed the server's certificate: give the authority's as "
-            "`tls.ca_file`, or install the package ca-certificates";
-      }
+      // What libcurl has compared itself, the name, only its text tells.
+      long verified = failure.verify_result;
+      for (const auto& [text, code] :
+           {std::pair{"self-signed", 18L}, std::pair{"self signed", 18L}, std::pair{"does not match", 62L},
+            std::pair{"subject name", 62L}, std::pair{"not yet valid", 9L}, std::pair{"expired", 10L}})
+        if (mentions(text)) verified = code;
+      error.advice = advice_on_certificate(verified, "url");
       break;
     }
     case CURLE_SSL_CONNECT_ERROR:

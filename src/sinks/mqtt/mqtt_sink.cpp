@@ -358,7 +358,9 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
   require(config.topic, obstacle_of_topic(config.topic));
   if (config.will) require(config.will->topic, obstacle_of_topic(config.will->topic));
   if (config.qos > 2 || (config.will && config.will->qos > 2)) require("qos", "it is 0, 1 or 2");
-  require("tls", detail::obstacle_of_tls(config.tls));
+  if (config.tls) {
+    for (const TlsMistake& mistake : mistakes_of(*config.tls)) require("tls." + mistake.key, mistake.message);
+  }
   return std::make_unique<MqttSender>(named(config), detail::codec_to_send(what, config.format, formats));
 }
 
@@ -369,7 +371,9 @@ void check_config(const MqttConfig& config, const ConfigItem& item, Problems& pr
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
   detail::add_obstacle(obstacle_of_topic(config.topic), "topic", item, problems);
   if (config.will) detail::add_obstacle(obstacle_of_topic(config.will->topic), "will", item, problems);
-  detail::add_obstacle(detail::obstacle_of_tls(config.tls), "tls", item, problems);
+  if (!config.tls) return;
+  for (const TlsMistake& mistake : mistakes_of(*config.tls))
+    detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
 }
 
 MqttSink::MqttSink(Loop& loop, MqttConfig config, const CodecRegistry& formats)
