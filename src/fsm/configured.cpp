@@ -6,7 +6,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "process/expression_fields.hpp"
+#include "process/expression_sources.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::fsm {
@@ -17,18 +17,8 @@ struct ConfiguredMachine::Core {
   Core(const Core&) = delete;
   Core& operator=(const Core&) = delete;
 
-  /// A name of the conditions, which stands for a field of an input.
-  struct Name {
-    std::size_t index;  // among the names of all conditions
-    std::string text;
-    rtdata::detail::FieldName field;
-    const Leaf* leaf = nullptr;
-    std::optional<double> value = {};
-  };
-  struct Input {
-    std::string topic;
-    std::vector<Name> names = {};
-    std::uint64_t description = 0;  // of which the leaves are; 0: none yet
+  /// Of an input, beside its events.
+  struct Age {
     bool has_come = false;
     bool is_silence_told = false;
     bool is_forgotten = false;  // its values are too old, and taken out of the conditions of the current state
@@ -44,16 +34,16 @@ struct ConfiguredMachine::Core {
 
   void build(const std::vector<std::string>& names);
   void listen();
-  void take(Input& input, const EventView& event);
-  void bind(Input& input, const Description& description);
+  void take(std::size_t input, const EventView& event);
+  void tell_missing(const rtdata::detail::ExpressionSources::Source& source) const;
   void forget_old();
   void evaluate(When& when, Time time);
   bool holds(std::size_t when, const Moment& moment);
   void arrived(std::size_t state);
   void tell_silence();
   void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
-  bool is_old(const Input& input) const {
-    return !input.has_come || (settings.max_age > Duration{0} && loop.now() - input.came > settings.max_age);
+  bool is_old(const Age& age) const {
+    return !age.has_come || (settings.max_age > Duration{0} && loop.now() - age.came > settings.max_age);
   }
   // Who acts
   void act();
@@ -63,7 +53,9 @@ struct ConfiguredMachine::Core {
   const MachineSettings settings;
   const Sync sync;
   std::vector<std::string> events;  // that transitions wait for
-  std::vector<Input> inputs;
+  rtdata::detail::ExpressionSources inputs{{}, {}};
+  std::vector<Age> ages;                      // of the inputs
+  std::vector<std::optional<double>> values;  // of the names of all conditions
   std::vector<When> whens;
   std::vector<std::vector<std::size_t>> whens_of;  // of each state
   std::size_t state = 0;
@@ -104,12 +96,9 @@ ConfiguredMachine::Core::Core(Loop& its_loop, const MachineSettings& its_setting
   const std::vector<std::string> names = rtdata::detail::names_of(texts);
   if (!names.empty() && settings.inputs.empty()) refuse("it has no `inputs`, and names in conditions");
   build(names);
-  for (const std::string& topic : settings.inputs) inputs.push_back({topic}), inputs.back().came = loop.now();
-  for (std::size_t i = 0; i < names.size(); ++i) {
-    rtdata::detail::FieldName field = rtdata::detail::field_named(settings.inputs, names[i]);
-    const std::size_t of = field.topic;
-    inputs[of].names.push_back({i, names[i], std::move(field)});
-  }
+  inputs = rtdata::detail::ExpressionSources(settings.inputs, names);
+  ages.resize(settings.inputs.size(), {.came = loop.now()});
+  values.resize(names.size());
 }
 
 void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
@@ -142,11 +131,8 @@ void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
 
 /// Apart, since a subscription may fail.
 void ConfiguredMachine::Core::listen() {
-  for (Input& input : inputs) {
-    subscriptions.push_back(
-        loop.subscribe(input.topic, [this, &input](const EventView& event) { take(input, event); }));
-    subscriptions.back().set_name("machine " + settings.name + " on " + input.topic);
-  }
+  subscriptions = inputs.subscribe(loop, "machine " + settings.name,
+                                   [this](std::size_t input, const EventView& event) { take(input, event); });
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
       report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
@@ -154,60 +140,51 @@ void ConfiguredMachine::Core::listen() {
              "look at the recording: after a power cut now, the machine would not go on in this state");
       acted_on(syncing);
     });
-  if (settings.max_age > Duration{0} && !inputs.empty()) {
+  if (settings.max_age > Duration{0} && !ages.empty()) {
     const Duration period = std::max<Duration>(settings.max_age, std::chrono::milliseconds{100});
     silence = Ticker(loop, {.period = period, .name = "machine " + settings.name},
                      [this](const Tick&) { tell_silence(); });
   }
 }
 
-void ConfiguredMachine::Core::take(Input& input, const EventView& event) {
+void ConfiguredMachine::Core::take(std::size_t input, const EventView& event) {
   if (!machine.is_started()) return;
-  if (input.description != event.description().serial()) bind(input, event.description());
-  const bool was_old = input.has_come && is_old(input);
-  input.has_come = true;
-  input.came = loop.now();
-  input.is_silence_told = input.is_forgotten = false;
+  Age& age = ages[input];
+  const bool was_old = age.has_come && is_old(age);
+  age = {.has_come = true, .came = loop.now()};
   const std::vector<std::size_t>& own = whens_of[state];
-  for (Name& name : input.names) {
-    name.value = name.leaf != nullptr ? rtdata::detail::number_in(*name.leaf, event.payload().data()) : std::nullopt;
-    for (const std::size_t number : own) {
-      Expression& expression = whens[number].expression;
-      if (!expression.uses(name.index)) continue;
-      if (name.value)
-        expression.set(name.index, *name.value);
-      else
-        expression.set_unknown(name.index);
-    }
-  }
+  const bool is_new = inputs.put(input, event, [&](std::size_t name, std::optional<double> value) {
+    values[name] = value;
+    for (const std::size_t number : own)
+      if (Expression& expression = whens[number].expression; expression.uses(name))
+        rtdata::detail::set_or_unknown(expression, name, value);
+  });
+  if (is_new) tell_missing(inputs.all()[input]);
   last_time = event.time();
   forget_old();
   // All of them, since memories take in each event, whichever transitions are tried.
   for (const std::size_t number : own) evaluate(whens[number], event.time());
   is_evaluated = true;
   const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
-  detail::input_event(detail::node_of_open(machine, input.topic), event.time(),
+  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), event.time(),
                       was_old ? detail::Before::stale : detail::Before::fresh);
   is_evaluated = false;
 }
 
-void ConfiguredMachine::Core::bind(Input& input, const Description& description) {
-  input.description = description.serial();
-  for (Name& name : input.names) {
-    name.leaf = rtdata::detail::leaf_named(description, name.field, name.text);
-    if (name.leaf != nullptr) continue;
-    report(Errc::not_found, "a condition has no value", "topic " + input.topic, "it has no number `" + name.text + "`",
-           "look at its fields, and at the conditions");
-  }
+void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSources::Source& source) const {
+  for (const auto& field : source.fields)
+    if (field.leaf == nullptr)
+      report(Errc::not_found, "a condition has no value", "topic " + source.topic,
+             "it has no number `" + field.name + "`", "look at its fields, and at the conditions");
 }
 
 /// What has become too old is no value for the conditions of the current state any more.
 void ConfiguredMachine::Core::forget_old() {
-  for (Input& input : inputs) {
-    if (input.is_forgotten || !input.has_come || !is_old(input)) continue;
-    input.is_forgotten = true;
-    for (const Name& name : input.names)
-      for (const std::size_t number : whens_of[state]) whens[number].expression.set_unknown(name.index);
+  for (std::size_t i = 0; i < ages.size(); ++i) {
+    if (ages[i].is_forgotten || !ages[i].has_come || !is_old(ages[i])) continue;
+    ages[i].is_forgotten = true;
+    for (const auto& field : inputs.all()[i].fields)
+      for (const std::size_t number : whens_of[state]) whens[number].expression.set_unknown(field.index);
   }
 }
 
@@ -242,10 +219,11 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
     When& when = whens[number];
     when.expression.reset();
     when.is_failure_told = false;
-    for (const Input& input : inputs) {
-      if (is_old(input)) continue;
-      for (const Name& name : input.names)
-        if (name.value && when.expression.uses(name.index)) when.expression.set(name.index, *name.value);
+    for (std::size_t i = 0; i < ages.size(); ++i) {
+      if (is_old(ages[i])) continue;
+      for (const auto& field : inputs.all()[i].fields)
+        if (const auto& value = values[field.index]; value && when.expression.uses(field.index))
+          when.expression.set(field.index, *value);
     }
     if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
   }
@@ -273,12 +251,12 @@ void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
 }
 
 void ConfiguredMachine::Core::tell_silence() {
-  for (Input& input : inputs) {
-    const bool is_silent = loop.now() - input.came > settings.max_age;
-    if (!is_silent || std::exchange(input.is_silence_told, true)) continue;
-    report(Errc::timed_out, "conditions wait", "topic " + input.topic,
-           input.has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
-                          : "it has brought nothing yet",
+  for (std::size_t i = 0; i < ages.size(); ++i) {
+    const bool is_silent = loop.now() - ages[i].came > settings.max_age;
+    if (!is_silent || std::exchange(ages[i].is_silence_told, true)) continue;
+    report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
+           ages[i].has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
+                            : "it has brought nothing yet",
            "they go on with its next event; a longer `max_age` bridges longer pauses");
   }
 }

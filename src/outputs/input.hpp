@@ -6,8 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "process/expression_fields.hpp"
-#include "rtdata/loop/topic.hpp"
+#include "process/expression_sources.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/derived.hpp"
@@ -20,10 +19,10 @@ DerivedConfig derived_of(const OutputConfig& config);
 /// Takes no memory for an event. Owner: the output; thread: its loop's.
 class OutputInput {
  public:
-  explicit OutputInput(const OutputConfig& config);
+  explicit OutputInput(const OutputConfig& config) : OutputInput(config, derived_of(config)) {}
   /// `take(topic)` is called with the index of each event's topic, after `put`.
   std::vector<Subscription> subscribe(Loop& loop, const std::string& output,
-                                      const std::function<void(std::size_t, const EventView&)>& take);
+                                      const std::function<void(std::size_t, const EventView&)>& take) const;
   void put(std::size_t topic, const EventView& event);
   /// As of an event of the first topic. None: it has none now; `why` says why, if it is not just waiting.
   std::optional<double> evaluate(Time time);
@@ -33,25 +32,11 @@ class OutputInput {
   void follow(double value) noexcept;
 
  private:
-  struct Input {
-    std::size_t index;  // among the expression's names
-    std::string name;
-    FieldName meaning;
-    const Leaf* leaf;
-  };
-  struct Source {
-    std::string topic;
-    std::vector<Input> inputs = {};
-    std::uint64_t description = 0;  // of which the leaves are; 0: none yet
-    const Input* missing = nullptr;
-    bool has_come = false;
-    Time time{};
-  };
-  void fail(std::string_view why);
+  OutputInput(const OutputConfig& config, const DerivedConfig& derived);
 
   Duration max_age_;
   Expression expression_;
-  std::vector<Source> sources_;
+  ExpressionSources sources_;
   std::optional<Hysteresis> hysteresis_;
   std::optional<Pid> pid_;
   std::string why_;

@@ -3,6 +3,13 @@
 #include <algorithm>
 
 namespace rtdata::detail {
+
+std::vector<std::string> topics_of(const std::string& on, const std::vector<std::string>& with) {
+  std::vector<std::string> topics{on};
+  topics.insert(topics.end(), with.begin(), with.end());
+  return topics;
+}
+
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name) {
   FieldName field{0, name};
   std::size_t longest = 0;

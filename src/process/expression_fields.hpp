@@ -20,6 +20,8 @@ struct FieldName {
   std::string path = {};  ///< of the field; empty: the topic alone was named
 };
 
+/// The topic that is evaluated on, then the others.
+std::vector<std::string> topics_of(const std::string& on, const std::vector<std::string>& with);
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name);
 /// The field that is meant, if it is a number. Null otherwise.
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name);

@@ -4,7 +4,7 @@
 #include <cstring>
 #include <utility>
 
-#include "process/expression_fields.hpp"
+#include "process/expression_sources.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "sensors/core/feed_node.hpp"
@@ -36,12 +36,6 @@ std::string refusal_of(const DerivedConfig& config) {
   return "";
 }
 
-std::vector<std::string> topics_of(const DerivedConfig& config) {
-  std::vector<std::string> topics{config.on};
-  topics.insert(topics.end(), config.with.begin(), config.with.end());
-  return topics;
-}
-
 /// Where the text of an expression is written.
 const ConfigItem& expression_item(const DerivedConfig& config, const ConfigItem& item, std::size_t field) {
   const ConfigItem* at = config.expression.empty() ? nullptr : item.find("expression");
@@ -63,51 +57,26 @@ class DerivedNode final : public FeedNode {
     std::vector<std::string> texts;
     for (const DerivedField& field : fields) texts.push_back(field.expression);
     const std::vector<std::string> names = names_of(texts);
-    const std::vector<std::string> topics = topics_of(config);
+    sources_ = ExpressionSources(topics_of(config.on, config.with), names);
     payload_.resize(description->size());
     for (std::size_t i = 0; i < fields.size(); ++i)
       outputs_.push_back({Expression(fields[i].expression, names), &description->leaves()[i]});
-    for (std::size_t i = 0; i < topics.size(); ++i) {
-      Source source;
-      source.topic = topics[i];
-      for (std::size_t n = 0; n < names.size(); ++n)
-        if (FieldName field = field_named(topics, names[n]); field.topic == i)
-          source.inputs.push_back({n, names[n], std::move(field), nullptr});
-      sources_.push_back(std::move(source));
-    }
   }
 
   /// Apart, since a subscription may fail.
   void subscribe(Loop& loop) {
-    for (std::size_t i = sources_.size(); i-- > 0;) {
-      subscriptions_.push_back(
-          loop.subscribe(sources_[i].topic, [this, i](const EventView& event) { take(i, event); }));
-      subscriptions_.back().set_name("sensor " + origin_.name + " on " + sources_[i].topic);
-    }
+    subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
+                                        [this](std::size_t from, const EventView& event) { take(from, event); });
   }
 
   void start() override {
     if (is_running() || !is_open()) return;
     FeedNode::start();
     for (Output& output : outputs_) output.expression.reset();
-    for (Source& source : sources_) source.has_come = false;
+    sources_.forget();
   }
 
  private:
-  struct Input {
-    std::size_t index;  // among the names of all expressions
-    std::string name;
-    FieldName field;
-    const Leaf* leaf;
-  };
-  struct Source {
-    std::string topic = {};
-    std::vector<Input> inputs = {};
-    std::uint64_t description = 0;  // of which the leaves are; 0: none yet
-    const Input* missing = nullptr;
-    bool has_come = false;
-    Time time{};
-  };
   struct Output {
     Expression expression;
     const Leaf* leaf;
@@ -116,53 +85,23 @@ class DerivedNode final : public FeedNode {
   void take(std::size_t from, const EventView& event) {
     if (!is_running()) return;
     Call call(*this);
-    Source& source = sources_[from];
-    if (source.description != event.description().serial()) bind(source, event.description());
-    source.has_come = true;
-    source.time = event.time();
-    if (source.missing == nullptr) {
-      for (const Input& input : source.inputs) {
-        const std::optional<double> number = number_in(*input.leaf, event.payload().data());
-        for (Output& output : outputs_) {
-          if (!output.expression.uses(input.index)) continue;
-          if (number)
-            output.expression.set(input.index, *number);
-          else
-            output.expression.set_unknown(input.index);
-        }
-      }
-    }
+    sources_.put(from, event, [this](std::size_t name, std::optional<double> number) {
+      for (Output& output : outputs_)
+        if (output.expression.uses(name)) set_or_unknown(output.expression, name, number);
+    });
     if (from == 0) derive(event.time());
   }
 
-  void bind(Source& source, const Description& description) {
-    source.description = description.serial();
-    source.missing = nullptr;
-    for (Input& input : source.inputs) {
-      input.leaf = leaf_named(description, input.field, input.name);
-      if (input.leaf == nullptr && source.missing == nullptr) source.missing = &input;
-    }
-  }
-
   void derive(Time time) {
-    for (const Source& source : sources_) {
-      if (source.missing != nullptr) {
-        fail({Errc::not_found, cannot_derive, object_name(),
-              "the topic \"" + source.topic + "\" has no number `" + source.missing->name + "`",
-              "look at its fields, and at the expression"});
-        return;
-      }
-      if (source.inputs.empty() ||
-          (source.has_come && (&source == &sources_[0] || span_between(source.time, time) <= age_)))
-        continue;
+    if (const ExpressionSources::Source* const lacking = sources_.lacking(time, age_)) {
+      if (lacking->missing != nullptr)
+        return fail({Errc::not_found, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
+                     "look at its fields, and at the expression"});
       // Told once, and again when it is another topic that is missing.
-      if (health() == Health::faulted && absent_ == &source) return;
-      absent_ = &source;
-      fault({Errc::timed_out, cannot_derive, object_name(),
-             "the topic \"" + source.topic + "\" has brought nothing" +
-                 (source.has_come ? " for more than " + to_string(age_) : std::string(" yet")),
-             "it goes on with the next event of that topic; a longer `age` bridges longer pauses"});
-      return;
+      if (health() == Health::faulted && absent_ == lacking) return;
+      absent_ = lacking;
+      return fault({Errc::timed_out, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
+                    "it goes on with the next event of that topic; a longer `age` bridges longer pauses"});
     }
     const Output* failed = nullptr;
     for (Output& output : outputs_) {  // all of them, since memories take in each event
@@ -188,10 +127,10 @@ class DerivedNode final : public FeedNode {
   Duration age_;
   std::shared_ptr<const Description> description_;
   std::vector<Output> outputs_;
-  std::vector<Source> sources_;
+  ExpressionSources sources_{{}, {}};
   std::vector<Subscription> subscriptions_;
   std::vector<std::byte> payload_;
-  const Source* absent_ = nullptr;
+  const ExpressionSources::Source* absent_ = nullptr;
 };
 
 }  // namespace detail
@@ -221,8 +160,8 @@ void check_derived_names(const DerivedConfig& config,
                          const ConfigItem& item, Problems& problems) {
   const std::vector<DerivedField> fields = fields_of(config);
   for (std::size_t i = 0; i < fields.size(); ++i) {
-    detail::check_field_names(fields[i].expression, topics_of(config), payload_of, expression_item(config, item, i),
-                              problems);
+    detail::check_field_names(fields[i].expression, detail::topics_of(config.on, config.with), payload_of,
+                              expression_item(config, item, i), problems);
   }
 }
 

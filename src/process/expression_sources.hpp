@@ -1,0 +1,80 @@
+// The topics of which expressions take their values: of derived values, outputs and the conditions of machines.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "process/expression_fields.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::detail {
+
+/// Takes no memory for an event. Owner: who evaluates; thread: its loop's.
+class ExpressionSources {
+ public:
+  /// A name of the expressions, which stands for a field of a topic.
+  struct Field {
+    std::size_t index;  ///< among the names
+    std::string name;
+    FieldName meaning;
+    const Leaf* leaf = nullptr;  ///< null: what the topic carries has no such number, or nothing has come
+  };
+  struct Source {
+    std::string topic = {};
+    std::vector<Field> fields = {};
+    std::uint64_t description = 0;   ///< of which the leaves are; 0: none yet
+    const Field* missing = nullptr;  ///< the first field that what it carries does not have
+    bool has_come = false;
+    Time time{};  ///< of the last event
+  };
+
+  /// `names`: of all expressions, as they were made with.
+  ExpressionSources(const std::vector<std::string>& topics, const std::vector<std::string>& names);
+  ExpressionSources(ExpressionSources&&) = default;
+  ExpressionSources& operator=(ExpressionSources&&) = default;
+
+  /// `take(source)` is called for each event, of the first topic after those of others of that time.
+  std::vector<Subscription> subscribe(
+      Loop& loop, const std::string& whose,
+      const std::function<void(std::size_t source, const EventView& event)>& take) const;
+
+  /// Calls `set(index, value)` for each name that is of this source; the value is an optional.
+  /// Returns whether what the topic carries is of another description than before.
+  template <typename Set>
+  bool put(std::size_t source, const EventView& event, Set&& set) {
+    Source& from = sources_[source];
+    const bool is_new = from.description != event.description().serial();
+    if (is_new) bind(from, event.description());
+    from.has_come = true;
+    from.time = event.time();
+    for (const Field& field : from.fields)
+      set(field.index, field.leaf != nullptr ? number_in(*field.leaf, event.payload().data()) : std::nullopt);
+    return is_new;
+  }
+  /// The first source, of those with names, that does not have them, or (but for the first) has brought nothing within
+  /// `age`. None: null.
+  const Source* lacking(Time now, Duration age) const noexcept;
+  static std::string why(const Source& lacking, Duration age);
+
+  /// As before the first event.
+  void forget() noexcept;
+  const std::vector<Source>& all() const noexcept { return sources_; }
+
+ private:
+  static void bind(Source& source, const Description& description);
+
+  std::vector<Source> sources_;
+};
+
+/// A value, or that there is none.
+inline void set_or_unknown(Expression& expression, std::size_t index, std::optional<double> value) noexcept {
+  if (value)
+    expression.set(index, *value);
+  else
+    expression.set_unknown(index);
+}
+
+}  // namespace rtdata::detail
