@@ -26,6 +26,8 @@ class OutputInput {
   void put(std::size_t topic, const EventView& event);
   /// As of an event of the first topic. None: it has none now; `why` says why, if it is not just waiting.
   std::optional<double> evaluate(Time time);
+  /// The first topic tells what changes: that it brings nothing is no sign.
+  bool lasts() const noexcept { return sources_.all().front().lasts; }
   /// Empty: it is waiting, or has a value.
   const std::string& why() const noexcept { return why_; }
   /// The output has this value, whatever was evaluated.

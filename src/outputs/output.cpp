@@ -161,12 +161,20 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     beat();
     const MonotonicTime began = now();
     const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
-    if (!opened) throw SetupError(placed(opened.error()));
+    // What is away may come: the other errors are for who has configured it.
+    if (!opened && opened.error().code != Errc::disconnected) throw SetupError(placed(opened.error()));
     is_held_ = true;
-    is_failing_ = false;
+    is_failing_ = !opened;
     is_armed_ = config_.armed == Arming::at_start;
-    if (!config_.keep) value_ = config_.safe;
-    record({config_.safe, OutputCause::start, {}, began}, value_, config_.keep ? "it keeps what it has" : "");
+    if (opened && !config_.keep) value_ = config_.safe;
+    record({config_.safe, OutputCause::start, {}, began}, value_,
+           !opened        ? opened.error().why
+           : config_.keep ? "it keeps what it has"
+                          : "");
+    if (!opened) {
+      complain(placed(opened.error()), Health::faulted);
+      if (is_open() && is_held_ && is_failing_) retry_.start(retry_period);
+    }
     last_input_ = now();
     if (input_) stale_.start(config_.max_age);
   }
@@ -318,7 +326,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (!stale_.is_running()) stale_.start(config_.max_age);
+    if (input_->lasts())
+      stale_.stop();
+    else if (!stale_.is_running())
+      stale_.start(config_.max_age);
     if (is_armed_ && !is_failing_)
       request({*value, OutputCause::input, fitted<48>(config_.on), now()});
     else

@@ -28,8 +28,11 @@ std::vector<Subscription> ExpressionSources::subscribe(
 void ExpressionSources::bind(Source& source, const Description& description) {
   source.description = description.serial();
   source.missing = nullptr;
+  source.lasts = lasts(description);
   for (Field& field : source.fields) {
     field.leaf = leaf_named(description, field.meaning, field.name);
+    field.is_state = field.leaf == nullptr && !field.meaning.path.empty();
+    if (field.is_state) field.leaf = state_leaf(description);
     if (field.leaf == nullptr && source.missing == nullptr) source.missing = &field;
   }
 }
@@ -38,7 +41,7 @@ const ExpressionSources::Source* ExpressionSources::lacking(Time now, Duration a
   for (const Source& source : sources_) {
     if (source.missing != nullptr) return &source;
     if (source.fields.empty() || &source == &sources_.front()) continue;
-    if (!source.has_come || span_between(source.time, now) > age) return &source;
+    if (!source.has_come || (!source.lasts && span_between(source.time, now) > age)) return &source;
   }
   return nullptr;
 }

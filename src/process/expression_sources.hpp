@@ -20,7 +20,8 @@ class ExpressionSources {
     std::size_t index;  ///< among the names
     std::string name;
     FieldName meaning;
-    const Leaf* leaf = nullptr;  ///< null: what the topic carries has no such number, or nothing has come
+    const Leaf* leaf = nullptr;  ///< null: there is no such number, or nothing has come
+    bool is_state = false;       ///< a machine is in the state of this name; `leaf` is where it says so
   };
   struct Source {
     std::string topic = {};
@@ -28,7 +29,8 @@ class ExpressionSources {
     std::uint64_t description = 0;   ///< of which the leaves are; 0: none yet
     const Field* missing = nullptr;  ///< the first field that what it carries does not have
     bool has_come = false;
-    Time time{};  ///< of the last event
+    bool lasts = false;  ///< it tells what changes: its last event is never too old
+    Time time{};         ///< of the last event
   };
 
   /// `names`: of all expressions, as they were made with.
@@ -37,9 +39,8 @@ class ExpressionSources {
   ExpressionSources& operator=(ExpressionSources&&) = default;
 
   /// `take(source)` is called for each event, of the first topic after those of others of that time.
-  std::vector<Subscription> subscribe(
-      Loop& loop, const std::string& whose,
-      const std::function<void(std::size_t source, const EventView& event)>& take) const;
+  std::vector<Subscription> subscribe(Loop& loop, const std::string& whose,
+                                      const std::function<void(std::size_t source, const EventView& event)>& take) const;
 
   /// Calls `set(index, value)` for each name that is of this source; the value is an optional.
   /// Returns whether what the topic carries is of another description than before.
@@ -50,8 +51,7 @@ class ExpressionSources {
     if (is_new) bind(from, event.description());
     from.has_come = true;
     from.time = event.time();
-    for (const Field& field : from.fields)
-      set(field.index, field.leaf != nullptr ? number_in(*field.leaf, event.payload().data()) : std::nullopt);
+    for (const Field& field : from.fields) set(field.index, value_of(field, event.payload().data()));
     return is_new;
   }
   /// The first source, of those with names, that does not have them, or (but for the first) has brought nothing within
@@ -65,6 +65,11 @@ class ExpressionSources {
 
  private:
   static void bind(Source& source, const Description& description);
+  static std::optional<double> value_of(const Field& field, const std::byte* payload) noexcept {
+    if (field.leaf == nullptr) return std::nullopt;
+    if (!field.is_state) return number_in(*field.leaf, payload);
+    return holds_text(*field.leaf, payload, field.meaning.path) ? 1 : 0;
+  }
 
   std::vector<Source> sources_;
 };

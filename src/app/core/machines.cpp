@@ -1,5 +1,6 @@
 #include "app/core/machines.hpp"
 
+#include "rtdata/data/description.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sinks/sink.hpp"
 
@@ -17,6 +18,15 @@ struct PlacedMachine {
     check_config(machine.own, item, problems);
   }
 };
+
+/// A change, and each state as a name that is true in it. Null: a state is called as a name cannot be.
+std::shared_ptr<const Description> with_states(const fsm::MachineSettings& settings) {
+  DescriptionBuilder builder("state_change");
+  builder.field("lasted", Kind::f64, "s");
+  for (const fsm::StateSettings& state : settings.states) builder.field(state.name, Kind::boolean);
+  const auto described = builder.build();
+  return described ? *described : nullptr;
+}
 
 PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings) {
   std::optional<fsm::ConfiguredMachine::Beginning> beginning;
@@ -51,7 +61,8 @@ void add_machines(Registry& registry) {
         plan.publishes = PublishedTopic{settings.topic.empty() ? settings.name : settings.topic,
                                         description_of<fsm::StateChange>(),
                                         std::nullopt,
-                                        {}};
+                                        {},
+                                        with_states(settings)};
         if (settings.resume) plan.stored_by = settings.resume->recording;
         plan.check_topics = [settings](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
                                        Problems& problems) {

@@ -311,7 +311,9 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (part.check_topics) {
     const auto payload_of = [this](std::string_view topic) -> const Description* {
       const auto known = topics_.find(topic);
-      return known != topics_.end() ? known->second->publishes->description.get() : nullptr;
+      if (known == topics_.end()) return nullptr;
+      const PublishedTopic& published = *known->second->publishes;
+      return published.in_expressions.value_or(published.description).get();
     };
     part.check_topics(part, payload_of, problems);
   }

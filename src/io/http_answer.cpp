@@ -1,4 +1,4 @@
-#include "sinks/http/http_answer.hpp"
+#include "io/http_answer.hpp"
 
 #include <curl/curl.h>
 
@@ -8,7 +8,7 @@
 #include <system_error>
 
 #include "data/utf8.hpp"
-#include "sinks/http/http_url.hpp"
+#include "io/http_url.hpp"
 
 namespace rtdata::detail {
 namespace {
