@@ -24,6 +24,7 @@
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -273,8 +274,21 @@ Registry standard_registry() {
             check_derived_names(config, payload_of, part.item, problems);
           };
         });
+    registry.add_sensor<TriggerConfig>(
+        "trigger", "the events of another topic while a condition holds, and from some time before that on",
+        [](const TriggerConfig&) { return Result(std::shared_ptr<const Description>()); },
+        [](Loop& loop, const FeedConfig& common, const TriggerConfig& config) {
+          return TriggerSensor(loop, common, config);
+        },
+        [](PartPlan& plan, const TriggerConfig& config) {
+          plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
+                                       Problems& problems) {
+            check_trigger_names(config, payload_of, part.item, problems);
+          };
+        });
   } else {
-    registry.leave_out("sensor", "derived", "this program was built without muParser");
+    for (const char* type : {"derived", "trigger"})
+      registry.leave_out("sensor", type, "this program was built without muParser");
   }
   registry.add_sensor<LimitConfig>(
       "limit", "alarms of a number of another topic: limits with hysteresis, delay, and a latch",
