@@ -5,8 +5,8 @@ cd "$(dirname "$0")/../.."
 seconds=${1:-20}
 out=build/fuzz
 mkdir -p "$out"
-# The whole library, and that of recordings.
-library=$(cat src/rtdata.sources src/rtdata_sqlite.sources)
+# The whole library, that of recordings, and of the program what a fuzzer looks at.
+library="$(cat src/rtdata.sources src/rtdata_sqlite.sources) src/app/control/commands.cpp"
 # Without muParser, expressions are read and not evaluated.
 muparser=$(pkg-config --exists muparser && echo -lmuparser || true)
 cache=$(command -v ccache || true)
