@@ -94,9 +94,9 @@ void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url) {
   set(CURLOPT_USERAGENT, "rtdata/" RTDATA_VERSION);
   const bool may_be_two = server.http_version == HttpVersion::two ||
                           (server.http_version == HttpVersion::automatic && url.is_encrypted());
-  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two           ? CURL_HTTP_VERSION_1_1
+  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two          ? CURL_HTTP_VERSION_1_1
                                               : url.is_encrypted() ? CURL_HTTP_VERSION_2TLS
-                                                                    : CURL_HTTP_VERSION_2_PRIOR_KNOWLEDGE));
+                                                                   : CURL_HTTP_VERSION_2_PRIOR_KNOWLEDGE));
   if (may_be_two) set(CURLOPT_PIPEWAIT, 1L);  // one connection for all
   if (!server.user.empty()) {
     set(CURLOPT_HTTPAUTH, static_cast<long>(CURLAUTH_BASIC));

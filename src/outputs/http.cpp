@@ -104,8 +104,8 @@ struct HttpActuator::Request {
       if (judgement.verdict == detail::HttpVerdict::taken) return {};
       return Error{judgement.why.code, cannot_set, url.origin, judgement.why.why, "look at `url`, `method` and `text`"};
     }
-    const detail::HttpUrl proxy =
-        config.server.proxy.empty() ? detail::HttpUrl{} : detail::parse_http_url(config.server.proxy).or_throw();
+    const detail::HttpUrl proxy = config.server.proxy.empty() ? detail::HttpUrl{}
+                                                              : detail::parse_http_url(config.server.proxy).or_throw();
     detail::HttpJudgement judgement = detail::judge(detail::failure_of(easy, status, error), url.origin, proxy.origin);
     if (status == CURLE_OPERATION_TIMEDOUT) judgement.why.why = "it did not answer within " + to_string(config.timeout);
     // Whatever came in between: it may be there the next time.

@@ -47,8 +47,7 @@ std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
 struct MqttActuator::Link {
   Link(MqttActuatorConfig its_config, std::optional<double> safe) : config(std::move(its_config)) {
     options.holds_answers = true;  // as programs with threads do: others than the library's thread publish
-    if (safe)
-      options.will = {config.to, detail::set_text(config.text, *safe, config.words), config.qos, config.retain};
+    if (safe) options.will = {config.to, detail::set_text(config.text, *safe, config.words), config.qos, config.retain};
   }
 
   // ---- the connection's thread

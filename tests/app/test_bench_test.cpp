@@ -83,14 +83,14 @@ struct Bench {
   std::optional<Process> bench, program;
 };
 
-#define NEEDS_BENCH()                                               \
-  if (!rtdata::Expression::available()) {                           \
+#define NEEDS_BENCH()                                                  \
+  if (!rtdata::Expression::available()) {                              \
     MESSAGE("skipped: the program was built without libmuparser-dev"); \
-    return;                                                         \
-  }                                                                 \
-  if (::access(python, X_OK) != 0) {                                \
-    MESSAGE("skipped: there is no python3");                        \
-    return;                                                         \
+    return;                                                            \
+  }                                                                    \
+  if (::access(python, X_OK) != 0) {                                   \
+    MESSAGE("skipped: there is no python3");                           \
+    return;                                                            \
   }
 
 }  // namespace
@@ -126,7 +126,8 @@ TEST_SUITE("app") {
     NEEDS_BENCH();
     struct {
       std::string fault, cause, alarm;
-    } const rows[] = {{"overpressure", "pressure", "high_high"}, {"dead", "pressure", "unknown"}, {"cold", "no ignition", ""}};
+    } const rows[] = {
+        {"overpressure", "pressure", "high_high"}, {"dead", "pressure", "unknown"}, {"cold", "no ignition", ""}};
     for (const auto& row : rows) {
       CAPTURE(row.fault);
       Bench bench({"--fault", row.fault});
@@ -136,8 +137,8 @@ TEST_SUITE("app") {
       CHECK(bench.bench->wait_for("purge 1"));
       std::this_thread::sleep_for(500ms);
       bench.end();
-      CHECK(bench.states() == (row.fault == "cold" ? "idle countdown ignition abort"
-                                                    : "idle countdown ignition burn abort"));
+      CHECK(bench.states() ==
+            (row.fault == "cold" ? "idle countdown ignition abort" : "idle countdown ignition burn abort"));
       CHECK(bench.text(R"(SELECT cause FROM sequence WHERE "to" = 'abort')") == row.cause);
       CHECK(bench.asked("igniter") == "1 0");
       CHECK(bench.asked("valve") == "1 0");
@@ -151,7 +152,8 @@ TEST_SUITE("app") {
     }
   }
 
-  TEST_CASE("US-35 US-39 examples/test_bench: killed with a full ring, nothing is recorded of it, and the account is right") {
+  TEST_CASE(
+      "US-35 US-39 examples/test_bench: killed with a full ring, nothing is recorded of it, and the account is right") {
     NEEDS_BENCH();
     Bench bench;
     std::this_thread::sleep_for(2s);

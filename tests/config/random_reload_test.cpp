@@ -60,9 +60,8 @@ struct Run {
           return Sensor<Number>(its_loop, common,
                                 [value = 0.0, step = config.step]() mutable { return Number{value += step}; });
         });
-    registry.add_output<DeviceConfig>("memory", "a device of memory", [this](const DeviceConfig& config) {
-      return devices[config.device].make()();
-    });
+    registry.add_output<DeviceConfig>("memory", "a device of memory",
+                                      [this](const DeviceConfig& config) { return devices[config.device].make()(); });
   }
 
   unsigned below(unsigned limit) { return std::uniform_int_distribution<unsigned>(0, limit - 1)(random); }
@@ -100,9 +99,9 @@ struct Run {
             "transitions": [{"from": "low", "to": "high", "when": "value > )" +
                                std::to_string(below(100)) + R"("}, {"from": "high", "to": "low", "after": "2 s"}]})"};
       case 'o':
-        return {"output", head + R"("type": "memory", "device": ")" + name + "\", " +
-                              (below(2) == 0 ? on + R"("expression": "value > 5"})"
-                                             : R"("on": "m0", "expression": "high"})")};
+        return {"output",
+                head + R"("type": "memory", "device": ")" + name + "\", " +
+                    (below(2) == 0 ? on + R"("expression": "value > 5"})" : R"("on": "m0", "expression": "high"})")};
       default:
         return counting(name);
     }

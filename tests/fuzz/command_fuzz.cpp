@@ -1,6 +1,6 @@
 /// Any bytes as the lines that come to the control socket of a running instance. Each is answered with a line of JSON;
-/// what is a command is recorded once, and nothing but the right commands changes an output, of which a model knows what
-/// it should have.
+/// what is a command is recorded once, and nothing but the right commands changes an output, of which a model knows
+/// what it should have.
 ///
 ///     tests/fuzz/run.sh 60
 #include <cmath>
@@ -48,10 +48,11 @@ struct Instance {
     registry.add_output<Nothing>("memory", "a device of memory", [this](const Nothing&) { return device.make()(); });
     loop.runtime().on_log([](const LogRecord&) {});
     loop.on_error([](const ErrorReport&) {});
-    system.emplace(loop, registry, plan_system(registry, parse_config(R"({
+    system.emplace(loop, registry,
+                   plan_system(registry, parse_config(R"({
         "sensors": [{"name": "s", "type": "number", "rate": "10 Hz"}],
         "outputs": [{"name": "o", "type": "memory", "armed": "by command"}]})",
-                                                                      "f.json")));
+                                                      "f.json")));
     seen = loop.subscribe(app::command_topic, [this](const EventView&) { ++recorded; });
   }
 

@@ -230,7 +230,8 @@ bool kill_guard_in(const std::string& folder) {
 }
 
 MqttActuatorConfig config_of(const Broker& broker) {
-  return {.broker = {.host = "127.0.0.1", .port = broker.port()}, .to = "pump/set", .words = {{"0", "OFF"}, {"1", "ON"}}};
+  return {
+      .broker = {.host = "127.0.0.1", .port = broker.port()}, .to = "pump/set", .words = {{"0", "OFF"}, {"1", "ON"}}};
 }
 
 }  // namespace

@@ -128,7 +128,8 @@ TEST_CASE("US-17 what came before the trigger is passed on, in order, each event
   CHECK(bench.loop.runtime().balances());
 }
 
-TEST_CASE("US-17 the condition may be of the events themselves; without `before` they begin with the one that makes it") {
+TEST_CASE(
+    "US-17 the condition may be of the events themselves; without `before` they begin with the one that makes it") {
   NEEDS_EXPRESSIONS();
   Bench bench({.when = "value >= 5 and value < 8"});
   bench.run(10);
@@ -258,9 +259,11 @@ TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
   const auto problems = [](const std::string& trigger) {
     std::vector<std::string> lines;
     for (const Problem& problem :
-         plan_system(standard_registry(), parse_config(R"({"sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
- {"name": "kept", "type": "trigger", )" + trigger + "}]}",
-                                                       "f.json"))
+         plan_system(standard_registry(),
+                     parse_config(R"({"sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+ {"name": "kept", "type": "trigger", )" +
+                                      trigger + "}]}",
+                                  "f.json"))
              .problems)
       lines.push_back(problem.text());
     return lines;
@@ -280,8 +283,9 @@ TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
   CHECK(is_refused(R"("on": "load", "with": ["load"], "when": "minutes_1 > 1")", "is there twice"));
   CHECK(is_refused(R"("on": "load", "when": "minutes_1 > 1", "before": "2 d")", "before"));
   CHECK(is_refused(R"("on": "load", "when": "minutes_1 > 1", "events": 0)", "events"));
-  CHECK(is_refused(R"("on": "load", "when": "minutes_1 > 1", "process": {"minutes_1": {"filters": [{"type": "throttle", "time": "1 s"}]}})",
-                   "give `process` to the sensor"));
+  CHECK(is_refused(
+      R"("on": "load", "when": "minutes_1 > 1", "process": {"minutes_1": {"filters": [{"type": "throttle", "time": "1 s"}]}})",
+      "give `process` to the sensor"));
   CHECK(is_refused(R"("on": "kept", "when": "1")", "kept"));
 }
 
@@ -293,7 +297,8 @@ TEST_CASE("US-17 a reload leaves a trigger untouched, or makes it anew with an e
   const auto plan = [&](const std::string& before, const std::string& rate) {
     return plan_system(registry, parse_config(R"({"sensors": [
         {"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
-        {"name": "other", "type": "host", "quantity": "load", "rate": ")" + rate + R"("},
+        {"name": "other", "type": "host", "quantity": "load", "rate": ")" +
+                                                  rate + R"("},
         {"name": "kept", "type": "trigger", "on": "load", "with": ["work"], "when": "work.busy", "before": ")" +
                                                   before + R"("}],
       "machines": [{"name": "work", "start": "idle", "states": [{"name": "idle"}, {"name": "busy"}],

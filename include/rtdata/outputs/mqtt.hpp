@@ -34,7 +34,7 @@ struct MqttActuatorConfig {
   std::string text = "{value}";  ///< the message; `{value}` is the value, as short as it is exact: 1, 0.5
   std::map<std::string, std::string> words = {};  ///< what is written in place of a value: {"0": "OFF", "1": "ON"}
   std::uint8_t qos = 1;
-  bool retain = false;  ///< the broker keeps the last message for devices that come later
+  bool retain = false;                         ///< the broker keeps the last message for devices that come later
   Duration timeout = std::chrono::seconds{1};  ///< from connecting to the confirmation
 
   friend constexpr auto parameters(type_tag<MqttActuatorConfig>) {
@@ -46,7 +46,8 @@ struct MqttActuatorConfig {
                   placeholders("value")),
         parameter("words", &MqttActuatorConfig::words, "what {value} is, by value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
         parameter("qos", &MqttActuatorConfig::qos, "0: at most once, 1: at least once, 2: once", range(0, 2)),
-        parameter("retain", &MqttActuatorConfig::retain, "whether the broker keeps the last message for who comes later"),
+        parameter("retain", &MqttActuatorConfig::retain,
+                  "whether the broker keeps the last message for who comes later"),
         parameter("timeout", &MqttActuatorConfig::timeout, "from connecting to the broker's confirmation",
                   range(Duration{10ms}, Duration{1500ms})));
   }

@@ -17,8 +17,8 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_pass = "cannot pass on events";
-constexpr const char* processes_elsewhere =
-    "events are passed on as they are: give `process` to the sensor that they are from";
+constexpr const char*
+    processes_elsewhere = "events are passed on as they are: give `process` to the sensor that they are from";
 constexpr std::size_t most_at_once = 500;  // events that are published, since topics have room for 1024 that wait
 constexpr Duration between_parts = std::chrono::milliseconds{1};
 
@@ -172,7 +172,8 @@ class TriggerNode final : public FeedNode {
     if ((troubles_ & trouble) != 0) return;
     if ((trouble & condition) != 0) troubles_ &= ~unsigned{condition};
     troubles_ |= trouble;
-    complain({code, cannot_pass, object_name(), why(), trouble == short_ring ? "give it more `events`" : "nothing is passed on meanwhile"},
+    complain({code, cannot_pass, object_name(), why(),
+              trouble == short_ring ? "give it more `events`" : "nothing is passed on meanwhile"},
              Health::degraded);
   }
   void clear(Trouble trouble) {
@@ -275,7 +276,8 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
   if (const std::string why = refusal_of(config); !why.empty()) refuse(Errc::bad_argument, why);
   if (!feed.process.empty()) refuse(Errc::bad_argument, processes_elsewhere);
   const detail::TopicCore* const topic = loop.core().runtime.find_topic(config.on);
-  if (topic == nullptr) refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make what publishes it first");
+  if (topic == nullptr)
+    refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make what publishes it first");
   if (topic->type.description == nullptr)
     refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
   try {
