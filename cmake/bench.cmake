@@ -1,6 +1,6 @@
 # The benchmarks: `script/bench`.
 add_executable(rtdata_bench tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
-  tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/net_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
+  tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/machine_bench.cpp tests/bench/net_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/reaction_bench.cpp tests/bench/reload_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
   tests/bench/rt_bench.cpp tests/bench/sending_bench.cpp tests/bench/sink_bench.cpp tests/bench/verify_bench.cpp)
 target_link_libraries(rtdata_bench PRIVATE rtdata_options rtdata::rtdata PkgConfig::libuv)
 target_include_directories(rtdata_bench PRIVATE tests/bench src)

@@ -27,7 +27,7 @@ if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
   target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
 endif()
-set_property(SOURCE tests/app/fleet_example_test.cpp tests/app/many_machines_test.cpp tests/sensors/mqtt_sensor_test.cpp
+set_property(SOURCE tests/app/fleet_example_test.cpp tests/app/many_machines_test.cpp tests/outputs/network_test.cpp tests/sensors/mqtt_sensor_test.cpp
   tests/sensors/sensor_contract_test.cpp tests/sinks/half_open_test.cpp tests/sinks/mqtt_test.cpp tests/sinks/name_test.cpp tests/sinks/sender_kill_test.cpp tests/sinks/sender_kinds.cpp tests/sinks/slow_peer_test.cpp APPEND
   PROPERTY COMPILE_DEFINITIONS $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
 if(RTDATA_PCH)

@@ -43,9 +43,10 @@ struct ConfiguredMachine::Core {
   void arrived(std::size_t state);
   void tell_silence();
   void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
-  bool is_old(const Age& age) const {
-    const bool is_held = inputs.all()[static_cast<std::size_t>(&age - ages.data())].is_held;
-    return !age.has_come || (!is_held && settings.max_age > Duration{0} && loop.now() - age.came > settings.max_age);
+  bool is_old(std::size_t input) const {
+    if (!ages[input].has_come) return true;
+    const bool ages_at_all = settings.max_age > Duration{0} && !inputs.all()[input].is_held;
+    return ages_at_all && loop.now() - ages[input].came > settings.max_age;
   }
   // Who acts
   void act();
@@ -72,6 +73,7 @@ struct ConfiguredMachine::Core {
   std::weak_ptr<Core> self;
 
   Machine machine;
+  Timer begin;     // in the first turn, when all that follows the machine is there
   Timer patience;  // with the card
   Ticker silence;
   std::vector<Subscription> subscriptions;
@@ -160,7 +162,7 @@ void ConfiguredMachine::Core::recall() {
 void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Time time) {
   if (!machine.is_started()) return;
   Age& age = ages[input];
-  const bool was_old = age.has_come && is_old(age);
+  const bool was_old = age.has_come && is_old(input);
   age = {.has_come = true, .came = loop.now()};
   const std::vector<std::size_t>& own = whens_of[state];
   const bool is_new = inputs.put(input, event, [&](std::size_t name, std::optional<double> value) {
@@ -191,7 +193,7 @@ void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSourc
 /// What has become too old is no value for the conditions of the current state any more.
 void ConfiguredMachine::Core::forget_old() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
-    if (ages[i].is_forgotten || !ages[i].has_come || !is_old(ages[i])) continue;
+    if (ages[i].is_forgotten || !ages[i].has_come || !is_old(i)) continue;
     ages[i].is_forgotten = true;
     for (const auto& field : inputs.all()[i].fields)
       for (const std::size_t number : whens_of[state]) whens[number].expression.set_unknown(field.index);
@@ -230,7 +232,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
     when.expression.reset();
     when.is_failure_told = false;
     for (std::size_t i = 0; i < ages.size(); ++i) {
-      if (is_old(ages[i])) continue;
+      if (is_old(i)) continue;
       for (const auto& field : inputs.all()[i].fields)
         if (const auto& value = values[field.index]; value && when.expression.uses(field.index))
           when.expression.set(field.index, *value);

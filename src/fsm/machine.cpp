@@ -109,6 +109,7 @@ class MachineNode final : public Node {
       for (const auto& way : other->ways)
         if (&way->to == &state) way->is_removed = true;
     const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; });
+    has_removed_ = true;
     removed_.push_back(std::move(*found));
     states_.erase(found);
     tidy();
@@ -149,6 +150,7 @@ class MachineNode final : public Node {
     std::size_t count = 0;
     for (const auto& way : source.ways) {
       if (&way->to != &target || way->is_removed) continue;
+      has_removed_ = true;
       way->is_removed = true;
       ++count;
     }
@@ -251,6 +253,14 @@ class MachineNode final : public Node {
   // Events
   /// Now, or after those that wait for the end of a change.
   void take(std::uint16_t event, Time time) {
+    if (!is_busy_ && waiting_ == 0) {
+      const rtdata::detail::Call call(*this);
+      is_busy_ = true;
+      try_ways(event, time);
+      ended();
+      if (waiting_ > 0) take_waiting();
+      return;
+    }
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
       return report(Errc::backlog, "an event was dropped", event == any_event ? "of an input" : events_[event],
@@ -291,7 +301,8 @@ class MachineNode final : public Node {
   }
   /// Destroys what was removed, when none of it is on the stack.
   void tidy() {
-    if (is_busy_) return;
+    if (is_busy_ || !has_removed_) return;
+    has_removed_ = false;
     for (const auto& state : states_)
       state->ways.erase(
           std::remove_if(state->ways.begin(), state->ways.end(), [](const auto& way) { return way->is_removed; }),
@@ -308,6 +319,14 @@ class MachineNode final : public Node {
     Entry& from = *current_;
     const Moment moment{time, from.name, loop()->now() - arrived_,
                         event == any_event ? std::string_view() : std::string_view(events_[event])};
+    if (Way* const way = way_out(from, event, moment)) {
+      ++counts_.transitions;
+      go(way->to, way->cause, time);
+    }
+  }
+  /// The first that may be taken. None: null.
+  Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
+    const LoopCore::Calling calling(loop()->runtime);  // of all conditions
     bool is_known = event == any_event;
     // By index: conditions may add ways.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
@@ -316,11 +335,10 @@ class MachineNode final : public Node {
       is_known = true;
       if (moment.in_state < way.config.after) continue;
       if (!holds(way, moment) || way.is_removed || !may_go_to(way.to, moment) || way.is_removed) continue;
-      if (!is_open()) return;
-      ++counts_.transitions;
-      return go(way.to, way.cause, time);
+      return is_open() ? &way : nullptr;
     }
     if (!is_known) ++counts_.ignored;
+    return nullptr;
   }
   bool holds(Way& way, const Moment& moment) {
     if (!way.config.when) return true;
@@ -399,13 +417,18 @@ class MachineNode final : public Node {
   template <class Function>
   bool ask(const char* what, const Way& way, Function&& function) {
     bool answer = false;
-    run([&] { return what + way.config.from + " to " + way.config.to; }, [&] { answer = function(); });
+    run_within([&] { return what + way.config.from + " to " + way.config.to; }, [&] { answer = function(); });
     return answer && is_open();
   }
   /// False: it threw.
   template <class Name, class Function>
   bool run(const Name& name, Function&& function) {
     const LoopCore::Calling calling(loop()->runtime);
+    return run_within(name, function);
+  }
+  /// The same, within a call of the user's code.
+  template <class Name, class Function>
+  bool run_within(const Name& name, Function&& function) {
     try {
       function();
       return true;
@@ -450,6 +473,7 @@ class MachineNode final : public Node {
   Timer go_on_;  // with events that wait, after a turn of the loop
   std::vector<std::unique_ptr<Entry>> states_;
   std::vector<std::unique_ptr<Entry>> removed_;  // while an action runs
+  bool has_removed_ = false;                     // of these, or of ways
   std::vector<std::string> events_;              // by their number
   Entry* current_ = nullptr;
   Entry* going_to_ = nullptr;  // while a change is under way

@@ -72,7 +72,84 @@ std::uint16_t port_of(const MqttBroker& broker) noexcept {
   return broker.port != 0 ? broker.port : static_cast<std::uint16_t>(broker.tls ? 8883 : 1883);
 }
 
-/// Makes a client and connects it: blocks, as looking up names does. The rest is done on the loop.
+int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5) {
+  static std::once_flag once;
+  std::call_once(once, [] { ::mosquitto_lib_init(); });
+  errno = 0;
+  const bool is_new_session = options.session <= Duration{0};
+  mosquitto* const handle = ::mosquitto_new(or_null(broker.client_id), is_new_session, &client);
+  if (handle == nullptr) return errno == ENOMEM ? MOSQ_ERR_NOMEM : MOSQ_ERR_INVAL;
+  client.handle = handle;
+  ::mosquitto_connect_v5_callback_set(handle, on_connect);
+  ::mosquitto_disconnect_v5_callback_set(handle, on_disconnect);
+  ::mosquitto_publish_v5_callback_set(handle, on_publish);
+  ::mosquitto_subscribe_v5_callback_set(handle, on_subscribe);
+  ::mosquitto_message_v5_callback_set(handle, on_message);
+  ::mosquitto_log_callback_set(handle, on_log);
+  ::mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5 ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
+  // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
+  if (is_v5 && options.most_sent != 0) ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options.most_sent);
+  if (is_v5 && options.most_received != 0)
+    ::mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
+  ::mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
+  // As for programs with threads, the library then queues its packets, and writes them when it is told to.
+  if (options.holds_answers) ::mosquitto_threaded_set(handle, true);
+  int done = MOSQ_ERR_SUCCESS;
+  if (!broker.user.empty()) done = ::mosquitto_username_pw_set(handle, broker.user.c_str(), or_null(broker.password));
+  if (done == MOSQ_ERR_SUCCESS && options.will) {
+    const MqttOptions::Will& will = *options.will;
+    done = ::mosquitto_will_set(handle, will.topic.c_str(), static_cast<int>(will.message.size()), will.message.data(),
+                                will.qos, will.retain);
+  }
+  if (done == MOSQ_ERR_SUCCESS && broker.tls) {
+    const TlsConfig& tls = *broker.tls;
+    client.key_password = tls.key_password;
+    if (tls.ca_file.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+    if (!tls.ca_file.empty() || !tls.certificate.empty())
+      done = ::mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
+                                 or_null(tls.certificate), or_null(tls.key), password_of_key);
+    if (done == MOSQ_ERR_INVAL) client.trouble = "a file of `tls` cannot be read";
+    if (done == MOSQ_ERR_SUCCESS && !tls.verify) {
+      constexpr int verify_none = 0;  // SSL_VERIFY_NONE
+      done = ::mosquitto_tls_opts_set(handle, verify_none, nullptr, nullptr);
+    }
+  }
+  if (done != MOSQ_ERR_SUCCESS) return done;
+  mosquitto_property* properties = nullptr;
+  if (is_v5 && !is_new_session) {
+    const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(options.session).count();
+    done = ::mosquitto_property_add_int32(&properties, MQTT_PROP_SESSION_EXPIRY_INTERVAL,
+                                          static_cast<std::uint32_t>(std::clamp<std::int64_t>(seconds, 1, UINT32_MAX)));
+  }
+  if (done == MOSQ_ERR_SUCCESS) {
+    const auto keepalive = std::chrono::duration_cast<std::chrono::seconds>(broker.keepalive).count();
+    done = ::mosquitto_connect_bind_v5(handle, broker.host.c_str(), port_of(broker), static_cast<int>(keepalive),
+                                       nullptr, properties);
+  }
+  ::mosquitto_property_free_all(&properties);
+  return done;
+}
+
+std::string obstacle_of_topic(const std::string& topic) {
+  if (topic.empty()) return "there is no topic";
+  if (topic.find_first_of(std::string_view("+#\0", 3)) != std::string::npos)
+    return "a topic of MQTT to publish to has no + and no #";
+  return topic.size() > 1000 ? "it is too long" : "";
+}
+
+bool is_older(int answer) noexcept {
+  return answer == MQTT_RC_UNSUPPORTED_PROTOCOL_VERSION || answer == CONNACK_REFUSED_PROTOCOL_VERSION;
+}
+
+bool may_be_older(int status) noexcept {
+  return status == MOSQ_ERR_CONN_LOST || status == MOSQ_ERR_PROTOCOL || status == MOSQ_ERR_MALFORMED_PACKET;
+}
+
+std::string refusal_of(int answer, bool is_v5) {
+  return is_v5 ? ::mosquitto_reason_string(answer) : ::mosquitto_connack_string(answer);
+}
+
+/// On a lane. The rest is done on the loop.
 class MqttConnecting final : public LaneJob {
  public:
   MqttConnecting(const MqttBroker& broker, const MqttOptions& options, bool is_v5,
@@ -87,7 +164,7 @@ class MqttConnecting final : public LaneJob {
   void run() noexcept override {
     try {
       const NoSigpipe guard;
-      status = connect();
+      status = connect_client(*client, broker_, options_, is_v5_);
       if (status != MOSQ_ERR_SUCCESS) why = client->reason(status);
     } catch (...) {
       status = MOSQ_ERR_NOMEM;
@@ -104,66 +181,6 @@ class MqttConnecting final : public LaneJob {
   std::string why;
 
  private:
-  int connect() {
-    static std::once_flag once;
-    std::call_once(once, [] { ::mosquitto_lib_init(); });
-    errno = 0;
-    const bool is_new_session = options_.session <= Duration{0};
-    mosquitto* const handle = ::mosquitto_new(or_null(broker_.client_id), is_new_session, client.get());
-    if (handle == nullptr) return errno == ENOMEM ? MOSQ_ERR_NOMEM : MOSQ_ERR_INVAL;
-    client->handle = handle;
-    ::mosquitto_connect_v5_callback_set(handle, on_connect);
-    ::mosquitto_disconnect_v5_callback_set(handle, on_disconnect);
-    ::mosquitto_publish_v5_callback_set(handle, on_publish);
-    ::mosquitto_subscribe_v5_callback_set(handle, on_subscribe);
-    ::mosquitto_message_v5_callback_set(handle, on_message);
-    ::mosquitto_log_callback_set(handle, on_log);
-    ::mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5_ ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
-    // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
-    if (is_v5_ && options_.most_sent != 0) ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options_.most_sent);
-    if (is_v5_ && options_.most_received != 0)
-      ::mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options_.most_received);
-    ::mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
-    // As for programs with threads, the library then queues its packets, and writes them when it is told to.
-    if (options_.holds_answers) ::mosquitto_threaded_set(handle, true);
-    int done = MOSQ_ERR_SUCCESS;
-    if (!broker_.user.empty())
-      done = ::mosquitto_username_pw_set(handle, broker_.user.c_str(), or_null(broker_.password));
-    if (done == MOSQ_ERR_SUCCESS && options_.will) {
-      const MqttOptions::Will& will = *options_.will;
-      done = ::mosquitto_will_set(handle, will.topic.c_str(), static_cast<int>(will.message.size()),
-                                  will.message.data(), will.qos, will.retain);
-    }
-    if (done == MOSQ_ERR_SUCCESS && broker_.tls) {
-      const TlsConfig& tls = *broker_.tls;
-      client->key_password = tls.key_password;
-      if (tls.ca_file.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
-      if (!tls.ca_file.empty() || !tls.certificate.empty())
-        done = ::mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
-                                   or_null(tls.certificate), or_null(tls.key), password_of_key);
-      if (done == MOSQ_ERR_INVAL) client->trouble = "a file of `tls` cannot be read";
-      if (done == MOSQ_ERR_SUCCESS && !tls.verify) {
-        constexpr int verify_none = 0;  // SSL_VERIFY_NONE
-        done = ::mosquitto_tls_opts_set(handle, verify_none, nullptr, nullptr);
-      }
-    }
-    if (done != MOSQ_ERR_SUCCESS) return done;
-    mosquitto_property* properties = nullptr;
-    if (is_v5_ && !is_new_session) {
-      const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(options_.session).count();
-      done = ::mosquitto_property_add_int32(
-          &properties, MQTT_PROP_SESSION_EXPIRY_INTERVAL,
-          static_cast<std::uint32_t>(std::clamp<std::int64_t>(seconds, 1, UINT32_MAX)));
-    }
-    if (done == MOSQ_ERR_SUCCESS) {
-      const auto keepalive = std::chrono::duration_cast<std::chrono::seconds>(broker_.keepalive).count();
-      done = ::mosquitto_connect_bind_v5(handle, broker_.host.c_str(), port_of(broker_), static_cast<int>(keepalive),
-                                         nullptr, properties);
-    }
-    ::mosquitto_property_free_all(&properties);
-    return done;
-  }
-
   const MqttBroker broker_;  // copies: the job may outlive its owner
   const MqttOptions options_;
   const bool is_v5_;
@@ -283,18 +300,15 @@ bool MqttConnection::take_answer(int status) {
       connected();
       if (client_ == nullptr) return false;
     } else {
-      if (is_v5_ && broker_.version == MqttVersion::newest &&
-          (*answer == MQTT_RC_UNSUPPORTED_PROTOCOL_VERSION || *answer == CONNACK_REFUSED_PROTOCOL_VERSION))
-        return try_older();
-      const std::string why = is_v5_ ? ::mosquitto_reason_string(*answer) : ::mosquitto_connack_string(*answer);
+      if (is_v5_ && broker_.version == MqttVersion::newest && is_older(*answer)) return try_older();
+      const std::string why = refusal_of(*answer, is_v5_);
       fail(Errc::not_permitted, "the broker refuses the connection", why, "look at `user`, `password` and `client_id`");
       return false;
     }
   }
   if (status == MOSQ_ERR_SUCCESS) return true;
   // Old brokers hang up on a version that they do not know.
-  if (!is_connected_ && is_v5_ && broker_.version == MqttVersion::newest &&
-      (status == MOSQ_ERR_CONN_LOST || status == MOSQ_ERR_PROTOCOL || status == MOSQ_ERR_MALFORMED_PACKET) &&
+  if (!is_connected_ && is_v5_ && broker_.version == MqttVersion::newest && may_be_older(status) &&
       !std::exchange(has_tried_older_, true))
     return try_older();
   if (!is_connected_ && broker_.version == MqttVersion::newest) is_v5_ = true;

@@ -57,6 +57,19 @@ struct MqttOptions {
 };
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
+/// Why messages cannot be published there; empty: they can.
+std::string obstacle_of_topic(const std::string& topic);
+
+/// Makes the client's handle and connects it: blocks, as looking up names does. Status: the library's. What the broker
+/// answers comes by the library's loop. SIGPIPE is the caller's affair.
+int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5);
+/// The broker refuses the connection since it has no MQTT 5.
+bool is_older(int answer) noexcept;
+/// It may have ended it since it has no MQTT 5: old brokers hang up on a version that they do not know.
+bool may_be_older(int status) noexcept;
+/// For people.
+std::string refusal_of(int answer, bool is_v5);
+
 class MqttConnecting;
 
 /// Shared, since what is called may end the owner. All on the loop's thread.

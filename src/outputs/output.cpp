@@ -167,13 +167,21 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     beat();
     const MonotonicTime began = now();
     const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
-    if (!opened) throw SetupError(placed(opened.error()));
+    // What is away may come: the other errors are for who has configured it.
+    if (!opened && opened.error().code != Errc::disconnected) throw SetupError(placed(opened.error()));
     is_held_ = true;
     has_ended_unsafe_ = false;
-    is_failing_ = false;
+    is_failing_ = !opened;
     is_armed_ = config_.armed == Arming::at_start;
-    if (!config_.keep) value_ = config_.safe;
-    record({config_.safe, OutputCause::start, {}, began}, value_, config_.keep ? "it keeps what it has" : "");
+    if (opened && !config_.keep) value_ = config_.safe;
+    record({config_.safe, OutputCause::start, {}, began}, value_,
+           !opened        ? opened.error().why
+           : config_.keep ? "it keeps what it has"
+                          : "");
+    if (!opened) {
+      complain(placed(opened.error()), Health::faulted);
+      if (is_open() && is_held_ && is_failing_) retry_.start(retry_period);
+    }
     last_input_ = now();
     if (input_) stale_.start(config_.max_age);
   }
@@ -347,7 +355,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (!stale_.is_running() && !input_->is_held()) stale_.start(config_.max_age);
+    if (input_->is_held())
+      stale_.stop();
+    else if (!stale_.is_running())
+      stale_.start(config_.max_age);
     if (is_armed_ && !is_failing_)
       request({*value, OutputCause::input, fitted<48>(config_.on), now()});
     else
@@ -442,18 +453,7 @@ void check_config(const OutputConfig& config, const ConfigItem& item, Problems& 
 void check_output_names(const OutputConfig& config,
                         const std::function<const Description*(std::string_view topic)>& payload_of,
                         const ConfigItem& item, Problems& problems) {
-  if (config.on.empty()) return;
-  check_derived_names(detail::derived_of(config), payload_of, item, problems);
-  // It would be set before the change is on the card, from which a machine goes on.
-  for (const std::string& topic : detail::topics_of(config.on, config.with)) {
-    const Description* const payload = payload_of(topic);
-    if (payload == nullptr || payload->name() != "state_change") continue;
-    const ConfigItem* const at = item.find(topic == config.on ? "on" : "with");
-    problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "\"" + topic +
-                                               "\" brings the changes of a machine: let its states set this output, "
-                                               "as in {\"name\": \"hot\", \"set\": [{\"output\": \"fan\"}]}"));
-  }
+  if (!config.on.empty()) check_derived_names(detail::derived_of(config), payload_of, item, problems);
 }
 
 Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded) {

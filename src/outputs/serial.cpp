@@ -6,11 +6,11 @@
 
 #include <array>
 #include <cerrno>
-#include <charconv>
 #include <chrono>
 #include <string_view>
 
 #include "io/tty.hpp"
+#include "outputs/set_text.hpp"
 
 namespace rtdata {
 namespace {
@@ -30,17 +30,11 @@ bool wait_for(int fd, short events, Deadline until) {
   }
 }
 
-std::string text_of(const std::string& pattern, double value) {
-  std::array<char, 32> number;
-  const auto end = std::to_chars(number.data(), number.data() + number.size(), value).ptr;
-  std::string text = pattern;
-  constexpr std::string_view mark = "{value}";
-  for (std::size_t at = text.find(mark); at != std::string::npos; at = text.find(mark, at))
-    text.replace(at, mark.size(), number.data(), static_cast<std::size_t>(end - number.data()));
-  return text;
-}
-
 }  // namespace
+
+void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+  detail::check_words(config.words, item, problems);
+}
 
 SerialActuator::~SerialActuator() {
   if (fd_ >= 0) detail::close_tty(fd_);
@@ -64,7 +58,7 @@ Result<void> SerialActuator::set(double value) {
     return system_error(errno, cannot_set, config_.device);
   };
   ::tcflush(fd_, TCIFLUSH);
-  const std::string text = text_of(config_.text, value);
+  const std::string text = detail::set_text(config_.text, value, config_.words);
   for (std::string_view rest = text; !rest.empty();) {
     const ssize_t wrote = ::write(fd_, rest.data(), rest.size());
     if (wrote > 0) rest.remove_prefix(static_cast<std::size_t>(wrote));

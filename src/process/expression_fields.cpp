@@ -1,6 +1,9 @@
 #include "process/expression_fields.hpp"
 
 #include <algorithm>
+#include <cstring>
+
+#include "rtdata/data/text.hpp"
 
 namespace rtdata::detail {
 
@@ -26,6 +29,17 @@ FieldName field_named(const std::vector<std::string>& topics, const std::string&
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name) {
   const bool is_called_as_topic = field.topic == 0 && description.find(name) != nullptr;
   return number_field(description, is_called_as_topic ? std::string_view(name) : field.path);
+}
+
+const Leaf* state_leaf(const Description& description) noexcept {
+  return description.name() == "state_change" ? description.find("to") : nullptr;
+}
+
+bool holds_text(const Leaf& leaf, const std::byte* payload, std::string_view text) noexcept {
+  const std::byte* const at = payload + leaf.offset;
+  const std::size_t size = std::to_integer<std::size_t>(at[0]) | std::to_integer<std::size_t>(at[1]) << 8;
+  return size == text.size() && size <= leaf.size - text_length_bytes &&
+         std::memcmp(at + text_length_bytes, text.data(), size) == 0;
 }
 
 std::vector<std::string> names_of(const std::vector<std::string>& texts) {

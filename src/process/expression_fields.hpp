@@ -25,6 +25,10 @@ std::vector<std::string> topics_of(const std::string& on, const std::vector<std:
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name);
 /// The field that is meant, if it is a number. Null otherwise.
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name);
+/// Of a machine's changes: the state that it came to. Null: they are none.
+const Leaf* state_leaf(const Description& description) noexcept;
+/// Whether a text of the payload is this one.
+bool holds_text(const Leaf& leaf, const std::byte* payload, std::string_view text) noexcept;
 /// All names that the texts use, each once. Of texts with a mistake, none.
 std::vector<std::string> names_of(const std::vector<std::string>& texts);
 

@@ -44,6 +44,8 @@ void ExpressionSources::bind(Source& source, const Description& description) {
   source.is_held = description.is_of_changes();
   for (Field& field : source.fields) {
     field.leaf = leaf_named(description, field.meaning, field.name);
+    field.is_state = field.leaf == nullptr && !field.meaning.path.empty();
+    if (field.is_state) field.leaf = state_leaf(description);
     if (field.leaf == nullptr && source.missing == nullptr) source.missing = &field;
   }
 }

@@ -21,6 +21,7 @@ class ExpressionSources {
     std::string name;
     FieldName meaning;
     const Leaf* leaf = nullptr;  ///< null: what the topic carries has no such number, or nothing has come
+    bool is_state = false;       ///< a machine is in the state of this name; `leaf` is where it says so
   };
   struct Source {
     std::string topic = {};
@@ -54,8 +55,7 @@ class ExpressionSources {
     if (is_new) bind(from, event.description());
     from.has_come = true;
     from.time = event.time();
-    for (const Field& field : from.fields)
-      set(field.index, field.leaf != nullptr ? number_in(*field.leaf, event.payload().data()) : std::nullopt);
+    for (const Field& field : from.fields) set(field.index, value_of(field, event.payload().data()));
     return is_new;
   }
   /// The first source, of those with names, that does not have them, or (but for the first, and those that are held)
@@ -69,6 +69,11 @@ class ExpressionSources {
 
  private:
   static void bind(Source& source, const Description& description);
+  static std::optional<double> value_of(const Field& field, const std::byte* payload) noexcept {
+    if (field.leaf == nullptr) return std::nullopt;
+    if (!field.is_state) return number_in(*field.leaf, payload);
+    return holds_text(*field.leaf, payload, field.meaning.path) ? 1 : 0;
+  }
 
   std::vector<Source> sources_;
 };

@@ -1,6 +1,8 @@
 #include "rtdata/process/limits.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 
 #include "loop/support/deadline.hpp"
@@ -68,9 +70,14 @@ void LimitWatch::change(const LimitSettings& settings) {
   delay_ = settings.delay;
   is_latched_ = settings.latched;
   state_.limit = limit_of(state_.alarm);
+  forget_same();
 }
 
 bool LimitWatch::take(double value, Time time) noexcept {
+  if (value > same_from_ && value < same_until_) {
+    state_.value = value;
+    return false;
+  }
   if (!std::isfinite(value)) return take_unknown();
   state_.value = value;
   LimitLevel level = LimitLevel::normal;
@@ -90,10 +97,33 @@ bool LimitWatch::take(double value, Time time) noexcept {
     }
     if (limit.is_passed && level == LimitLevel::normal) level = limit.level;
   }
-  return change_to(level);
+  forget_same();
+  const bool has_changed = change_to(level);
+  if (state_.level == state_.alarm) find_same();
+  return has_changed;
 }
 
+void LimitWatch::find_same() noexcept {
+  same_from_ = -std::numeric_limits<double>::infinity();
+  same_until_ = std::numeric_limits<double>::infinity();
+  for (const Limit& limit : limits_) {
+    if (!limit.at) continue;
+    if (!limit.is_passed && limit.beyond_since) return forget_same();  // the delay runs
+    // Where it is passed, back by the hysteresis, and a little less, since that is rounded; otherwise the limit.
+    const double rounding = (std::abs(*limit.at) + hysteresis_) * 1e-12;
+    const double edge = limit.is_passed ? *limit.at - limit.side * (hysteresis_ - rounding) : *limit.at;
+    const bool is_below = (limit.side > 0) == !limit.is_passed;
+    if (is_below)
+      same_until_ = std::min(same_until_, edge);
+    else
+      same_from_ = std::max(same_from_, edge);
+  }
+}
+
+void LimitWatch::forget_same() noexcept { same_from_ = same_until_ = 0; }
+
 bool LimitWatch::take_unknown() noexcept {
+  forget_same();
   state_.value.reset();
   for (Limit& limit : limits_) limit.beyond_since.reset();  // what is not seen confirms nothing
   return change_to(LimitLevel::unknown);
@@ -122,6 +152,7 @@ bool LimitWatch::change_to(LimitLevel level) noexcept {
 
 bool LimitWatch::acknowledge() noexcept {
   if (state_.acknowledged) return false;
+  forget_same();
   state_.acknowledged = true;
   if (state_.level != LimitLevel::unknown) {
     state_.alarm = state_.level;
@@ -131,6 +162,7 @@ bool LimitWatch::acknowledge() noexcept {
 }
 
 void LimitWatch::reset() noexcept {
+  forget_same();
   state_ = {};
   for (Limit& limit : limits_) {
     limit.is_passed = false;

@@ -196,6 +196,9 @@ int run(int count, char** arguments) {
   Report report(std::move(options));
   bench_publish(report);
   bench_expression(report);
+  bench_machines(report);
+  bench_reactions(report);
+  bench_reload(report);
   bench_filter(report);
   bench_encoding(report);
   bench_iio(report);

@@ -38,6 +38,7 @@
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/lm75.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sensors/fake_gpsd.hpp"
@@ -190,8 +191,19 @@ struct OfDerivedSensor {
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
+struct OfTriggerSensor {
+  using Type = TriggerSensor;  // its condition divides by zero
+  Type make(Loop& loop, Probe& probe) {
+    (void)loop.topic<Climate>("zeros");
+    Type made(loop, {.name = "trigger"}, {.on = "zeros", .when = "1 / temperature > 0"});
+    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
+};
 #else
 using OfDerivedSensor = OfFeed;  // there is none
+using OfTriggerSensor = OfFeed;
 #endif
 struct OfLimitSensor {
   using Type = LimitSensor;  // the topic has no such number
@@ -367,11 +379,11 @@ struct OfSink {
   }
 };
 
-#define HANDLES                                                                                                      \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,            \
-      OfDerivedSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor, OfW1Sensor, OfIioSensor, \
-      OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, OfGpioEdges, OfEdgeSensor,      \
-      OfCounterSensor, OfSink
+#define HANDLES                                                                                               \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
+      OfDerivedSensor, OfTriggerSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor,  \
+      OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, \
+      OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>

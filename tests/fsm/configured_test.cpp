@@ -136,6 +136,30 @@ TEST_SUITE("fsm") {
          "machines[0].resume.recording", "there is no sink \"db\"");
   }
 
+  TEST_CASE("US-41 check says all mistakes of a machine at once, word for word, with lines and columns") {
+    NEEDS_EXPRESSIONS();
+    const std::string text = R"({"sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}],
+ "machines": [
+  {"name": "m", "inputs": ["load"], "start": "aa", "states": [{"name": "a"}, {"name": "b"}, {"name": "a"}],
+   "transitions": [{"from": "a", "to": "b", "when": "minutes_1 > 1"},
+                   {"from": "a", "to": "d"},
+                   {"from": "b", "to": "a", "when": "minutes_1 + 1"},
+                   {"from": "b", "to": "a", "for": "1 s"},
+                   {"from": "b", "to": "a", "when": "minutes_1 >"}]}]})";
+    Lines lines;
+    for (const Problem& problem : plan_system(standard_registry(), parse_config(text, "f.json")).problems)
+      lines.push_back(problem.text());
+    CHECK(lines == Lines{R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
+                         R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
+                         R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
+                         "f.json:6:53: machines[0].transitions[2].when: it is a number, no condition; compare it with "
+                         "something",
+                         "f.json:7:52: machines[0].transitions[3].for: `for` is how long `when` is true: give `when`, "
+                         "or use `after`",
+                         "f.json:8:64: machines[0].transitions[4].when: it ends where a value is missing (column 12 "
+                         "of it)"});
+  }
+
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {
     NEEDS_EXPRESSIONS();
     Bench b({.name = "m",

@@ -234,6 +234,64 @@ TEST_SUITE("outputs") {
     CHECK(devices.all["A"].did == Lines{"open 0", "set 1", "set 0", "gone"});
   }
 
+  TEST_CASE("US-35 US-39 outputs follow the states of a machine and an alarm, which hold until they change") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const SystemPlan plan = plan_system(devices.registry, parse_config(R"({
+      "sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+                  {"name": "busy", "type": "limit", "on": "load", "field": "minutes_1", "low": -1, "high": 1e9, "delay": "0 s"},
+                  {"name": "idle", "type": "limit", "on": "load", "field": "minutes_1", "high": -1}],
+      "machines": [
+        {"name": "work", "inputs": ["idle"], "max_age": "1 s", "start": "pause",
+         "states": [{"name": "pause"}, {"name": "at it"}, {"name": "done", "final": true}],
+         "transitions": [{"from": "pause", "to": "at it", "when": "is_active == 1", "after": "20 s"},
+                         {"from": "at it", "to": "done", "after": "20 s"}]}],
+      "outputs": [
+        {"name": "a", "type": "memory", "device": "A", "on": "work", "expression": "pause ? 2 : done ? 3 : 4"},
+        {"name": "b", "type": "memory", "device": "B", "on": "busy", "expression": "is_active"},
+        {"name": "c", "type": "memory", "device": "C", "on": "idle", "expression": "is_active"},
+        {"name": "d", "type": "memory", "device": "D", "on": "load", "with": ["work"], "max_age": "1 s",
+         "expression": "'work.at it' and minutes_1 > -1"}]})",
+                                                                       "f.json"));
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    const System system(loop, devices.registry, plan);
+    loop.advance(1s);
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 2"});
+    CHECK(devices.all["B"].did == Lines{"open 0"});
+    CHECK(devices.all["C"].did == Lines{"open 0", "set 1"});
+    loop.advance(20s);
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 2", "set 4"});
+    CHECK(devices.all["D"].did == Lines{"open 0", "set 1"});
+    loop.advance(60s);
+    CHECK(devices.all["A"].did == Lines{"open 0", "set 2", "set 4", "set 3"});
+    CHECK(devices.all["B"].did == Lines{"open 0"});
+    CHECK(devices.all["C"].did == Lines{"open 0", "set 1"});
+    CHECK(devices.all["D"].did == Lines{"open 0", "set 1", "set 0"});
+  }
+
+  TEST_CASE("US-35 check knows the states of a machine as names, and says which was meant") {
+    const auto problems = [](const std::string& expression) {
+      Lines lines;
+      for (const Problem& problem : plan_system(standard_registry(), parse_config(R"({
+          "machines": [{"name": "valve", "start": "closed", "states": [{"name": "closed"}, {"name": "open"}],
+            "transitions": [{"from": "closed", "to": "open", "event": "o"}, {"from": "open", "to": "closed", "event": "c"}]}],
+          "outputs": [{"name": "fan", "type": "pwm", "on": "valve", "expression": ")" +
+                                                                                      expression + R"("}]})",
+                                                                                  "f.json"))
+                                        .problems)
+        lines.push_back(problem.text());
+      return lines;
+    };
+    CHECK(problems("open or valve.closed and lasted < 5").empty());
+    const Lines found = problems("opne");
+    REQUIRE(found.size() == 1);
+    CAPTURE(found[0]);
+    CHECK(found[0].find("there is no name `opne`") != std::string::npos);
+    CHECK(found[0].find("did you mean \"open\"?") != std::string::npos);
+    CHECK(problems("to == 1").size() == 1);
+  }
+
   TEST_CASE("US-35 a part that cannot be made leaves the outputs before it safe") {
     Devices devices;
     Loop loop{Loop::Manual{}};

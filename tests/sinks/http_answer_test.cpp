@@ -1,6 +1,6 @@
 // What answers of HTTP mean, and what is wrong with a configuration: without any network.
 #ifdef RTDATA_WITH_HTTP
-#include "sinks/http/http_answer.hpp"
+#include "io/http_answer.hpp"
 
 #include <curl/curl.h>
 #include <doctest/doctest.h>
@@ -10,10 +10,10 @@
 #include <map>
 
 #include "app/process.hpp"
+#include "io/http_url.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
-#include "sinks/http/http_url.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;
@@ -150,7 +150,7 @@ TEST_SUITE("sinks") {
         {url + R"("headers": {"X A": "1"})", "no name of a header"},
         {url + R"("headers": {"X-A": "1\r\nX-B: 2"})", "line break"},
         {url + R"("headers": {"authorization": "x"})", "`bearer`"},
-        {url + R"("headers": {"Content-Length": "3"})", "the sink sets it"},
+        {url + R"("headers": {"Content-Length": "3"})", "it is set already"},
         {url + R"("proxy": "proxy.example:3128")", "begin it with http://"},
         {url + R"("proxy": "http://u:p@proxy.example:3128")", "`proxy_user`"},
         {url + R"("proxy_user": "u")", "no `proxy`"},

@@ -78,7 +78,7 @@ class Handler(BaseHTTPRequestHandler):
         self.close_connection = False
         if what == "deaf":
             time.sleep(3600)
-        length = int(self.headers["Content-Length"])
+        length = int(self.headers.get("Content-Length", 0))
         if what == "limit" and length > int(words[1]):
             self.close_connection = True  # as servers do that do not read what they refuse
             return self.answer(413, b"", ["Connection:close"], b"too long\n")
@@ -122,6 +122,7 @@ class Handler(BaseHTTPRequestHandler):
             self.answer(200, body, (), b"taken\n")
 
     do_PUT = do_POST
+    do_GET = do_POST
 
 
 class Server(ThreadingHTTPServer):

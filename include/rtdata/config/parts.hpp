@@ -90,6 +90,9 @@ struct PublishedTopic {
   std::shared_ptr<const Description> description;  ///< null: known only once it is made
   std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
   Sampling sampling = {};
+  /// What expressions may name of it, where that is not what the description has: the states of a machine, too. Null:
+  /// not known.
+  std::optional<std::shared_ptr<const Description>> in_expressions = {};
 };
 
 /// What a part stores, and where.

@@ -214,7 +214,7 @@ class Input {
 
   /// There is one that is not too old.
   explicit operator bool() const {
-    return latest_ != nullptr && latest_->time && latest_->machine.is_open() && latest_->age() <= latest_->max_age;
+    return latest_ != nullptr && latest_->time && latest_->machine.is_open() && !latest_->is_old();
   }
   /// The last value, however old; one of zeros before the first.
   const T& operator*() const noexcept { return latest_->value; }
@@ -231,9 +231,10 @@ class Input {
     Latest& operator=(const Latest&) = delete;
     ~Latest() { machine.release(); }
     Duration age() const { return machine.is_open() ? detail::now_of(machine) - came : Duration::max(); }
+    bool is_old() const { return max_age != Duration::max() && age() > max_age; }
     void take(const Event<T>& event) {
       if (!machine.is_open()) return;
-      const bool was_stale = time && age() > max_age;
+      const bool was_stale = time && is_old();
       value = *event;
       time = event.time;
       came = detail::now_of(machine);

@@ -6,6 +6,7 @@
 /// Errors: those of opening a serial line; timed-out; disconnected; io-failed.
 #pragma once
 
+#include <map>
 #include <string>
 
 #include "rtdata/io/serial_settings.hpp"
@@ -16,8 +17,9 @@ namespace rtdata {
 struct SerialActuatorConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
-  std::string text = "{value}\n";  ///< `{value}` is the value, as short as it is exact: 1, 0.5
-  std::string answer = {};         ///< the device sends it when it has the value; empty: it is not waited for
+  std::string text = "{value}\n";                 ///< `{value}` is the value, as short as it is exact: 1, 0.5
+  std::map<std::string, std::string> words = {};  ///< what is written in place of a value: {"0": "off", "1": "on"}
+  std::string answer = {};  ///< the device sends it when it has the value; empty: it is not waited for
   Duration timeout = std::chrono::milliseconds{500};
 
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
@@ -27,11 +29,16 @@ struct SerialActuatorConfig {
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
+        parameter("words", &SerialActuatorConfig::words, "what {value} is, by value: {\"0\": \"off\", \"1\": \"on\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
                   "what the device sends when it has the value; empty: it is not waited for"),
         parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",
                   range(Duration{1ms}, Duration{1500ms})));
   }
+  friend void check_config(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+    check(config, item, problems);
+  }
+  static void check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems);
 };
 
 class SerialActuator : public Actuator {

@@ -82,11 +82,14 @@ class LimitWatch {
   };
   bool change_to(LimitLevel level) noexcept;
   std::optional<double> limit_of(LimitLevel level) const noexcept;
+  void find_same() noexcept;
+  void forget_same() noexcept;
 
   std::array<Limit, 4> limits_;  // the worst of each side first
   double hysteresis_ = 0;
   Duration delay_{0};
   bool is_latched_ = false;
+  double same_from_ = 0, same_until_ = 0;  // a value between these changes nothing, whatever its time
   LimitState state_;
 };
 

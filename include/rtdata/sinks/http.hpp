@@ -27,7 +27,7 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/io/tls.hpp"
+#include "rtdata/io/http.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "rtdata/sinks/sink.hpp"
 
@@ -39,14 +39,6 @@ class Problems;
 enum class HttpMethod { post, put };
 constexpr auto describe(type_tag<HttpMethod>) {
   return enumeration("method", value("post", HttpMethod::post), value("put", HttpMethod::put));
-}
-
-/// Which version of HTTP. `automatic` is 2 where the connection is encrypted and the peer has it, else 1.1; `two` is 2
-/// in any case, on connections that are not encrypted too.
-enum class HttpVersion { automatic, one, two };
-constexpr auto describe(type_tag<HttpVersion>) {
-  return enumeration("http_version", value("auto", HttpVersion::automatic), value("1.1", HttpVersion::one),
-                     value("2", HttpVersion::two));
 }
 
 enum class HttpCompression { none, gzip };

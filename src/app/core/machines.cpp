@@ -8,6 +8,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/data/description.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -75,6 +76,15 @@ class OutputSetter {
   std::map<std::string, Output*> outputs_;
 };
 
+/// A change, and each state as a name that is true in it. Null: a state is called as a name cannot be.
+std::shared_ptr<const Description> with_states(const fsm::MachineSettings& settings) {
+  DescriptionBuilder builder("state_change");
+  builder.field("lasted", Kind::f64, "s");
+  for (const fsm::StateSettings& state : settings.states) builder.field(state.name, Kind::boolean);
+  const auto described = builder.build();
+  return described ? *described : nullptr;
+}
+
 /// Where a machine goes on that a reload makes anew. None: its state is not there any more, which is said.
 std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const fsm::MachineSettings& settings,
                                                               const fsm::ConfiguredMachine::Now& before,
@@ -141,7 +151,8 @@ void add_machines(Registry& registry) {
         plan.publishes = PublishedTopic{settings.topic.empty() ? settings.name : settings.topic,
                                         description_of<fsm::StateChange>(),
                                         std::nullopt,
-                                        {}};
+                                        {},
+                                        with_states(settings)};
         take_outputs(plan, settings);
         if (settings.resume) plan.stored_by = settings.resume->recording;
         plan.check_topics = [settings](const PartPlan& part, const PartPlan::PayloadOf& payload_of,

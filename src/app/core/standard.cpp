@@ -8,6 +8,8 @@
 #include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
 #include "rtdata/outputs/gpio.hpp"
+#include "rtdata/outputs/http.hpp"
+#include "rtdata/outputs/mqtt.hpp"
 #include "rtdata/outputs/pwm.hpp"
 #include "rtdata/outputs/serial.hpp"
 #include "rtdata/sensors/analog.hpp"
@@ -22,6 +24,7 @@
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -271,8 +274,21 @@ Registry standard_registry() {
             check_derived_names(config, payload_of, part.item, problems);
           };
         });
+    registry.add_sensor<TriggerConfig>(
+        "trigger", "the events of another topic while a condition holds, and from some time before that on",
+        [](const TriggerConfig&) { return Result(std::shared_ptr<const Description>()); },
+        [](Loop& loop, const FeedConfig& common, const TriggerConfig& config) {
+          return TriggerSensor(loop, common, config);
+        },
+        [](PartPlan& plan, const TriggerConfig& config) {
+          plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
+                                       Problems& problems) {
+            check_trigger_names(config, payload_of, part.item, problems);
+          };
+        });
   } else {
-    registry.leave_out("sensor", "derived", "this program was built without muParser");
+    for (const char* type : {"derived", "trigger"})
+      registry.leave_out("sensor", type, "this program was built without muParser");
   }
   registry.add_sensor<LimitConfig>(
       "limit", "alarms of a number of another topic: limits with hysteresis, delay, and a latch",
@@ -365,6 +381,19 @@ Registry standard_registry() {
       [](PartPlan& plan, const SerialActuatorConfig& config) {
         plan.place = {"", config.device, ""};
       });
+#ifdef RTDATA_WITH_MQTT
+  registry.add_output<MqttActuatorConfig>(
+      "mqtt", "a device that is set by a message to a broker of MQTT",
+      [](const MqttActuatorConfig& config) { return std::make_unique<MqttActuator>(config); },
+      [](PartPlan& plan, const MqttActuatorConfig& config) {
+        plan.place = {"MQTT topic", config.to + " of " + config.broker.host + ", message " + config.text, ""};
+      });
+#endif
+#ifdef RTDATA_WITH_HTTP
+  registry.add_output<HttpActuatorConfig>(
+      "http", "a device that is set by a request to a URL",
+      [](const HttpActuatorConfig& config) { return std::make_unique<HttpActuator>(config); });
+#endif
 #ifndef RTDATA_WITH_GPIO
   for (const char* type : {"counter", "edge", "gpio"})
     registry.leave_out("sensor", type, "this program was built without libgpiod");
@@ -378,11 +407,12 @@ Registry standard_registry() {
   registry.leave_out("sink", "sqlite", "this program was built without SQLite");
 #endif
 #ifndef RTDATA_WITH_MQTT
-  for (const char* kind : {"sensor", "sink"})
+  for (const char* kind : {"output", "sensor", "sink"})
     registry.leave_out(kind, "mqtt", "this program was built without libmosquitto");
 #endif
 #ifndef RTDATA_WITH_HTTP
-  registry.leave_out("sink", "http", "this program was built without libcurl");
+  for (const char* kind : {"output", "sink"})
+    registry.leave_out(kind, "http", "this program was built without libcurl");
 #endif
 #ifndef RTDATA_WITH_POSTGRESQL
   registry.leave_out("sink", "postgresql", "this program was built without libpq");

@@ -62,8 +62,8 @@ bool Reload::may_be_applied(Change& change) {
   for (std::size_t i = 0; i < std::min(next.problems.size(), most_told); ++i)
     add(change, LogLevel::error, next.problems[i].text(), next.problems[i].id);
   if (!next.good()) {
-    return refuse(std::to_string(next.problems.size()) + (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
-                  options_.file +
+    return refuse(std::to_string(next.problems.size()) +
+                  (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file +
                   (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
@@ -102,8 +102,9 @@ void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why,
     for (const std::string& name : closing_sinks(change->read->plan, true))
       if (ended->sinks.contains(name)) stuck += (stuck.empty() ? "" : ", ") + name;
     if (stuck.empty()) return apply_now(*change);
-    conclude(*change, LogLevel::error,
-             "nothing was changed: it would close " + stuck + ", which cannot store what it has now, and would lose it");
+    conclude(
+        *change, LogLevel::error,
+        "nothing was changed: it would close " + stuck + ", which cannot store what it has now, and would lose it");
   };
   waiting->patience = Timer(loop_, storing_patience, [this, end] { loop_.post(end); });
   for (const std::string& name : sinks) {

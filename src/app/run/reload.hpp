@@ -36,8 +36,8 @@ class Reload {
 
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
-  /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the loop
-  /// turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed.
+  /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
+  /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed.
   void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
   /// Events of sinks that were closed before they could store them.
   std::uint64_t not_stored() const noexcept { return not_stored_ + system_.lost_in_changes(); }

@@ -311,13 +311,22 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (part.check_topics) {
     const auto payload_of = [this](std::string_view topic) -> const Description* {
       const auto known = topics_.find(topic);
-      return known != topics_.end() ? known->second->publishes->description.get() : nullptr;
+      if (known == topics_.end()) return nullptr;
+      const PublishedTopic& published = *known->second->publishes;
+      return published.in_expressions.value_or(published.description).get();
     };
     part.check_topics(part, payload_of, problems);
   }
   for (const PartUse& use : part.uses) {
     if (use.kind == "topic") {
-      if (!publishers(use.name).empty()) continue;
+      const std::vector<const PartPlan*>& from = publishers(use.name);
+      const auto resumes = std::find_if(from.begin(), from.end(),
+                                        [](const PartPlan* one) { return !one->stored_by.empty(); });
+      if (part.kind == "output" && resumes != from.end())
+        problems.add(use.item.problem("wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
+                                                        ", goes on after a pause where its recording says: this output "
+                                                        "would act before a change is there; let its states `set` it"));
+      if (!from.empty()) continue;
       problems.add(use.item.problem("unknown-topic", "nothing of this configuration publishes on \"" + use.name + "\"",
                                     suggestion(use)));
       continue;

@@ -10,12 +10,6 @@
 
 namespace rtdata::detail {
 
-void need_curl() {
-  static const CURLcode status = ::curl_global_init(CURL_GLOBAL_DEFAULT);
-  if (status != CURLE_OK)
-    throw SetupError({Errc::io_failed, "cannot prepare libcurl", "", ::curl_easy_strerror(status), ""});
-}
-
 CurlMulti::CurlMulti(Loop& loop, Config config, Done done)
     : loop_(loop), config_(std::move(config)), done_(std::move(done)), multi_(::curl_multi_init()) {
   if (multi_ == nullptr) throw std::bad_alloc();

@@ -13,9 +13,6 @@
 
 namespace rtdata::detail {
 
-/// libcurl is ready for use by any thread; the first call prepares it. Throws SetupError.
-void need_curl();
-
 /// Owner: the sender. Thread: the loop's.
 class CurlMulti {
  public:

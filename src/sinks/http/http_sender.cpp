@@ -17,8 +17,6 @@ namespace {
 
 constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
 constexpr int most_redirects = 3;
-constexpr std::size_t most_text = 1024;                    // of an answer, to show
-constexpr std::size_t most_answer = std::size_t{1} << 20;  // then it is no answer
 constexpr Duration longest_compression = std::chrono::seconds{30};
 
 std::string type_of(const HttpConfig& config, const Codec& codec) {
@@ -62,54 +60,11 @@ bool is_number(const std::string& host) {
   return ::inet_pton(AF_INET, host.c_str(), &number) == 1 || ::inet_pton(AF_INET6, host.c_str(), &number) == 1;
 }
 
-void append(curl_slist*& list, const std::string& text) {
-  curl_slist* const longer = ::curl_slist_append(list, text.c_str());
-  if (longer == nullptr) throw std::bad_alloc();
-  list = longer;
-}
-
-/// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
-/// them in one file take it 50 ms to read.
-const char* folder_of_authorities() {
-  const curl_version_info_data* const about = ::curl_version_info(CURLVERSION_NOW);
-  const bool is_openssl = about->ssl_version != nullptr && std::strstr(about->ssl_version, "OpenSSL") != nullptr;
-  return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
-}
-
-/// What of a URL may be a secret, as a server's answer may repeat it: what follows the host, its query, and the long
-/// parts of both.
-void add_secrets_of(std::string_view url, std::vector<std::string>& secrets) {
-  constexpr std::size_t least = 12;  // shorter ones are words, such as a bucket's name
-  const std::size_t host = url.find("://");
-  const std::size_t target = host == url.npos ? url.npos : url.find_first_of("/?", host + 3);
-  if (target == url.npos) return;
-  std::string_view rest = url.substr(target);
-  secrets.emplace_back(rest);
-  if (const std::size_t query = rest.find('?'); query != rest.npos) secrets.emplace_back(rest.substr(query));
-  while (!rest.empty()) {
-    const std::size_t end = std::min(rest.find_first_of("/?&="), rest.size());
-    if (end >= least) secrets.emplace_back(rest.substr(0, end));
-    rest.remove_prefix(std::min(end + 1, rest.size()));
-  }
-}
-
 HttpUrl checked_url(const HttpConfig& config) {
   need_curl();
   for (const HttpMistake& mistake : mistakes_of(config))
     throw SetupError({Errc::bad_argument, "cannot send by HTTP", mistake.key, mistake.message, ""});
   return parse_http_url(config.url).or_throw();
-}
-
-std::string base64(const std::string& text) {
-  static constexpr char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string out;
-  for (std::size_t i = 0; i < text.size(); i += 3) {
-    std::uint32_t bits = 0;
-    for (std::size_t k = 0; k < 3; ++k)
-      bits = bits << 8 | (i + k < text.size() ? static_cast<unsigned char>(text[i + k]) : 0U);
-    for (std::size_t k = 0; k < 4; ++k) out += i + k > text.size() ? '=' : digits[bits >> (18 - 6 * k) & 63];
-  }
-  return out;
 }
 
 }  // namespace
@@ -193,8 +148,7 @@ struct HttpSender::Request {
   std::string addresses;
   curl_slist resolve{};
   bool has_own_url = false;  // after a redirection
-  std::string text;          // how the answer begins
-  std::size_t answer_size = 0;
+  HttpText answered;
   std::shared_ptr<GzipJob> gzip;
   char error[CURL_ERROR_SIZE] = "";
 };
@@ -216,20 +170,12 @@ void HttpSender::GzipJob::done(Outcome outcome) {
 }
 
 HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
-    : config_(std::move(config)), codec_(std::move(codec)), url_(checked_url(config_)) {
+    : config_(std::move(config)), server_(server_of(config_)), codec_(std::move(codec)), url_(checked_url(config_)) {
   if (!config_.proxy.empty()) proxy_ = parse_http_url(config_.proxy).or_throw();
   is_array_ = config_.format == "json" && config_.sending.parcel_rows > 1;
-  secrets_ = {config_.bearer, config_.password, config_.tls.key_password, config_.proxy_password};
-  if (!config_.user.empty()) secrets_.push_back(base64(config_.user + ":" + config_.password));
-  if (!config_.proxy_user.empty()) secrets_.push_back(base64(config_.proxy_user + ":" + config_.proxy_password));
-  for (const auto& [name, text] : config_.headers)
-    if (constexpr std::size_t least = 8; text.size() >= least) secrets_.push_back(text);
-  add_secrets_of(config_.url, secrets_);
-  append(headers_, "Content-Type: " + type_of(config_, *codec_));
-  append(headers_, "Expect:");  // not asked first
+  secrets_ = secrets_of(server_);
+  append_headers(headers_, server_, type_of(config_, *codec_));
   if (config_.compression == HttpCompression::gzip) append(headers_, "Content-Encoding: gzip");
-  if (!config_.bearer.empty()) append(headers_, "Authorization: Bearer " + config_.bearer);
-  for (const auto& [name, text] : config_.headers) append(headers_, name + (text.empty() ? ";" : ": " + text));
 }
 
 HttpSender::~HttpSender() {
@@ -247,13 +193,9 @@ SendingConfig HttpSender::sending() const {
 void HttpSender::begin(Loop& loop) {
   loop_ = &loop;
   const std::string name = "sink " + config_.sink.name;
-  // From 7.88 on, what libcurl does with OpenSSL is written with MSG_NOSIGNAL.
-  constexpr unsigned without_signals = 0x075800;
   const bool is_encrypted = url_.is_encrypted() || (proxy_ && proxy_->is_encrypted());
   multi_ = std::make_unique<CurlMulti>(
-      loop,
-      CurlMulti::Config{name, config_.sending.window,
-                        is_encrypted && ::curl_version_info(CURLVERSION_NOW)->version_num < without_signals},
+      loop, CurlMulti::Config{name, config_.sending.window, is_encrypted && curl_may_raise_sigpipe()},
       [this](CURL* easy, CURLcode result) { transferred(easy, result); });
   deadline_ = Timer(loop, Timer::Config{name}, [this] { deadline(); });
   if (!is_number((proxy_ ? *proxy_ : url_).host)) {
@@ -285,62 +227,18 @@ void HttpSender::make_easy(Request& request) {
   const auto set = [&](CURLoption option, auto value) { ::curl_easy_setopt(request.easy, option, value); };
   multi_->prepare(request.easy);
   set(CURLOPT_PRIVATE, &request);
-  set(CURLOPT_URL, config_.url.c_str());
-#if LIBCURL_VERSION_NUM >= 0x075500
-  set(CURLOPT_PROTOCOLS_STR, "http,https");
-#else
-  set(CURLOPT_PROTOCOLS, static_cast<long>(CURLPROTO_HTTP | CURLPROTO_HTTPS));
-#endif
+  set_server(request.easy, server_, url_);
   set(CURLOPT_POST, 1L);
   if (config_.method == HttpMethod::put) set(CURLOPT_CUSTOMREQUEST, "PUT");
   request.first.next = headers_;
   set(CURLOPT_HTTPHEADER, &request.first);
-  set(CURLOPT_USERAGENT, "rtdata/" RTDATA_VERSION);
   set(CURLOPT_ERRORBUFFER, request.error);
   set(CURLOPT_CONNECTTIMEOUT_MS, 0x7fffffffL);  // each request has a limit of ours, which is the loop's time
   set(CURLOPT_TCP_KEEPALIVE, 1L);
   set(CURLOPT_TCP_KEEPIDLE, 30L);
   set(CURLOPT_TCP_KEEPINTVL, 10L);
-  set(CURLOPT_WRITEDATA, &request);
-  set(
-      CURLOPT_WRITEFUNCTION, +[](char* data, std::size_t, std::size_t size, void* to) {
-        auto& into = *static_cast<Request*>(to);
-        into.answer_size += size;
-        into.text.append(data, std::min(size, most_text - std::min(into.text.size(), most_text)));
-        return into.answer_size > most_answer ? std::size_t{0} : size;
-      });
-  const bool may_be_two = config_.http_version == HttpVersion::two ||
-                          (config_.http_version == HttpVersion::automatic && url_.is_encrypted());
-  set(CURLOPT_HTTP_VERSION, static_cast<long>(!may_be_two           ? CURL_HTTP_VERSION_1_1
-                                              : url_.is_encrypted() ? CURL_HTTP_VERSION_2TLS
-                                                                    : CURL_HTTP_VERSION_2_PRIOR_KNOWLEDGE));
-  if (may_be_two) set(CURLOPT_PIPEWAIT, 1L);  // one connection for all
-  if (!config_.user.empty()) {
-    set(CURLOPT_HTTPAUTH, static_cast<long>(CURLAUTH_BASIC));
-    set(CURLOPT_USERNAME, config_.user.c_str());
-    set(CURLOPT_PASSWORD, config_.password.c_str());
-  }
-  set(CURLOPT_PROXY, config_.proxy.c_str());  // an empty one: none, whatever the environment says
-  if (!config_.proxy_user.empty()) {
-    set(CURLOPT_PROXYAUTH, static_cast<long>(CURLAUTH_BASIC));
-    set(CURLOPT_PROXYUSERNAME, config_.proxy_user.c_str());
-    set(CURLOPT_PROXYPASSWORD, config_.proxy_password.c_str());
-  }
-  const TlsConfig& tls = config_.tls;
-  set(CURLOPT_SSL_VERIFYPEER, tls.verify ? 1L : 0L);
-  set(CURLOPT_SSL_VERIFYHOST, tls.verify ? 2L : 0L);
-  if (!tls.ca_file.empty()) {
-    set(CURLOPT_CAINFO, tls.ca_file.c_str());
-    set(CURLOPT_CAPATH, static_cast<const char*>(nullptr));
-  } else if (const char* folder = folder_of_authorities(); folder != nullptr) {
-    set(CURLOPT_CAINFO, static_cast<const char*>(nullptr));
-    set(CURLOPT_CAPATH, folder);
-  }
-  if (!tls.certificate.empty()) {
-    set(CURLOPT_SSLCERT, tls.certificate.c_str());
-    set(CURLOPT_SSLKEY, tls.key.c_str());
-    set(CURLOPT_KEYPASSWD, tls.key_password.c_str());  // also an empty one, or OpenSSL would ask at the terminal
-  }
+  set(CURLOPT_WRITEDATA, &request.answered);
+  set(CURLOPT_WRITEFUNCTION, &HttpText::take);
 }
 
 void HttpSender::send(const Parcel& parcel, Answer answer) {
@@ -466,8 +364,8 @@ void HttpSender::transfer(Request& request) {
     request.has_own_url = false;
     ::curl_easy_setopt(request.easy, CURLOPT_URL, config_.url.c_str());
   }
-  request.text.clear();
-  request.answer_size = 0;
+  request.answered.text.clear();
+  request.answered.size = 0;
   request.error[0] = '\0';
   request.state = State::transferring;
   watch_deadlines();
@@ -491,8 +389,9 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     char* redirect = nullptr;
     ::curl_easy_getinfo(easy, CURLINFO_REDIRECT_URL, &redirect);
     if (redirect != nullptr) answer.redirect = redirect;
-    request.text = hidden(std::move(request.text), secrets_);  // as a whole: the line shown may end within one
-    answer.text = request.text;
+    // As a whole: the line that is shown may end within one.
+    request.answered.text = hidden(std::move(request.answered.text), secrets_);
+    answer.text = request.answered.text;
     HttpJudgement judgement = judge(answer, url_.origin);
     if (judgement.verdict == HttpVerdict::elsewhere && ++request.redirects <= most_redirects) {
       request.has_own_url = true;
@@ -506,14 +405,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     request.redirects = 0;
     return take(request, std::move(judgement));
   }
-  HttpFailure failure{.code = result};
-  long error_number = 0;
-  ::curl_easy_getinfo(easy, CURLINFO_SSL_VERIFYRESULT, &failure.verify_result);
-  ::curl_easy_getinfo(easy, CURLINFO_HTTP_CONNECTCODE, &failure.connect_status);
-  ::curl_easy_getinfo(easy, CURLINFO_OS_ERRNO, &error_number);
-  failure.error_number = static_cast<int>(error_number);
-  failure.text = request.error;
-  if (result == CURLE_WRITE_ERROR) failure.text = "the answer is longer than 1 MiB";
+  const HttpFailure failure = failure_of(easy, result, request.error);
   if (result == CURLE_COULDNT_CONNECT) addresses_.clear();  // it may have moved
   request.redirects = 0;
   take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));

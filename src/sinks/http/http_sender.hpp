@@ -10,13 +10,12 @@
 #include <vector>
 
 #include "io/host_lookup.hpp"
+#include "io/http_request.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/http.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/http/curl_multi.hpp"
-#include "sinks/http/http_answer.hpp"
-#include "sinks/http/http_url.hpp"
 
 namespace rtdata::detail {
 
@@ -24,6 +23,9 @@ namespace rtdata::detail {
 using HttpKey = std::array<std::uint64_t, 2>;
 /// Of these rows of the parcel: of their runs, origins and sequences.
 HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last);
+
+HttpPeer server_of(const HttpConfig& config);
+std::vector<HttpMistake> mistakes_of(const HttpConfig& config);
 
 class HttpSender final : public Sender {
  public:
@@ -74,6 +76,7 @@ class HttpSender final : public Sender {
   Error shown(Error error) const;
 
   const HttpConfig config_;
+  const HttpPeer server_;
   const std::unique_ptr<Codec> codec_;  // the lane's
   const HttpUrl url_;
   std::optional<HttpUrl> proxy_;

@@ -10,6 +10,29 @@ std::unique_ptr<Sender> make_sender(HttpConfig config, const CodecRegistry& form
 
 }  // namespace
 
+namespace detail {
+
+HttpPeer server_of(const HttpConfig& config) {
+  return {config.url,          config.headers, config.bearer, config.user,       config.password,
+          config.http_version, config.tls,     config.proxy,  config.proxy_user, config.proxy_password};
+}
+
+std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
+  std::vector<HttpMistake> mistakes = mistakes_of(server_of(config));
+  if (config.format == "csv")
+    mistakes.push_back(
+        {"format", "rows of CSV say neither topic nor names of their columns: use json, jsonl, cbor or influx"});
+  if (!is_one_line(config.content_type))
+    mistakes.push_back({"content_type", "it has a line break or another control character"});
+  return mistakes;
+}
+
+}  // namespace detail
+
+void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems) {
+  detail::add_mistakes(detail::mistakes_of(config), item, problems);
+}
+
 HttpSink::HttpSink(Loop& loop, HttpConfig config, const CodecRegistry& formats)
     : Sink(loop, config.sink, make_sender(config, formats)) {}
 

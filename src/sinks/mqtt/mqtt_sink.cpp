@@ -337,14 +337,6 @@ class MqttSender final : public Sender {
   std::shared_ptr<Publishing> connection_;
 };
 
-/// Why messages cannot go there; empty: they can.
-std::string obstacle_of_topic(const std::string& topic) {
-  if (topic.empty()) return "there is no topic";
-  if (topic.find_first_of(std::string_view("+#\0", 3)) != std::string::npos)
-    return "a topic of MQTT to publish to has no + and no #";
-  return topic.size() > 1000 ? "it is too long" : "";
-}
-
 MqttConfig named(MqttConfig config) {
   if (config.sink.name.empty()) config.sink.name = "mqtt";
   return config;
@@ -355,8 +347,8 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
   const auto require = [](const std::string& where, const std::string& why) {
     if (!why.empty()) throw SetupError({Errc::bad_argument, what, where, why, ""});
   };
-  require(config.topic, obstacle_of_topic(config.topic));
-  if (config.will) require(config.will->topic, obstacle_of_topic(config.will->topic));
+  require(config.topic, detail::obstacle_of_topic(config.topic));
+  if (config.will) require(config.will->topic, detail::obstacle_of_topic(config.will->topic));
   if (config.qos > 2 || (config.will && config.will->qos > 2)) require("qos", "it is 0, 1 or 2");
   if (config.tls) {
     for (const TlsMistake& mistake : mistakes_of(*config.tls)) require("tls." + mistake.key, mistake.message);
@@ -369,8 +361,8 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems) {
   detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
-  detail::add_obstacle(obstacle_of_topic(config.topic), "topic", item, problems);
-  if (config.will) detail::add_obstacle(obstacle_of_topic(config.will->topic), "will", item, problems);
+  detail::add_obstacle(detail::obstacle_of_topic(config.topic), "topic", item, problems);
+  if (config.will) detail::add_obstacle(detail::obstacle_of_topic(config.will->topic), "will", item, problems);
   if (!config.tls) return;
   for (const TlsMistake& mistake : mistakes_of(*config.tls))
     detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);

@@ -1,4 +1,4 @@
-#include "sinks/http/http_answer.hpp"
+#include "io/http_answer.hpp"
 
 #include <curl/curl.h>
 
@@ -9,8 +9,8 @@
 #include <utility>
 
 #include "data/utf8.hpp"
+#include "io/http_url.hpp"
 #include "io/tls_session.hpp"
-#include "sinks/http/http_url.hpp"
 
 namespace rtdata::detail {
 namespace {

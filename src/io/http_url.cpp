@@ -1,4 +1,4 @@
-#include "sinks/http/http_url.hpp"
+#include "io/http_url.hpp"
 
 #include <curl/curl.h>
 
@@ -35,10 +35,6 @@ bool is_token(const std::string& text) {
   });
 }
 
-bool is_one_line(const std::string& text) {
-  return std::none_of(text.begin(), text.end(), [](unsigned char c) { return (c < 0x20 && c != '\t') || c == 0x7f; });
-}
-
 /// Why a header of this name is not the user's to set; empty: it is.
 std::string owner_of(const std::string& name) {
   static constexpr struct {
@@ -48,17 +44,21 @@ std::string owner_of(const std::string& name) {
                {"content-type", "give `content_type`"},
                {"content-encoding", "give `compression`"},
                {"proxy-authorization", "give `proxy_user` and `proxy_password`"},
-               {"content-length", "the sink sets it"},
-               {"transfer-encoding", "the sink sets it"},
-               {"connection", "the sink sets it"},
-               {"expect", "the sink sets it"},
-               {"idempotency-key", "the sink sets it"}};
+               {"content-length", "it is set already"},
+               {"transfer-encoding", "it is set already"},
+               {"connection", "it is set already"},
+               {"expect", "it is set already"},
+               {"idempotency-key", "it is set already"}};
   for (const auto& one : owned)
     if (lower(name) == one.name) return one.why;
   return "";
 }
 
 }  // namespace
+
+bool is_one_line(const std::string& text) {
+  return std::none_of(text.begin(), text.end(), [](unsigned char c) { return (c < 0x20 && c != '\t') || c == 0x7f; });
+}
 
 Result<HttpUrl> parse_http_url(const std::string& text) {
   const auto wrong = [](std::string why) { return Error{Errc::bad_argument, "cannot send", "", std::move(why), ""}; };
@@ -94,7 +94,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   return parsed;
 }
 
-std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
+std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   std::vector<HttpMistake> mistakes;
   const auto add = [&](std::string key, std::string message) {
     mistakes.push_back({std::move(key), std::move(message)});
@@ -104,15 +104,12 @@ std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
   if (url && url->has_login)
     add("url", "user and password in a URL would be shown with it: give `user` and `password`, or `bearer`");
   if (url && url->has_fragment) add("url", "what stands behind # is never sent: remove it");
-  if (config.format == "csv")
-    add("format", "rows of CSV say neither topic nor names of their columns: use json, jsonl, cbor or influx");
   if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
   if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` of whom it could be");
   if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
   for (const auto& [key, text] :
        {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user}, std::pair{"password", &config.password},
-        std::pair{"content_type", &config.content_type}, std::pair{"proxy_user", &config.proxy_user},
-        std::pair{"proxy_password", &config.proxy_password}})
+        std::pair{"proxy_user", &config.proxy_user}, std::pair{"proxy_password", &config.proxy_password}})
     if (!is_one_line(*text)) add(key, "it has a line break or another control character");
   for (const auto& [name, text] : config.headers) {
     const std::string why = owner_of(name);
@@ -139,14 +136,13 @@ std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
   return mistakes;
 }
 
-}  // namespace detail
-
-void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems) {
-  for (const detail::HttpMistake& mistake : detail::mistakes_of(config)) {
+void add_mistakes(const std::vector<HttpMistake>& mistakes, const ConfigItem& item, Problems& problems) {
+  for (const HttpMistake& mistake : mistakes) {
     const ConfigItem* at = item.find(mistake.key);
     if (at == nullptr) at = item.find(mistake.key.substr(0, mistake.key.find('.')));
     problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.message));
   }
 }
 
+}  // namespace detail
 }  // namespace rtdata

@@ -1,13 +1,19 @@
-// The URL of a server, and what is wrong with a configuration of an HTTP sink.
+// The URL of a server, and what is wrong with how one is described.
 #pragma once
 
 #include <cstdint>
 #include <string>
 #include <vector>
 
-#include "rtdata/sinks/http.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/io/http.hpp"
 
-namespace rtdata::detail {
+namespace rtdata {
+
+class ConfigItem;
+class Problems;
+
+namespace detail {
 
 struct HttpUrl {
   std::string scheme;  // "http" or "https"
@@ -29,6 +35,10 @@ struct HttpMistake {
   std::string key;  // "url", "tls.key"
   std::string message;
 };
-std::vector<HttpMistake> mistakes_of(const HttpConfig& config);
+std::vector<HttpMistake> mistakes_of(const HttpPeer& server);
+bool is_one_line(const std::string& text);
+/// Each at its key.
+void add_mistakes(const std::vector<HttpMistake>& mistakes, const ConfigItem& item, Problems& problems);
 
-}  // namespace rtdata::detail
+}  // namespace detail
+}  // namespace rtdata

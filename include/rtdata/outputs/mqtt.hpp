@@ -1,0 +1,75 @@
+/// MqttActuator: a device that is set by a message to a broker of MQTT, as the device of an output.
+///
+///     rtdata::MqttActuator pump({.broker = {.host = "broker.local"}, .to = "garden/pump/set",
+///                                .words = {{"0", "OFF"}, {"1", "ON"}}});
+///
+/// A value is set when the broker has confirmed the message (with `qos` 0: when it was written to the connection),
+/// within `timeout`. The broker does not say whether a device has it.
+///
+/// The connection lasts as long as the device is held. The value that it is taken with, which is the output's safe
+/// value, is the connection's will: the broker publishes it when the connection is lost, as by a power failure here,
+/// at once or after one and a half `keepalive`. A device that is taken as it is has none.
+///
+/// The library `rtdata::mqtt`, which needs libmosquitto. The connection has a thread of its own, which is left behind
+/// when the name servers do not answer.
+///
+/// Errors: bad-argument (a host or topic that cannot be one); disconnected (there is no connection, or no answer in
+/// time: an output begins all the same, and tries again); not-permitted (the broker refuses the connection, or with
+/// MQTT 5 the message; a broker of 3.1.1 confirms what it throws away).
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "rtdata/io/mqtt.hpp"
+#include "rtdata/outputs/output.hpp"
+
+namespace rtdata {
+
+struct MqttActuatorConfig {
+  MqttBroker broker = {.keepalive = std::chrono::seconds{10}};
+  std::string to = {};           ///< the topic
+  std::string text = "{value}";  ///< the message; `{value}` is the value, as short as it is exact: 1, 0.5
+  std::map<std::string, std::string> words = {};  ///< what is written in place of a value: {"0": "OFF", "1": "ON"}
+  std::uint8_t qos = 1;
+  bool retain = false;                         ///< the broker keeps the last message for devices that come later
+  Duration timeout = std::chrono::seconds{1};  ///< from connecting to the confirmation
+
+  friend constexpr auto parameters(type_tag<MqttActuatorConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        include_member(&MqttActuatorConfig::broker),
+        parameter("to", &MqttActuatorConfig::to, "the topic of the message", required),
+        parameter("text", &MqttActuatorConfig::text, "the message; {value} stands for the value",
+                  placeholders("value")),
+        parameter("words", &MqttActuatorConfig::words, "what {value} is, by value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
+        parameter("qos", &MqttActuatorConfig::qos, "0: at most once, 1: at least once, 2: once", range(0, 2)),
+        parameter("retain", &MqttActuatorConfig::retain,
+                  "whether the broker keeps the last message for who comes later"),
+        parameter("timeout", &MqttActuatorConfig::timeout, "from connecting to the broker's confirmation",
+                  range(Duration{10ms}, Duration{1500ms})));
+  }
+  friend void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems);
+};
+/// Nothing is sent.
+void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems);
+
+class MqttActuator : public Actuator {
+ public:
+  explicit MqttActuator(MqttActuatorConfig config);
+  MqttActuator(const MqttActuator&) = delete;
+  MqttActuator& operator=(const MqttActuator&) = delete;
+  /// Tells the broker goodbye: its will is not published then.
+  ~MqttActuator() override;
+  Result<void> open(std::optional<double> value) override;
+  Result<void> set(double value) override;
+
+ private:
+  struct Link;
+  const MqttActuatorConfig config_;
+  std::shared_ptr<Link> link_;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,199 @@
+#include "rtdata/outputs/mqtt.hpp"
+
+#include <mqtt_protocol.h>
+
+#include <condition_variable>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include "io/host_lookup.hpp"
+#include "io/mqtt_connection.hpp"
+#include "loop/support/no_sigpipe.hpp"
+#include "outputs/set_text.hpp"
+
+namespace rtdata {
+namespace {
+
+constexpr const char* cannot_set = "cannot set by MQTT";
+constexpr int longest_wait_ms = 100;  // of the library, for something to come
+constexpr Duration between_attempts = std::chrono::milliseconds{200};
+constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
+
+struct Mistake {
+  const char* key;
+  std::string why;
+};
+
+std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
+  std::vector<Mistake> mistakes;
+  const auto add = [&](const char* key, std::string why) {
+    if (!why.empty()) mistakes.push_back({key, std::move(why)});
+  };
+  add("host", detail::obstacle_of_host(config.broker.host));
+  add("to", detail::obstacle_of_topic(config.to));
+  if (config.broker.tls)
+    for (const TlsMistake& mistake : mistakes_of(*config.broker.tls)) add("tls", mistake.key + ": " + mistake.message);
+  add("qos", config.qos > 2 ? "it is 0, 1 or 2" : "");
+  add("text", detail::has_value_mark(config.text)
+                  ? ""
+                  : "each value would send the same message: write {value} where it belongs");
+  return mistakes;
+}
+
+}  // namespace
+
+/// The connection, shared with its thread, which may outlive the actuator.
+struct MqttActuator::Link {
+  Link(MqttActuatorConfig its_config, std::optional<double> safe) : config(std::move(its_config)) {
+    options.holds_answers = true;  // as programs with threads do: others than the library's thread publish
+    if (safe) options.will = {config.to, detail::set_text(config.text, *safe, config.words), config.qos, config.retain};
+  }
+
+  // ---- the connection's thread
+  void run() noexcept {
+    const detail::NoSigpipe guard;
+    try {
+      bool is_v5 = config.broker.version != MqttVersion::v311;
+      std::unique_lock lock(mutex);
+      while (!is_over) {
+        lock.unlock();
+        connection(is_v5);
+        lock.lock();
+        changed.wait_for(lock, between_attempts, [this] { return is_over; });
+      }
+    } catch (const std::exception& thrown) {
+      tell(Errc::io_failed, thrown.what());
+    }
+    const std::lock_guard lock(mutex);
+    has_ended = true;
+    changed.notify_all();
+  }
+  /// From connecting to its end.
+  void connection(bool& is_v5) {
+    detail::MqttClient client;
+    int status = detail::connect_client(client, config.broker, options, is_v5);
+    if (status != MOSQ_ERR_SUCCESS) return tell(Errc::disconnected, client.reason(status));
+    while (status == MOSQ_ERR_SUCCESS) {
+      status = ::mosquitto_loop(client.handle, longest_wait_ms, 1);
+      const std::unique_lock lock(mutex);
+      for (const auto& [number, reason] : client.published)
+        if (number == awaited) result = reason;
+      client.published.clear();
+      if (const auto answer = std::exchange(client.answer, {})) {
+        if (*answer == 0) {
+          handle = client.handle;
+        } else {
+          const bool is_other = is_v5 && config.broker.version == MqttVersion::newest && detail::is_older(*answer);
+          trouble = {Errc::not_permitted, detail::refusal_of(*answer, is_v5)};
+          if (is_other) is_v5 = false;
+          status = MOSQ_ERR_CONN_REFUSED;
+        }
+      }
+      if (is_over && !::mosquitto_want_write(client.handle)) break;
+      changed.notify_all();
+    }
+    const std::lock_guard lock(mutex);
+    if (handle == nullptr && is_v5 && config.broker.version == MqttVersion::newest && detail::may_be_older(status))
+      is_v5 = false;
+    if (status != MOSQ_ERR_SUCCESS && trouble.why.empty()) trouble = {Errc::disconnected, client.reason(status)};
+    handle = nullptr;
+    changed.notify_all();
+  }
+  void tell(Errc code, std::string why) {
+    const std::lock_guard lock(mutex);
+    trouble = {code, std::move(why)};
+    changed.notify_all();
+  }
+
+  // ---- the actuator's thread
+  Result<void> publish(const std::string& text) {
+    const auto until = std::chrono::steady_clock::now() + config.timeout;
+    std::unique_lock lock(mutex);
+    result.reset();
+    awaited = 0;
+    if (!changed.wait_until(lock, until, [this] { return handle != nullptr || has_ended || is_refused(); }))
+      return failed("there is no connection to the broker" + (trouble.why.empty() ? "" : ": " + trouble.why));
+    if (handle == nullptr) return failed(trouble.why);
+    trouble = {};
+    const int status = ::mosquitto_publish_v5(handle, &awaited, config.to.c_str(), static_cast<int>(text.size()),
+                                              text.data(), config.qos, config.retain, nullptr);
+    if (status != MOSQ_ERR_SUCCESS) return failed(::mosquitto_strerror(status));
+    if (!changed.wait_until(lock, until, [this] { return result || handle == nullptr; }))
+      return failed("the broker did not confirm it within " + to_string(config.timeout));
+    if (!result) return failed("the connection was lost: " + trouble.why);
+    if (*result >= 0x80) {
+      trouble.code = Errc::not_permitted;
+      return failed("the broker refuses the message: " + std::string(::mosquitto_reason_string(*result)));
+    }
+    return {};
+  }
+  bool is_refused() const { return trouble.code == Errc::not_permitted; }
+  Error failed(std::string why) const {
+    const bool is_refusal = is_refused();
+    return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set,
+            config.broker.host + " port " + std::to_string(detail::port_of(config.broker)), std::move(why),
+            is_refusal ? "look at `user`, `password` and `client_id`, and at what the broker lets them do"
+                       : "is the broker running, and does the network reach it?"};
+  }
+  /// Returns whether its thread has ended.
+  bool end() noexcept {
+    std::unique_lock lock(mutex);
+    is_over = true;
+    if (handle != nullptr) ::mosquitto_disconnect_v5(handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
+    changed.notify_all();
+    return changed.wait_for(lock, goodbye_limit, [this] { return has_ended; });
+  }
+
+  struct Trouble {
+    Errc code = Errc::disconnected;
+    std::string why = {};
+  };
+  const MqttActuatorConfig config;
+  detail::MqttOptions options;
+  std::thread thread;  // the actuator's
+
+  std::mutex mutex;  // of what follows
+  std::condition_variable changed;
+  mosquitto* handle = nullptr;  // while it is connected
+  Trouble trouble;              // the last one
+  int awaited = 0;              // number of the message; 0: none
+  std::optional<int> result;    // of that
+  bool is_over = false;
+  bool has_ended = false;
+};
+
+MqttActuator::MqttActuator(MqttActuatorConfig config) : config_(std::move(config)) {
+  for (const Mistake& mistake : mistakes_of(config_))
+    throw SetupError({Errc::bad_argument, cannot_set, mistake.key, mistake.why, ""});
+}
+
+MqttActuator::~MqttActuator() {
+  if (link_ == nullptr) return;
+  std::thread& thread = link_->thread;
+  if (link_->end())
+    thread.join();
+  else
+    thread.detach();
+}
+
+Result<void> MqttActuator::open(std::optional<double> value) {
+  link_ = std::make_shared<Link>(config_, value);
+  link_->thread = std::thread([link = link_] { link->run(); });
+  return value ? set(*value) : Result<void>();
+}
+
+Result<void> MqttActuator::set(double value) {
+  return link_->publish(detail::set_text(config_.text, value, config_.words));
+}
+
+void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+  for (const Mistake& mistake : mistakes_of(config)) {
+    const ConfigItem* const at = item.find(mistake.key);
+    problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
+  }
+  detail::check_words(config.words, item, problems);
+}
+
+}  // namespace rtdata

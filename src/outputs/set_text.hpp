@@ -1,0 +1,47 @@
+// Values as texts, for devices that are set by one.
+#pragma once
+
+#include <array>
+#include <charconv>
+#include <map>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/problem.hpp"
+
+namespace rtdata::detail {
+
+/// As short as it is exact: 1, 0.5.
+inline std::string number_text(double value) {
+  std::array<char, 32> text;
+  return {text.data(), std::to_chars(text.data(), text.data() + text.size(), value).ptr};
+}
+
+/// The pattern with the value, or its word, for `{value}`.
+inline std::string set_text(std::string pattern, double value, const std::map<std::string, std::string>& words) {
+  std::string number = number_text(value);
+  if (const auto word = words.find(number); word != words.end()) number = word->second;
+  constexpr std::string_view mark = "{value}";
+  for (std::size_t at = pattern.find(mark); at != std::string::npos; at = pattern.find(mark, at + number.size()))
+    pattern.replace(at, mark.size(), number);
+  return pattern;
+}
+
+inline bool has_value_mark(std::string_view pattern) { return pattern.find("{value}") != pattern.npos; }
+
+/// A key that no value is written as would never be used.
+inline void check_words(const std::map<std::string, std::string>& words, const ConfigItem& item, Problems& problems) {
+  for (const auto& [key, word] : words) {
+    double value = 0;
+    const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
+    const bool is_number = failed == std::errc{} && end == key.data() + key.size();
+    if (is_number && number_text(value) == key) continue;
+    const ConfigItem* const at = item.find("words");
+    problems.add((at != nullptr ? *at : item)
+                     .problem("bad-value", "\"" + key + "\" is no value" +
+                                               (is_number ? ": it is written " + number_text(value) : std::string())));
+  }
+}
+
+}  // namespace rtdata::detail
