@@ -220,6 +220,20 @@ while True:
     std::string states;
     while (rows.step().or_throw()) states += std::string(rows.text(0));
     CHECK(states == "abba");
+
+    // What was commanded is commanded again.
+    std::string again = text("two");
+    again.replace(again.rfind("run.db"), 6, "new.db");
+    folder.write("again.json", again);
+    Process replay(folder, built("rtdata"),
+                   {"replay", "run.db", "again.json", "--topic", "rtdata/commands", "--speed", "max"});
+    CHECK(replay.end() == 0);
+    auto replayed = rtdata::sqlite::Database::open(folder.path() + "/new.db", rtdata::sqlite::Database::Mode::read)
+                        .or_throw();
+    auto changes = replayed.prepare("SELECT \"to\" FROM m ORDER BY sequence").or_throw();
+    states.clear();
+    while (changes.step().or_throw()) states += std::string(changes.text(0));
+    CHECK(states == "aba");
   }
 
   TEST_CASE("US-5 check says what becomes of each part of a running system") {

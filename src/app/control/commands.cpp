@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <charconv>
 #include <nlohmann/json.hpp>
+#include <sstream>
 #include <stdexcept>
 
 #include "app/core/machines.hpp"
@@ -184,6 +185,19 @@ std::vector<std::string> command_words(std::string_view line) {
 
 std::string command_answer(const CommandOutcome& outcome) {
   return Json{{outcome.done ? "done" : "refused", outcome.text}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+void repeat_command(System& system, const CommandRecord& recorded) {
+  if (!recorded.done) return;
+  std::istringstream text{std::string(recorded.command)};
+  Words words;
+  for (std::string word; text >> word;) words.push_back(word);
+  if (words.size() == 3 && words[0] == "event") {
+    if (auto* const machine = system.parts().find<fsm::ConfiguredMachine>("machine", words[1]))
+      (void)machine->raise(words[2]);  // one that no transition waits for any more
+  } else if (words.size() == 2 && words[0] == "ack") {
+    if (auto* const limit = system.parts().find<LimitSensor>("sensor", words[1])) (void)limit->acknowledge();
+  }
 }
 
 CommandOutcome CommandDesk::run(const Words& words, std::string_view by) {

@@ -37,6 +37,10 @@ std::vector<std::string> command_words(std::string_view line);
 /// The line that answers a command, without its end.
 std::string command_answer(const CommandOutcome& outcome);
 
+/// Gives the system a command of a recording again that machines and limits decide by: a named event, or that an alarm
+/// was seen. Thread: the loop's.
+void repeat_command(System& system, const CommandRecord& recorded);
+
 /// Commands the parts of a system. Thread: the loop's.
 class CommandDesk {
  public:

@@ -10,6 +10,7 @@
 #include <set>
 #include <vector>
 
+#include "app/control/commands.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/run/stop_signals.hpp"
@@ -167,10 +168,13 @@ class ReplayRun {
     Loop loop(runtime, {.name = "replay"});
     std::optional<System> system;
     std::optional<ConsoleSink> console;
+    Subscription commands;
     if (plan != nullptr) {
       SystemPlan parts = *plan;
       leave_out_recorded(parts, recording, run, options_.config);
       system.emplace(loop, registry_, parts);
+      commands = loop.subscribe<CommandRecord>(
+          command_topic, [&](const Event<CommandRecord>& event) { repeat_command(*system, *event); });
     } else {
       console.emplace(loop, ConsoleConfig{});
     }
