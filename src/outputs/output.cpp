@@ -59,10 +59,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// Apart, since it may fail.
   void begin(OutputGuard* guard, const std::string& guarded) {
     Loop& loop = this->loop()->face;
-    if (guard != nullptr && !guarded.empty())
-      port_ = make_guard_port(loop, name(), *guard, guarded, config_.safe, *this);
-    else
-      port_ = make_lane_port(loop, name(), make_, *this);
+    if (guard != nullptr && !guarded.empty()) take_guard(loop, *guard, guarded);
+    if (port_ == nullptr) port_ = make_lane_port(loop, name(), make_, *this);
     if (input_)
       subscriptions_ = input_->subscribe(
           loop, name(), [this](std::size_t topic, const EventView& event) { take(topic, event, event.time()); });
@@ -172,7 +170,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_held_ = true;
     has_ended_unsafe_ = false;
     is_failing_ = !opened;
-    is_armed_ = config_.armed == Arming::at_start;
+    is_armed_ = config_.armed == Arming::at_start && !is_lost_;
     if (opened && !config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_,
            !opened        ? opened.error().why
@@ -293,6 +291,16 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- The guard
 
+  /// One that has ended takes nothing more: the program keeps the output safe, as `lost` does, and arms it no more.
+  void take_guard(Loop& loop, OutputGuard& guard, const std::string& guarded) {
+    try {
+      port_ = make_guard_port(loop, name(), guard, guarded, config_.safe, *this);
+    } catch (const SetupError& refused) {
+      if (refused.error().code != Errc::disconnected) throw;
+      is_lost_ = true;
+      complain(placed(refused.error()), Health::faulted);
+    }
+  }
   void beat() {
     if (port_ == nullptr) return;
     port_->beat(now() + config_.watchdog);

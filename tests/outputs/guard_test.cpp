@@ -248,7 +248,27 @@ TEST_SUITE("outputs") {
       CHECK(b.errors == Lines{"its guard has ended"});
       b.output.close();
       CHECK(lines_of(b.path).back() == "gone");
+      // One that is made now, as by a reload, is held safe by the program.
+      const std::string path = b.directory.file("later");
+      Output later(
+          b.loop, {.name = "later"}, [&] { return make_file(path); }, path);
+      CHECK(later.value() == 0);
+      CHECK_FALSE(later.is_armed());
+      CHECK(later.health() == Health::faulted);
+      CHECK(later.set(1).error().code == Errc::not_permitted);
+      CHECK(lines_of(path) == Lines{"open 0.0"});
     }
+  }
+
+  TEST_CASE("US-35 guard: one that is stopped while an output is not safe is told of") {
+    Bench b({.watchdog = 50ms});
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    ::kill(b.guard.process(), SIGSTOP);
+    CHECK(b.turn_until([&] { return !b.errors.empty(); }));
+    CHECK(b.errors == Lines{"its guard does not run"});
+    CHECK(b.output.health() == Health::faulted);
+    ::kill(b.guard.process(), SIGCONT);
   }
 
   TEST_CASE("US-35 guard: it ignores what terminals and service managers send to all") {

@@ -142,6 +142,22 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("US-32 a broker that confirms what nobody is subscribed to: that is told, and how much it was") {
+    NEEDS_BROKER();
+    Broker broker;
+    Bench bench;
+    std::string log;
+    bench.loop.runtime().on_log([&](const LogRecord& record) { log += std::string(record.text) + "\n"; });
+    {
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.topic = "plant/{topic}", .qos = 1}));
+      bench.publish(20);
+      CHECK(bench.wait_for([&] { return sink.counts().stored == 20; }));
+      CHECK(log.find("nobody was subscribed to: it is gone") != std::string::npos);
+      CHECK(bench.loop.close(2s) == 0);
+    }
+    CHECK(log.find("20 events were confirmed by the broker while nobody was subscribed") != std::string::npos);
+  }
+
   TEST_CASE("US-32 a broker gets the final account as the last message, when it is asked for") {
     NEEDS_BROKER();
     Broker broker;

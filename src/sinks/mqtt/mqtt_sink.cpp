@@ -12,6 +12,8 @@
 #include <vector>
 
 #include "io/mqtt_connection.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sinks/core/peer_config.hpp"
 
@@ -76,6 +78,9 @@ class Publishing final : public detail::MqttConnection {
     drop();
   }
   void end() {
+    if (unheard_ > 0)
+      tell(LogLevel::warning,
+           std::to_string(unheard_) + " events were confirmed by the broker while nobody was subscribed");
     under_way_.clear();
     good_at_.close();
     MqttConnection::end();
@@ -120,6 +125,9 @@ class Publishing final : public detail::MqttConnection {
     std::size_t row = 0;
   };
 
+  void tell(LogLevel level, const std::string& text) {
+    loop().core().runtime.log(level, "sink " + config_.sink.name, text);
+  }
   bool has_more() const override {
     if (is_on_trial_ || (is_careful_ && messages_ > 0)) return false;
     if (messages_ >= most_under_way || slot_of(next_number()).number != 0) return false;
@@ -206,9 +214,15 @@ class Publishing final : public detail::MqttConnection {
       } else {
         of->progress.is_done[ended.row] = true;
         losses_ = 0;
+        if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) ++unheard_;
       }
     }
     client->published.clear();
+    if (unheard_ > 0 && !std::exchange(is_unheard_told_, true))
+      tell(LogLevel::warning,
+           "the broker has confirmed an event that nobody was subscribed to: it is gone. Subscribe with a session that "
+           "lasts, or "
+           "set `retain`; how many there are is told at the end");
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", ::mosquitto_reason_string(why));
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
@@ -305,7 +319,9 @@ class Publishing final : public detail::MqttConnection {
   int last_number_ = 0;
   // Of MQTT 3.1.1: which event it is that the broker ends connections for.
   Timer good_at_;
-  bool is_good_ = false;      // the broker has accepted the connection
+  bool is_good_ = false;       // the broker has accepted the connection
+  std::uint64_t unheard_ = 0;  // confirmed, and given to nobody
+  bool is_unheard_told_ = false;
   bool is_on_trial_ = false;  // whether it lasts, before anything is sent on it
   bool is_careful_ = false;   // one message at a time
   int losses_ = 0;            // of connections, since a message was confirmed
