@@ -156,7 +156,7 @@ TEST_SUITE("fsm") {
                          "something",
                          "f.json:7:52: machines[0].transitions[3].for: `for` is how long `when` is true: give `when`, "
                          "or use `after`",
-                         "f.json:8:64: machines[0].transitions[4].when: it ends where a value is missing (column 12 "
+                         "f.json:8:65: machines[0].transitions[4].when: it ends where a value is missing (column 12 "
                          "of it)"});
   }
 

@@ -129,7 +129,7 @@ TEST_CASE("US-17 what came before the trigger is passed on, in order, each event
 }
 
 TEST_CASE(
-    "US-17 the condition may be of the events themselves; without `before` they begin with the one that makes it") {
+    "US-17 the condition of a trigger may be of the events themselves, which then begin with the one that makes it") {
   NEEDS_EXPRESSIONS();
   Bench bench({.when = "value >= 5 and value < 8"});
   bench.run(10);
