@@ -1,5 +1,6 @@
 // Outputs over the network: a real server of HTTP and a real broker of MQTT, which come and go.
 #include <doctest/doctest.h>
+#include <algorithm>
 
 #include <chrono>
 #include <filesystem>
