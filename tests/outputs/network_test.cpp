@@ -1,7 +1,7 @@
 // Outputs over the network: a real server of HTTP and a real broker of MQTT, which come and go.
 #include <doctest/doctest.h>
-#include <algorithm>
 
+#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <fstream>
@@ -349,8 +349,10 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(mqtt + R"("to": "pump", "text": "ON"})", "each value would send the same message"));
     CHECK(is_refused(mqtt + R"("to": "pump", "qos": 3})", "qos"));
     CHECK(is_refused(mqtt + R"("to": "pump", "words": {"01": "ON"}})", "it is written 1"));
-    CHECK(
-        is_refused(mqtt + R"("to": "pump", "tls": {"key": "/dev/null"}})", "a key is nothing without its certificate"));
+    const Lines keyless = problems_of(mqtt + R"("to": "pump", "tls": {"key": "/no/such/key"}})");
+    CHECK(std::any_of(keyless.begin(), keyless.end(), [](const std::string& line) {
+      return line.find("a key is nothing without its certificate") != std::string::npos;
+    }));
     CHECK(is_refused(mqtt + R"("to": "pump"}, {"name": "q", "type": "mqtt", "to": "pump"})", "MQTT topic"));
   }
 }
