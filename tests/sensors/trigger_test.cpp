@@ -12,6 +12,7 @@
 #include "rtdata/config/system.hpp"
 #include "rtdata/fsm/configured.hpp"
 #include "rtdata/process/expression.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -323,6 +324,27 @@ TEST_CASE("US-17 a reload leaves a trigger untouched, or makes it anew with an e
   loop.advance(1ms);
   CHECK(kept().published == 41);
   CHECK(loop.runtime().balances());
+}
+
+TEST_CASE("a trigger knows an alarm that was raised before it began, and that holds however old it is") {
+  NEEDS_EXPRESSIONS();
+  Loop loop{Loop::Manual{}};
+  be_quiet(loop);
+  Feed<Thrust> thrust(loop, {.name = "thrust"});
+  LimitSensor alarm(loop, {.name = "hot"}, {.on = "thrust", .field = "value", .high = 5, .silence = 0s});
+  thrust.publish({10});
+  loop.advance(1s);
+  TriggerSensor trigger(loop, {.name = "burn"}, {.on = "thrust", .with = {"hot"}, .when = "hot.is_active"});
+  int events = 0;
+  const auto seen = loop.subscribe<Thrust>("burn", [&](const Event<Thrust>&) { ++events; });
+  for (int i = 0; i < 3; ++i) {
+    loop.advance(1min);
+    thrust.publish({11});
+    loop.advance(1ms);
+  }
+  CHECK(events == 3);
+  CHECK(trigger.health() == Health::ok);
+  CHECK(trigger.status().counts.lost_is_known);
 }
 
 TEST_SUITE_END();

@@ -102,9 +102,11 @@ void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why,
     for (const std::string& name : closing_sinks(change->read->plan, true))
       if (ended->sinks.contains(name)) stuck += (stuck.empty() ? "" : ", ") + name;
     if (stuck.empty()) return apply_now(*change);
-    conclude(
-        *change, LogLevel::error,
-        "nothing was changed: it would close " + stuck + ", which cannot store what it has now, and would lose it");
+    conclude(*change, LogLevel::error,
+             "nothing was changed: it would close " + stuck +
+                 ", which cannot store what it has now, and would lose it; mend what keeps it from that, or start the "
+                 "program "
+                 "again");
   };
   waiting->patience = Timer(loop_, storing_patience, [this, end] { loop_.post(end); });
   for (const std::string& name : sinks) {

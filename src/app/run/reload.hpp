@@ -59,7 +59,7 @@ class Reload {
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   /// False: it is refused, and concluded.
   bool may_be_applied(Change& change);
-  /// Those that the change closes and that have something to store; of `patient` ones alone those that may lose it.
+  /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
   std::set<std::string> closing_sinks(const SystemPlan& next, bool recordings_alone) const;
   void apply_now(Change& change);
 

@@ -130,13 +130,13 @@ class Run {
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
       ticker.set_period(redraw_period);
+      not_stored_ += reload.not_stored();  // what its sinks still send is among what closing counts
       not_stored_ += loop.close(close_deadline_);
     }
     tell_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
     tell_buses(system);
     console_.close_view();
-    not_stored_ += reload.not_stored();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end, unsafe_outputs(system));
     if (!hanging.empty()) {
       control.reset();

@@ -87,12 +87,15 @@ class TriggerNode final : public FeedNode {
         more_(loop, [this] {
           Call call(*this);
           publish_some();
-        }) {}
+        }) {
+    set_numbered();  // it makes its events of those of others
+  }
 
   /// Apart, since a subscription may fail.
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
+    recall();
   }
 
   void start() override {
@@ -102,6 +105,7 @@ class TriggerNode final : public FeedNode {
     sources_.forget();
     first_.reset();
     troubles_ = 0;
+    recall();
   }
   void stop() override {
     empty();
@@ -115,11 +119,20 @@ class TriggerNode final : public FeedNode {
  private:
   enum Trouble : unsigned { no_name = 1, too_old = 2, fails = 4, condition = 7, short_ring = 8, other_payload = 16 };
 
+  void put(std::size_t from, const EventView& event) {
+    sources_.put(from, event,
+                 [this](std::size_t name, std::optional<double> value) { set_or_unknown(when_, name, value); });
+  }
+  /// What the topics `with` have, of those that bring an event only when something changes.
+  void recall() {
+    sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
+      if (from != 0) put(from, event);
+    });
+  }
   void take(std::size_t from, const EventView& event) {
     if (!is_running()) return;
     Call call(*this);
-    sources_.put(from, event,
-                 [this](std::size_t name, std::optional<double> value) { set_or_unknown(when_, name, value); });
+    put(from, event);
     const Time now = event.time();
     if (!first_) first_ = now;
     if (from == 0) {
