@@ -1,7 +1,10 @@
 #include "io/mqtt_connection.hpp"
 
+#include <arpa/inet.h>
 #include <fcntl.h>
 #include <mqtt_protocol.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -55,6 +58,26 @@ static void on_log(mosquitto*, void* client, int level, const char* text) {
 
 const char* or_null(const std::string& text) { return text.empty() ? nullptr : text.c_str(); }
 
+/// libmosquitto sets up its TLS in the first connection that uses it, without a lock: two connections at once would
+/// leak, and one of them could refuse a certificate that is good. A connection to a socket of our own that answers
+/// nothing does it beforehand.
+void initialize_tls() {
+  const int listening = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  const auto generic = reinterpret_cast<sockaddr*>(&address);
+  mosquitto* const handle = ::mosquitto_new(nullptr, true, nullptr);
+  if (handle != nullptr && ::bind(listening, generic, size) == 0 && ::listen(listening, 1) == 0 &&
+      ::getsockname(listening, generic, &size) == 0) {
+    ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+    ::mosquitto_connect(handle, "127.0.0.1", ntohs(address.sin_port), 60);
+  }
+  ::mosquitto_destroy(handle);
+  if (listening >= 0) ::close(listening);
+}
+
 }  // namespace
 
 MqttClient::~MqttClient() {
@@ -75,6 +98,8 @@ std::uint16_t port_of(const MqttBroker& broker) noexcept {
 int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5) {
   static std::once_flag once;
   std::call_once(once, [] { ::mosquitto_lib_init(); });
+  static std::once_flag once_with_tls;
+  if (broker.tls) std::call_once(once_with_tls, initialize_tls);
   errno = 0;
   const bool is_new_session = options.session <= Duration{0};
   mosquitto* const handle = ::mosquitto_new(or_null(broker.client_id), is_new_session, &client);

@@ -173,20 +173,22 @@ TEST_SUITE("sensors") {
       Broker broker("allow_anonymous true\ncertfile " + files[0] + "\nkeyfile " + files[1] + "\n");
       Hearing bench;
       const std::string ca = certificates / "ca.pem";
+      const bool is_right = std::string(one.certificate) == "right" && one.knows_authority;
+      // Before the sensor, since libmosquitto's first use of TLS is not for two threads at once.
+      std::optional<Publisher> publisher;
+      if (is_right) publisher.emplace(broker.port(), ca);
       MqttSensor sensor(
           bench.loop, {.name = "phone"},
           bench.from(broker.port(),
                      {.broker = {.tls = TlsConfig{.ca_file = one.knows_authority ? ca : ""}}, .topics = {"a/#"}}));
-      if (std::string(one.certificate) != "right" || !one.knows_authority) {
+      if (!is_right) {
         CHECK(bench.wait_for([&] { return sensor.health() == Health::faulted && !bench.errors.empty(); }));
         CHECK(bench.has_error("certificate"));
         CHECK(sensor.counts().published == 0);
         continue;
       }
-      REQUIRE(bench.wait_for_start(sensor));  // libmosquitto's first use of TLS is not for two threads at once
-      Publisher publisher(broker.port(), ca);
-      until_heard(bench, publisher, "a/b");
-      for (int i = 0; i < 50; ++i) publisher.publish("a/b", R"({"level": )" + std::to_string(i) + "}");
+      until_heard(bench, *publisher, "a/b");
+      for (int i = 0; i < 50; ++i) publisher->publish("a/b", R"({"level": )" + std::to_string(i) + "}");
       CHECK(bench.wait_for([&] { return bench.heard.size() >= 50; }));
       CHECK(bench.heard.size() == 50);
       CHECK(bench.errors.empty());
