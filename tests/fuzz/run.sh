@@ -10,6 +10,7 @@ library="$(cat src/rtdata.sources src/rtdata_sqlite.sources) src/app/control/com
 # Without muParser, expressions are read and not evaluated.
 muparser=$(pkg-config --exists muparser && echo -lmuparser || true)
 cache=$(command -v ccache || true)
+export CCACHE_BASEDIR="$PWD" CCACHE_NOHASHDIR=1 # what another clone has compiled serves here, as with CMake
 flags="-std=c++20 -O1 -g1 -DRTDATA_VERSION='\"fuzz\"' -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=undefined -Iinclude -Isrc -Itests${muparser:+ -DRTDATA_WITH_MUPARSER}"
 printf '%s\n' $library tests/fuzz/*_fuzz.cpp | sort -u |
     xargs -P "$(nproc)" -I{} sh -c "$cache clang++ $flags -c {} -o $out/\$(echo {} | tr / _).o"
