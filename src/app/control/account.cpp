@@ -64,6 +64,35 @@ std::string progress(const RunAccount& account) {
          part(account.queued, "queued") + (account.waiting > 0 ? part(account.waiting, "to be sent") : "");
 }
 
+namespace {
+
+constexpr std::string_view deleted_unsent = "deleted by a limit of the recording";
+
+/// What a sink that goes through a recording lost so was there for as long as that keeps anything.
+bool is_deletion(const SinkStatus& sink, DropReason reason) {
+  return sink.backlog && reason == DropReason::queue_full_oldest;
+}
+
+/// Of what sinks dropped: "refused", or "5 queue full, 2 refused".
+std::string reasons_of(const RunAccount& account) {
+  std::uint64_t deleted = 0, refused = 0;
+  for (const SinkStatus& sink : account.sinks) {
+    refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+    if (is_deletion(sink, DropReason::queue_full_oldest))
+      deleted += sink.counts.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)];
+  }
+  std::string text;
+  for (const auto& [number, reason] : {std::pair{account.dropped - deleted - refused, std::string_view("queue full")},
+                                       {deleted, deleted_unsent},
+                                       {refused, std::string_view("refused")}}) {
+    if (number == account.dropped) return std::string(reason);
+    if (number > 0) text += (text.empty() ? "" : ", ") + std::to_string(number) + " " + std::string(reason);
+  }
+  return text;
+}
+
+}  // namespace
+
 std::string verdict(const RunAccount& account, const Ending& ending) {
   constexpr std::size_t most_names = 2;
   std::string losses;
@@ -103,14 +132,7 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
             [](const TopicAccount& topic) { return to_string(topic.outages); }));
   }
   count(&TopicAccount::dropped, account.dropped, "event dropped by a sink", "events dropped by sinks");
-  std::uint64_t refused = 0;
-  for (const SinkStatus& sink : account.sinks)
-    refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
-  if (account.dropped > 0 && !account.sinks.empty())
-    losses += refused == 0                 ? ": queue full"
-              : refused == account.dropped ? ": refused"
-                                           : ": " + std::to_string(account.dropped - refused) + " queue full, " +
-                                                 std::to_string(refused) + " refused";
+  if (account.dropped > 0 && !account.sinks.empty()) losses += ": " + reasons_of(account);
   if (losses.empty() && ending.has_loss) losses = "events between the loops (the log names them)";
 
   const auto first_of = [](const std::vector<std::string>& names) {
@@ -143,12 +165,13 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
 
 namespace {
 
-/// "12 (queue full)"
-std::string dropped_text(const SinkCounts& counts) {
-  std::string text = std::to_string(counts.all_dropped());
+/// "12 (queue full, newest)"
+std::string dropped_text(const SinkStatus& sink) {
+  std::string text = std::to_string(sink.counts.all_dropped());
   for (std::size_t i = 0; i < drop_reasons; ++i) {
-    if (counts.dropped[i] == 0) continue;
-    text += " (" + std::string(name_of(static_cast<DropReason>(i))) + ")";
+    if (sink.counts.dropped[i] == 0) continue;
+    const auto reason = static_cast<DropReason>(i);
+    text += " (" + std::string(is_deletion(sink, reason) ? deleted_unsent : name_of(reason)) + ")";
   }
   return text;
 }
@@ -183,9 +206,9 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
     std::string note = sink.health == Health::ok ? "" : sink.reason;
     if (sink.backlog && sink.counts.queued > 0)
       note += (note.empty() ? "" : "; ") + waiting_text({sink.counts.queued, sink.backlog->bytes, sink.backlog->age});
-    sinks.add({sink.name, std::to_string(sink.counts.stored), dropped_text(sink.counts),
-               std::string(name_of(sink.health)), where},
-              note);
+    sinks.add(
+        {sink.name, std::to_string(sink.counts.stored), dropped_text(sink), std::string(name_of(sink.health)), where},
+        note);
   }
   if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text("", columns);
   return text;

@@ -40,7 +40,7 @@ class RowFeed {
  public:
   virtual ~RowFeed() = default;
   /// Before all other calls, and before the writer is opened: what "now" is does not depend on whether the peer is
-  /// there. Again after an error.
+  /// there. Again while it is away: looks at what waits.
   virtual Result<void> attach() = 0;
   /// With no batch under way: puts the next rows into the queue. False: there are none.
   virtual Result<bool> fill(SinkQueue& queue) = 0;

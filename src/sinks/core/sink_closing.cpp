@@ -67,6 +67,7 @@ std::uint64_t SinkNode::leave() noexcept {
   stop_waiting();
   work_timer_.stop();
   if (transfer_ != nullptr) transfer_->end();
+  if (is_fed() && !is_at_work()) note([&] { queue_->end_feed(); });
   queue_->abandon();
   RuntimeCore& runtime = loop()->runtime;
   runtime.detach(*this);

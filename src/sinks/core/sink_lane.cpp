@@ -146,9 +146,9 @@ bool SinkQueue::is_abandoned() {
 
 Result<void> SinkQueue::open() {
   if (has_ended_ || is_open_) return {};
-  if (feed_ != nullptr && !is_attached_) {
+  // Each time, so that what waits is known while the peer is away.
+  if (feed_ != nullptr) {
     if (auto attached = call_writer([this] { return feed_->attach(); }); !attached) return attached;
-    is_attached_ = true;
   }
   auto result = call_writer([this] { return writer_->open(); });
   is_open_ = result || has_ended_;

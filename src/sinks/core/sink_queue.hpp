@@ -191,6 +191,11 @@ class SinkQueue {
   }
   const RowFeed* feed() const noexcept { return feed_.get(); }
   void note_committed() { feed_->note_committed(); }
+  /// Nothing more is sent: what was in the queue waits in the recording, if a limit has not deleted it.
+  void end_feed() {
+    feed_->note_committed();
+    feed_->forget();
+  }
   bool keeps_account() const noexcept { return recording_ != nullptr && feed_ == nullptr; }
   bool is_recording() const noexcept { return recording_ != nullptr && recording_->is_recording(); }
   /// For a sink that goes through this recording; null: this is none.
@@ -313,7 +318,6 @@ class SinkQueue {
   bool has_ended_ = false;
   // the lane's, and while it is idle the loop's
   std::unique_ptr<RowFeed> feed_;
-  bool is_attached_ = false;  // to the recording that feeds it
   std::vector<Parcel> parcels_;
   std::vector<Parcel> spare_parcels_;           // for their memory
   std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted

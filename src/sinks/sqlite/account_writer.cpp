@@ -58,7 +58,7 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
       {grown_gap_,
        "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
-       "WHERE rowid = ?"},
+       "WHERE rowid = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
@@ -211,10 +211,22 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
   const auto known = next_gaps_.find(number);
   // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
   if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
-    grown_gap_.bind(9, known->second.second);
-    known->second.first = gap.first;
+    const Time before = std::exchange(known->second.first, gap.first);
+    grown_gap_.bind(9, known->second.second).bind(10, to_nanoseconds(before));
+    if (auto done = run_with(grown_gap_); !done) return done;
+    if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
+      auto row = database_->prepare(
+          "SELECT rowid FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
+      if (!row) return std::move(row).error();
+      row->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
+      auto found = row->step();
+      if (!found) return std::move(found).error();
+      known->second.second = *found ? row->integer(0) : 0;
+      grown_gap_.bind(9, known->second.second).bind(10, to_nanoseconds(before));
+      if (auto done = run_with(grown_gap_); !done) return done;
+    }
     if (what == GapIs::closed) next_gaps_.erase(known);
-    return run_with(grown_gap_);
+    return {};
   }
   if (auto done = run_with(gap_); !done) return done;
   if (what == GapIs::under_way) next_gaps_[number] = {gap.first, database_->last_rowid()};

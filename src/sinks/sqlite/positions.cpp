@@ -47,6 +47,13 @@ void Positions::set_last_row(const std::string& table, const std::string& topic,
   committed.last_row = row;
 }
 
+void Positions::set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row) {
+  const std::lock_guard lock(mutex_);
+  Committed& committed = last_rows_[table];
+  if (committed.topic.empty()) committed.topic = topic;
+  committed.deleted_to = row;
+}
+
 void Positions::at_end(std::function<std::string()> call) {
   const std::lock_guard lock(mutex_);
   at_end_.push_back(std::move(call));

@@ -67,8 +67,9 @@ class Positions {
   struct Committed {
     std::string topic;
     std::int64_t last_row = 0;
+    std::int64_t deleted_to = 0;  ///< the last row that a limit deleted, with all before it; 0: none
   };
-  /// By table; those that were written to since it was opened.
+  /// By table; those whose rows have changed since it was opened.
   std::map<std::string, Committed> last_rows() const;
   std::int64_t run() const;
 
@@ -78,6 +79,7 @@ class Positions {
   // ---- the recording's writer
   void begin_run(std::int64_t run);
   void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
+  void set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row);
   /// Calls those; what they say, if anything.
   std::vector<std::string> end();
   bool is_dirty() const;

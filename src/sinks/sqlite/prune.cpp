@@ -109,6 +109,7 @@ Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges
   }
   table.remove.bind(1, up_to);
   if (auto done = table.remove.run(); !done) return std::move(done).error();
+  if (deleted > 0) deleted_.push_back({table.topic, table.name, up_to});
   if (auto looked = look_at(table); !looked) return std::move(looked).error();
   return deleted;
 }

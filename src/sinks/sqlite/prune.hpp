@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rtdata/data/time.hpp"
@@ -33,9 +34,17 @@ class Pruner {
   bool has_more() const noexcept { return has_more_; }
   /// All rows that may be deleted are, and what is left is still too large.
   bool is_exhausted() const noexcept { return is_exhausted_; }
-  /// The statements are gone; before the database is closed.
+  /// What the transaction has deleted of each table.
+  struct Deleted {
+    std::string topic;
+    std::string table;
+    std::int64_t up_to;  // the number of the last row
+  };
+  std::vector<Deleted> take_deleted() { return std::exchange(deleted_, {}); }
+  /// The statements are gone; before the database is closed, and when the transaction is.
   void close() noexcept {
     tables_.clear();
+    deleted_.clear();
     share_.close();
     for (Statement* statement : {&count_pruned_, &page_count_, &free_pages_}) *statement = Statement();
   }
@@ -73,6 +82,7 @@ class Pruner {
   Duration max_age_{0};
   AccountShare share_;
   std::vector<Table> tables_;
+  std::vector<Deleted> deleted_;
   Statement count_pruned_;
   Statement page_count_;
   Statement free_pages_;

@@ -26,6 +26,9 @@ Result<void> SqliteFeed::open() {
   auto first = file.first_run_with_escapes();
   if (!first) return std::move(first).error();
   first_run_with_escapes_ = *first;
+  auto version = file.prepare("PRAGMA schema_version");
+  if (!version) return std::move(version).error();
+  get_schema_version_ = std::move(*version);
   recording_.emplace(std::move(*opened));
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
   if (!has_table) return std::move(has_table).error();
@@ -47,6 +50,16 @@ Result<void> SqliteFeed::open() {
 }
 
 Result<void> SqliteFeed::look() {
+  auto row = get_schema_version_.step();
+  if (!row) return std::move(row).error();
+  const std::int64_t version = get_schema_version_.integer(0);
+  get_schema_version_.reset();
+  if (version != schema_version_ && !has_rows_in_queue()) {  // a table more, or VACUUM
+    for (Table& table : tables_) {
+      if (auto found = find_again(table); !found) return found;
+    }
+    schema_version_ = version;
+  }
   auto count = recording_->file()->database.integer("SELECT count(*) FROM rtdata_topic");
   if (!count) return std::move(count).error();
   if (*count != topics_known_) {
@@ -59,7 +72,7 @@ Result<void> SqliteFeed::look() {
       if (auto added = add(std::move(topic)); !added) return added;
     }
     topics_known_ = *count;
-    rows_of_new_tables_ = 0;
+    rows_of_new_tables_ = removed_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
   if (config_.times == detail::RowFeedConfig::Times::utc) {
@@ -70,11 +83,58 @@ Result<void> SqliteFeed::look() {
     }
   }
   for (Table& table : tables_) {
-    auto row = table.last.step();
-    if (!row) return std::move(row).error();
-    table.last_row = std::max(table.last_row, table.last.integer(0));
-    table.last.reset();
+    if (auto looked = look_at(table); !looked) return looked;
   }
+  return {};
+}
+
+Result<void> SqliteFeed::look_at(Table& table) {
+  auto row = table.ends.step();
+  if (!row) return std::move(row).error();
+  count_deleted(table, table.ends.integer(0) - 1);
+  table.last_row = std::max(table.last_row, table.ends.integer(1));
+  table.ends.reset();
+  if (!has_rows_in_queue()) pass_deleted(table);
+  return {};
+}
+
+void SqliteFeed::count_deleted(Table& table, std::int64_t up_to) noexcept {
+  if (up_to <= table.deleted_to) return;
+  const std::int64_t before = std::max(table.read, table.deleted_to);
+  if (up_to > before) removed_.fetch_add(static_cast<std::uint64_t>(up_to - before), std::memory_order_relaxed);
+  table.deleted_to = up_to;
+}
+
+void SqliteFeed::pass_deleted(Table& table) {
+  if (table.deleted_to <= table.done.row) return;
+  table.done.row = table.read = table.deleted_to;
+  positions_->set(config_.sink, table.topic.table, table.done);
+}
+
+Result<void> SqliteFeed::find_again(Table& table) {
+  auto now = position_now(table, table.done);
+  if (!now) return std::move(now).error();
+  if (now->row == table.done.row) return {};
+  table.begin += now->row - table.done.row;
+  table.done = *std::move(now);
+  table.read = table.deleted_to = table.done.row;
+  table.last_row = 0;  // it is looked at next
+  positions_->set(config_.sink, table.topic.table, table.done);
+  return {};
+}
+
+Result<void> SqliteFeed::look_at_oldest() {
+  std::int64_t oldest = 0;
+  for (Table& table : tables_) {
+    if (table.done.row >= table.last_row) continue;
+    table.next.bind(1, table.done.row).bind(2, std::int64_t{1});
+    auto row = table.next.step();
+    const std::int64_t time = row && *row ? table.next.integer(time_column) : 0;
+    table.next.reset();
+    if (!row) return std::move(row).error();
+    if (time != 0 && (oldest == 0 || time < oldest)) oldest = time;
+  }
+  oldest_.store(oldest, std::memory_order_relaxed);
   return {};
 }
 
@@ -96,13 +156,17 @@ Result<void> SqliteFeed::add(RecordedTopic topic) {
                            quoted(table.topic.table) + " t WHERE t.rowid > ? ORDER BY t.rowid LIMIT ?");
   if (!next) return undo(std::move(next).error());
   table.next = std::move(*next);
-  auto last = file.prepare("SELECT coalesce(max(rowid), 0) FROM " + quoted(table.topic.table));
-  if (!last) return undo(std::move(last).error());
-  table.last = std::move(*last);
+  const std::string name = quoted(table.topic.table);  // apart, each is found in the index alone
+  auto ends = file.prepare("SELECT coalesce((SELECT min(rowid) FROM " + name + "), 1), " +
+                           "coalesce((SELECT max(rowid) FROM " + name + "), 0)");
+  if (!ends) return undo(std::move(ends).error());
+  table.ends = std::move(*ends);
   auto position = position_in(table);
   if (!position) return undo(std::move(position).error());
   table.done = *position;
-  table.begin = table.read = table.last_row = position->row;
+  table.begin = table.read = table.last_row = table.deleted_to = position->row;
+  const auto committed = positions_->last_rows();
+  if (const auto known = committed.find(table.topic.table); known != committed.end()) table.seen = known->second;
   const auto number = static_cast<std::uint32_t>(topic_numbers_.size());
   table.topic_number = topic_numbers_.try_emplace(table.topic.topic, number).first->second;
   return {};
@@ -149,31 +213,40 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
       positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
       return position;
     }
-    constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
-    auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
-    if (!same) return std::move(same).error();
-    if (*same != 0) return position;
-    auto first = number("SELECT coalesce(min(rowid), 0) FROM " + name, position);
-    if (!first) return std::move(first).error();
-    auto elsewhere = number("SELECT rowid FROM " + name + " WHERE 1" + is_key, position);
-    if (!elsewhere) return std::move(elsewhere).error();
-    const std::string of = "topic " + table.topic.topic + ": ";
-    if (*elsewhere != 0) {
-      remarks_.push_back(of +
-                         "the rows of the recording have other numbers than before; goes on after the event that "
-                         "was sent last");
-      position.row = *elsewhere;
-    } else if (*first <= position.row) {
-      // Neither there nor deleted by a limit: another file of that name, or an older copy of it.
-      remarks_.push_back(of + "the event that was sent last, " + position.origin + " " +
-                         std::to_string(position.sequence) +
-                         ", is not in the recording, which may be an older copy: all of it is sent");
-      position = {};
-    }
-    return position;
+    return position_now(table, std::move(position));
   }
   positions_->set(config_.sink, table.topic.table, position);
   return position;
+}
+
+Result<Position> SqliteFeed::position_now(const Table& table, Position position) {
+  if (position.row == 0) return position;
+  const std::string name = quoted(table.topic.table);
+  constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
+  auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
+  if (!same) return std::move(same).error();
+  if (*same != 0) return position;
+  auto first = number("SELECT coalesce(min(rowid), 0) FROM " + name, position);
+  if (!first) return std::move(first).error();
+  auto elsewhere = number("SELECT rowid FROM " + name + " WHERE 1" + is_key, position);
+  if (!elsewhere) return std::move(elsewhere).error();
+  const std::string of = "topic " + table.topic.topic + ": ";
+  if (*elsewhere != 0) {
+    remarks_.push_back(of +
+                       "the rows of the recording have other numbers than before; goes on after the event that "
+                       "was sent last");
+    position.row = *elsewhere;
+    return position;
+  }
+  if (*first > position.row) return position;  // deleted by a limit, with all before it
+  // Deleted by a limit before VACUUM; or another file of that name, or an older copy of it.
+  const std::string last = position.sequence == 0 ? ""
+                                                  : "the event that was sent last, " + position.origin + " " +
+                                                        std::to_string(position.sequence) + ", is not there; ";
+  remarks_.push_back(of + last +
+                     "the rows of the recording have other numbers than before, or it is an older copy: all of it "
+                     "is sent");
+  return Position{};
 }
 
 // ---- rows
@@ -229,7 +302,8 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     if (!more) return std::move(more).error();
     if (!*more) break;
     const std::int64_t row = table.next.integer(row_column);
-    if (row > table.read + 1) removed_sum_ += static_cast<std::uint64_t>(row - table.read - 1);
+    const std::int64_t before = std::max(table.read, table.deleted_to);
+    if (row > before + 1) removed_ahead_ += static_cast<std::uint64_t>(row - before - 1);
     const std::int64_t run_number = table.next.integer(run_column);
     auto of_run = run_of(run_number);
     if (!of_run) return std::move(of_run).error();
@@ -247,7 +321,7 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
                                                              : detail::RowReader::Texts::as_they_are;
     if (auto read = table.reader->read(table.next.raw(), fixed_columns, texts, to + sizeof record); !read) {
       // A row that cannot be read must not hold up those after it.
-      ++removed_sum_;
+      ++removed_ahead_;
       remarks_.push_back(
           "left out: " +
           at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
@@ -258,7 +332,8 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     queue.commit(record_bytes);
     bytes_left -= std::min(bytes_left, record_bytes);
     table.read = row;
-    marks_.push_back({&table, row, run_number, sequence, time, &queue.slot(slot).info.origin, removed_sum_});
+    marks_.push_back(
+        {&table, row, run_number, sequence, time, &queue.slot(slot).info.origin, std::exchange(removed_ahead_, 0)});
     ++taken;
   }
   return taken;
@@ -272,18 +347,26 @@ Result<void> SqliteFeed::attach() {
       return opened;
     }
   }
+  auto snapshot = detail::Snapshot::take(recording_->file());
+  if (!snapshot) return std::move(snapshot).error();
   if (auto looked = look(); !looked) return looked;
+  if (!has_rows_in_queue()) {
+    if (auto looked = look_at_oldest(); !looked) return looked;
+  }
   update_counts();
   is_known_.store(true, std::memory_order_release);
   return {};
 }
 
 Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
-  if (settled_ < marks_.size()) forget();
+  if (has_rows_in_queue()) forget();
   marks_.clear();
   settled_ = 0;
   if (positions_->is_full()) return false;  // the recording's next transaction calls again
   const Positions::Reading reading(*positions_);
+  // All of it sees the same state of the file: the numbers of the rows, too.
+  auto snapshot = detail::Snapshot::take(recording_->file());
+  if (!snapshot) return std::move(snapshot).error();
   if (auto looked = look(); !looked) return std::move(looked).error();
   std::size_t bytes_left = queue.bytes_at_once();
   std::size_t rows_left = config_.rows;
@@ -313,7 +396,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
         positions_->set(config_.sink, table.topic.table, table.done);
       }
     }
-    removed_.store(removed_sum_, std::memory_order_relaxed);
+    removed_.fetch_add(std::exchange(removed_ahead_, 0), std::memory_order_relaxed);
   }
   update_counts();
   is_known_.store(true, std::memory_order_release);
@@ -336,7 +419,7 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
       done.run = mark.run;
       done.sequence = mark.sequence;
       if (done.origin != *mark.origin) done.origin = *mark.origin;
-      removed_.store(mark.removed_before, std::memory_order_relaxed);
+      removed_.fetch_add(mark.removed_before, std::memory_order_relaxed);
     }
     for (Table& table : tables_) {
       if (std::exchange(table.has_moved, false)) positions_->set(config_.sink, table.topic.table, table.done);
@@ -347,14 +430,18 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
 }
 
 void SqliteFeed::note_committed() {
-  rows_of_new_tables_ = 0;
+  rows_of_new_tables_ = removed_of_new_tables_ = 0;
   for (const auto& [name, committed] : positions_->last_rows()) {
     const auto known = std::find_if(tables_.begin(), tables_.end(),
                                     [&name = name](const Table& table) { return table.topic.table == name; });
     if (known != tables_.end()) {
-      known->last_row = std::max(known->last_row, committed.last_row);
+      // Only what is new: numbers of before may be those before VACUUM.
+      const Positions::Committed seen = std::exchange(known->seen, committed);
+      if (committed.last_row != seen.last_row) known->last_row = std::max(known->last_row, committed.last_row);
+      if (committed.deleted_to != seen.deleted_to) count_deleted(*known, committed.deleted_to);
     } else if (is_wanted(committed.topic)) {
       rows_of_new_tables_ += static_cast<std::uint64_t>(committed.last_row);
+      removed_of_new_tables_ += static_cast<std::uint64_t>(std::min(committed.deleted_to, committed.last_row));
       // So that the file says that it is to be sent, also if it is not looked at before the end.
       if (new_tables_.insert(name).second) positions_->set(config_.sink, name, {});
     }
@@ -363,29 +450,40 @@ void SqliteFeed::note_committed() {
 }
 
 void SqliteFeed::forget() noexcept {
-  for (Table& table : tables_) table.read = table.done.row;
-  removed_sum_ = removed_.load(std::memory_order_relaxed);
+  for (Table& table : tables_) {
+    const std::int64_t gone = std::min(table.read, table.deleted_to) - table.done.row;  // while they were in the queue
+    if (gone > 0) removed_.fetch_add(static_cast<std::uint64_t>(gone), std::memory_order_relaxed);
+    table.read = table.done.row;
+  }
+  removed_ahead_ = 0;
   settled_ = marks_.size();
+  try {
+    for (Table& table : tables_) pass_deleted(table);
+  } catch (...) {  // no memory: it is done the next time
+  }
+  update_counts();
 }
 
 void SqliteFeed::update_counts() noexcept {
-  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_, bytes = 0;
-  if (settled_ < marks_.size()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
+  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_ - removed_of_new_tables_, bytes = 0;
+  if (has_rows_in_queue()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
   for (const Table& table : tables_) {
     offered += static_cast<std::uint64_t>(table.last_row - table.begin);
-    const auto waits = static_cast<std::uint64_t>(table.last_row - table.done.row);
+    const std::int64_t gone = std::max<std::int64_t>(table.deleted_to - table.read, 0);
+    const auto waits = static_cast<std::uint64_t>(table.last_row - table.done.row - gone);
     backlog += waits;
     bytes += waits * table.topic.description->size();
   }
   bytes_.store(bytes, std::memory_order_relaxed);
   offered_.store(offered, std::memory_order_relaxed);
   backlog_.store(backlog, std::memory_order_relaxed);
+  removed_of_new_.store(removed_of_new_tables_, std::memory_order_relaxed);
   if (backlog == 0) oldest_.store(0, std::memory_order_relaxed);
 }
 
 detail::FeedCounts SqliteFeed::counts() const noexcept {
   return {offered_.load(std::memory_order_relaxed),
-          removed_.load(std::memory_order_relaxed),
+          removed_.load(std::memory_order_relaxed) + removed_of_new_.load(std::memory_order_relaxed),
           backlog_.load(std::memory_order_relaxed),
           bytes_.load(std::memory_order_relaxed),
           from_nanoseconds(oldest_.load(std::memory_order_relaxed)),

@@ -41,12 +41,14 @@ class SqliteFeed final : public detail::RowFeed {
     RecordedTopic topic;
     std::optional<detail::RowReader> reader;
     Statement next;         // rows after one, so many at most
-    Statement last;         // the number of the last row
+    Statement ends;         // the numbers of the first row and of the last
     Position done;          // with all up to this one
     std::int64_t read = 0;  // the last row that was put into the queue, or left out
     Position left_out;      // the last row that could not be read
     std::int64_t begin = 0;
     std::int64_t last_row = 0;
+    std::int64_t deleted_to = 0;  // rows up to this one are gone, and were counted unless they were in the queue
+    Positions::Committed seen;    // what the recording's writer said last
     std::uint32_t topic_number = 0;
     std::map<std::pair<std::int64_t, std::string>, std::uint32_t> slots;  // by run and origin
     std::int64_t run_of_slot = -1;                                        // of the last row, with the next two
@@ -62,7 +64,7 @@ class SqliteFeed final : public detail::RowFeed {
     std::int64_t sequence;
     std::int64_t time;
     const std::string* origin;
-    std::uint64_t removed_before;
+    std::uint64_t removed_before;  // rows that are gone between the one before and this
   };
   struct Run {
     std::string uuid;
@@ -70,12 +72,24 @@ class SqliteFeed final : public detail::RowFeed {
   };
 
   Result<void> open();
-  /// Tables that are new, and the last row of each.
+  /// Tables that are new, what was deleted, and the last row of each.
   Result<void> look();
+  Result<void> look_at(Table& table);
+  /// Rows up to this one are gone.
+  void count_deleted(Table& table, std::int64_t up_to) noexcept;
+  /// Goes on after those, when nothing of the table is in the queue.
+  void pass_deleted(Table& table);
+  /// After VACUUM, which numbers the rows anew.
+  Result<void> find_again(Table& table);
+  /// Of the oldest row that waits, when none is in the queue.
+  Result<void> look_at_oldest();
+  bool has_rows_in_queue() const noexcept { return settled_ < marks_.size(); }
   Result<void> add(RecordedTopic topic);
   bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
   Result<Position> position_in(const Table& table);
+  /// Where a position of before is now.
+  Result<Position> position_now(const Table& table, Position position);
   Result<std::int64_t> number(const std::string& sql, const Position& position);
   /// Puts rows into the queue, so many at most. The number of rows.
   Result<std::size_t> take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left);
@@ -99,11 +113,15 @@ class SqliteFeed final : public detail::RowFeed {
   std::int64_t first_run_with_escapes_ = 0;
   bool is_new_ = false;  // the sink comes to this recording for the first time
   std::vector<Mark> marks_;
-  std::size_t settled_ = 0;  // of those
-  std::uint64_t removed_sum_ = 0;
+  std::size_t settled_ = 0;                  // of those
+  std::uint64_t removed_ahead_ = 0;          // since the last row that was put into the queue
+  std::uint64_t removed_of_new_tables_ = 0;  // of those of which `rows_of_new_tables_` tells
+  std::int64_t schema_version_ = 0;
+  Statement get_schema_version_;
   std::vector<std::string> remarks_;
   std::atomic<std::uint64_t> offered_{0};
   std::atomic<std::uint64_t> removed_{0};
+  std::atomic<std::uint64_t> removed_of_new_{0};
   std::atomic<std::uint64_t> backlog_{0};
   std::atomic<std::uint64_t> bytes_{0};
   std::atomic<std::int64_t> oldest_{0};

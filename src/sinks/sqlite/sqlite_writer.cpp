@@ -262,7 +262,9 @@ void SqliteWriter::stage() {
 
 void SqliteWriter::committed() {
   positions_->committed();
+  const std::vector<Pruner::Deleted> deleted = pruner_.take_deleted();
   if (has_feeds_.load(std::memory_order_relaxed)) {
+    for (const Pruner::Deleted& rows : deleted) positions_->set_deleted_to(rows.table, rows.topic, rows.up_to);
     for (const auto& table : tables_)
       if (table != nullptr) positions_->set_last_row(table->name(), table->topic(), table->last_rowid());
   }
