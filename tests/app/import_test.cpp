@@ -58,6 +58,37 @@ TEST_SUITE("app") {
           "2026-03-01T12:00:00.020000000Z,imu,3,nan,,0,1e+300\n");
   }
 
+  TEST_CASE("FW-5 import: times are kept to the nanosecond, arrays are arrays, and names that clash are numbered") {
+    const Folder folder;
+    folder.write("x.csv",
+                 "t,accel[0],accel[1],b[1],A b,A_b\n"
+                 "1795665132.554291437,1,2,3,4,5\n"
+                 "1795665132.554291537,1.5,2,3,4,5\n"
+                 "1795665132.5542915375,1.5,2,3,4,5\n");
+    Process import(folder, program, {"import", "x.csv", "--time", "t", "--scale", "1s"});
+    CHECK(import.end() == 0);
+    CHECK_MESSAGE(import.err.empty(), import.err);
+    Process rows(folder, program, {"export", "x.db"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out ==
+          "time,origin,sequence,accel[0],accel[1],b_1,A_b,A_b_2\n"
+          "1795665132554291437,x,1,1,2,3,4,5\n"
+          "1795665132554291537,x,2,1.5,2,3,4,5\n"
+          "1795665132554291538,x,3,1.5,2,3,4,5\n");
+    folder.write("again.csv", rows.out);
+    Process second(folder, program, {"import", "again.csv", "--time", "time", "--scale", "1ns"});
+    CHECK(second.end() == 0);
+    Process again(folder, program, {"export", "again.db"});
+    CHECK(again.end() == 0);
+    CHECK(has(again.out, "1795665132554291538,again,3,x,3,1.5,2,3,4,5\n"));
+    folder.write("ms.csv", "t,a\n1795665132554.2914375,1\n-0.5,2\n-1e3,3\n");
+    Process other(folder, program, {"import", "ms.csv", "--time", "t", "--scale", "1ms"});
+    CHECK(other.end() == 0);
+    Process first(folder, program, {"export", "ms.db"});
+    CHECK(first.end() == 0);
+    CHECK(has(first.out, "1795665132554291438,ms,1,1\n"));
+  }
+
   TEST_CASE("FW-5 import: rows that do not follow in time are moved, which is said; absolute times; a second table") {
     const Folder folder;
     folder.write(

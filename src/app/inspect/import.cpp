@@ -5,9 +5,11 @@
 #include <filesystem>
 #include <fstream>
 #include <istream>
-#include <limits>
+#include <optional>
 #include <ostream>
 #include <set>
+#include <span>
+#include <string_view>
 #include <vector>
 
 #include "app/core/recording_commands.hpp"
@@ -83,6 +85,34 @@ struct Notation {
   std::string zone = {};
 };
 
+/// `scale` times a number such as "1795665132.554291437", to the nearest nanosecond: a double would be up to 119 ns
+/// beside a time of today. None: it is written otherwise, or is too large.
+std::optional<Duration> exact_time(std::string_view text, char decimal, Duration scale) {
+  const bool is_negative = text.starts_with('-');
+  if (is_negative || text.starts_with('+')) text.remove_prefix(1);
+  const std::size_t mark = text.find(decimal);
+  const std::string_view whole_part = text.substr(0, mark);
+  std::string_view part = mark == std::string_view::npos ? std::string_view() : text.substr(mark + 1);
+  const auto is_digits = [](std::string_view digits) {
+    return std::all_of(digits.begin(), digits.end(), [](char c) { return c >= '0' && c <= '9'; });
+  };
+  std::int64_t whole = 0;
+  if (!is_digits(whole_part) || !is_digits(part) || detail::read_number(whole_part, whole) != std::errc{}) return {};
+  // 18 digits of the fraction and the scale, in two halves each: their products fit.
+  constexpr std::int64_t half = 1'000'000'000;
+  const std::string digits = (std::string(part) + std::string(18, '0')).substr(0, 18);
+  const std::int64_t high = std::stoll(digits.substr(0, 9)), low = std::stoll(digits.substr(9));
+  const std::int64_t scale_high = scale.count() / half, scale_low = scale.count() % half;
+  if (scale_high >= half) return {};
+  const std::int64_t of_high = high * scale_low, of_low = low * scale_high;
+  const std::int64_t rest = of_high % half + of_low % half + low * scale_low / half;
+  const std::int64_t fraction = high * scale_high + of_high / half + of_low / half + (rest + half / 2) / half;
+  constexpr std::int64_t most = 9'200'000'000'000'000'000;
+  if (whole > (most - fraction) / scale.count()) return {};
+  const std::int64_t ns = whole * scale.count() + fraction;
+  return Duration{is_negative ? -ns : ns};
+}
+
 /// Whether the text is a number, and which.
 bool is_number(const std::string& text, char decimal, double& number) {
   if (decimal == '.') return detail::read_number(text, number) == std::errc{};
@@ -94,6 +124,8 @@ bool is_number(const std::string& text, char decimal, double& number) {
 
 struct Column {
   std::string heading, name, unit;
+  std::string array;  // of which it is an element, as of "accel[0]"; empty: none
+  std::size_t index = 0;
   char decimal = '.';
   // What all its cells can be.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
@@ -133,38 +165,65 @@ struct Column {
   }
 };
 
+/// "accel[0]": its end without the index, which is set.
+std::string_view array_of(std::string_view heading, std::size_t& index) {
+  const std::size_t open = heading.rfind('[');
+  if (open == std::string_view::npos || open == 0 || heading[open - 1] == ' ' || !heading.ends_with(']')) return {};
+  const std::string_view number = heading.substr(open + 1, heading.size() - open - 2);
+  return detail::read_number(number, index) == std::errc{} ? heading.substr(0, open) : std::string_view();
+}
+
+void make_name(std::string& text) {
+  for (char& c : text)
+    if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
+  if (text.empty() || (text[0] >= '0' && text[0] <= '9')) text.insert(0, "c");
+  if (text == "time" || text == "origin" || text == "sequence" || text == "run") text += "_";
+}
+
 /// "chamber temperature [Cel]" is the field chamber_temperature in Cel; of "imu.ax", ax where that is unique.
 void name_columns(std::vector<Column>& columns) {
   std::set<std::string> all, twice;
   const auto tail = [](const std::string& text) { return text.substr(text.rfind('.') + 1); };
   for (Column& column : columns) {
     std::string text = column.heading;
-    if (const std::size_t open = text.rfind('['); open != std::string::npos && text.ends_with(']')) {
+    std::size_t index = 0;
+    if (const std::size_t open = text.rfind('[');
+        open != std::string::npos && text.ends_with(']') && array_of(text, index).empty()) {
       column.unit = text.substr(open + 1, text.size() - open - 2);
       text.resize(open);
     }
     while (!text.empty() && text.back() == ' ') text.pop_back();
+    column.array = array_of(text, column.index);
+    if (!column.array.empty()) {
+      make_name(column.array);
+      text = column.array + "_" + std::to_string(column.index);
+    }
     column.name = text;
     if (!all.insert(tail(text)).second) twice.insert(tail(text));
   }
+  std::set<std::string> names;
   for (Column& column : columns) {
     if (!twice.contains(tail(column.name))) column.name = tail(column.name);
-    for (char& c : column.name)
-      if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
-    if (column.name.empty() || (column.name[0] >= '0' && column.name[0] <= '9')) column.name.insert(0, "c");
-    if (column.name == "time" || column.name == "origin" || column.name == "sequence" || column.name == "run")
-      column.name += "_";
+    make_name(column.name);
+    const std::string name = column.name;
+    for (int i = 2; !names.insert(column.name).second; ++i) column.name = name + "_" + std::to_string(i);
   }
+}
+
+/// How many columns from this one on are the elements of an array, all of them numbers; 0: it is none.
+std::size_t array_size(std::span<const Column> columns) {
+  std::size_t size = 0;
+  for (const Column& column : columns) {
+    if (column.array.empty() || column.array != columns[0].array || column.index != size) break;
+    if (!column.can_be_number || !column.has_any || column.has_empty || column.unit != columns[0].unit) return 0;
+    ++size;
+  }
+  return size;
 }
 
 /// Of a cell of the column of time. Absolute ones are ISO 8601; numbers count `scale` from `start`.
 Result<Time> time_of(const std::string& text, const Notation& notation, Duration scale, Time start) {
-  std::int64_t integer = 0;
-  if (detail::read_number(text, integer) == std::errc{}) {
-    const long double ns = static_cast<long double>(integer) * static_cast<long double>(scale.count());
-    if (std::abs(ns) < 9.2e18L) return start + Duration{integer * scale.count()};
-    return refused("", text + " is no time that can be recorded", "look at --scale");
-  }
+  if (const auto exact = exact_time(text, notation.decimal, scale)) return start + *exact;
   double number = 0;
   if (is_number(text, notation.decimal, number)) {
     const double ns = number * static_cast<double>(scale.count());
@@ -243,7 +302,9 @@ Result<Found> look_at(const ImportOptions& options, char separator, const Notati
     if (!detail::is_readable(cell.text))
       return refused(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
                      "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
-    found.columns.push_back({.heading = cell.text, .name = {}, .unit = {}, .decimal = notation.decimal});
+    Column& column = found.columns.emplace_back();
+    column.heading = cell.text;
+    column.decimal = notation.decimal;
   }
   for (const Column& column : found.columns) headings.push_back(column.heading);
   const auto is_it = [&](std::string_view heading) {  // with its unit or without
@@ -305,9 +366,22 @@ Result<Found> look_at(const ImportOptions& options, char separator, const Notati
                      "write --decimal , or, if they are texts, --decimal .");
   }
   DescriptionBuilder builder("import");
-  for (std::size_t i = 0; i < found.columns.size(); ++i) {
-    const Column& column = found.columns[i];
+  const std::span<Column> columns(found.columns);
+  for (std::size_t i = 0; i < columns.size(); ++i) {
+    const Column& column = columns[i];
     if (i == found.time_column || !column.has_any) continue;
+    if (const std::size_t size = array_size(columns.subspan(i)); size > 0) {
+      const auto elements = columns.subspan(i, size);
+      const bool is_integer = std::all_of(elements.begin(), elements.end(),
+                                          [](const Column& one) { return one.can_be_integer; });
+      builder.array(column.array, is_integer ? Kind::i64 : Kind::f64, size, column.unit);
+      for (Column& element : elements) {
+        element.can_be_integer = is_integer;
+        element.name = element.array + "[" + std::to_string(element.index) + "]";
+      }
+      i += size - 1;
+      continue;
+    }
     using Presence = DescriptionBuilder::Presence;
     const Presence presence = column.has_empty ? Presence::optional : Presence::always;
     if (column.can_be_number) {
