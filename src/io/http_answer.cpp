@@ -233,7 +233,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
           "what answers there is no server of HTTP, or of another version of it: is the port right?");
       break;
     case CURLE_OUT_OF_MEMORY:
-      error.advice = "this machine is out of memory";
+      error.advice = "this machine is out of memory, or the server answers with more headers than libcurl takes";
       break;
     default:
       error.advice = "look at both ends, and at what is between them";

@@ -182,6 +182,14 @@ TEST_CASE("US-17 values as users write them, and cells without one") {
   CHECK(of_json(R"({"a":-0,"b":-0})") == "-0 0");
   CHECK(of_json(R"({"a":null})") == "absent absent");
   CHECK(of_json(R"({"b":3,"a":1e-400})") == "0 3");
+  // As rt-data itself writes what is no number of JSON, and as nobody else does.
+  CHECK(of_json(R"({"b":3,"a":"NaN"})") == "nan 3");
+  CHECK(of_json(R"({"b":3,"a":"Infinity"})") == "inf 3");
+  CHECK(of_json(R"({"b":3,"a":"-Infinity"})") == "-inf 3");
+  CHECK(id_of(json, R"({"b":"NaN"})") == "not-a-number");
+  CHECK(id_of(json, R"({"a":"nan"})") == "not-a-number");
+  CHECK(id_of(json, R"({"a":"1"})") == "not-a-number");
+  CHECK(id_of(json, R"({"a":1e400})") == "out-of-range");
   CHECK_THROWS_AS(
       detail::LineDecoder({.fields = {{.name = "n", .type = Kind::u8, .optional = true}}, .sequence_field = "n"}),
       SetupError);

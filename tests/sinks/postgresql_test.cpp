@@ -562,6 +562,7 @@ TEST_SUITE("sinks") {
       CHECK(changed.exit_code() == 1);
       server.sql(database, undo);
       std::string text;
+      for (const std::string& problem : changed.problems) text += problem + "\n";
       for (const RunReport& run : changed.runs) {
         for (const std::string& problem : run.problems) text += problem + "\n";
       }
@@ -582,6 +583,19 @@ TEST_SUITE("sinks") {
               "rtdata_gap"));
     CHECK(has(problem_after("UPDATE rtdata_position SET rows = rows - 1", "UPDATE rtdata_position SET rows = rows + 1"),
               "rtdata_position"));
+    CHECK(has(problem_after("CREATE TABLE runs AS TABLE rtdata_run; DELETE FROM rtdata_run",
+                            "INSERT INTO rtdata_run OVERRIDING SYSTEM VALUE TABLE runs"),
+              "plant/number: rows of run 1 ("));
+    CHECK(has(problem_after("UPDATE rtdata_position SET topic = 'plant/other' WHERE topic = 'plant/number'",
+                            "UPDATE rtdata_position SET topic = 'plant/number' WHERE topic = 'plant/other'"),
+              "which is that of plant/number"));
+    CHECK(has(problem_after("UPDATE rtdata_topic SET version = 2 WHERE topic = 'plant/number'",
+                            "UPDATE rtdata_topic SET version = 1 WHERE topic = 'plant/number'"),
+              "has version 2 where 1 follows"));
+    CHECK(has(problem_after("DELETE FROM rtdata_layout", "INSERT INTO rtdata_layout VALUES(1)"), "rtdata_layout"));
+    server.sql(database, "UPDATE rtdata_layout SET version = 2");
+    CHECK(verify_server(config).error().id() == "newer-version");
+    server.sql(database, "UPDATE rtdata_layout SET version = 1");
     CHECK(verify_server(config).or_throw().exit_code() == 0);
   }
 

@@ -357,9 +357,12 @@ class LineDecoder::JsonHandler {
     --arrays_;
     return true;
   }
-  bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
-    error_ = Error{Errc::bad_data, decoder_.bad_line_, "",
-                   "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
+  bool parse_error(std::size_t position, const std::string& token, const nlohmann::detail::exception& why) {
+    constexpr int number_overflow = 406;
+    error_ = why.id == number_overflow
+                 ? Error{Errc::out_of_range, decoder_.bad_line_, "", shown(token) + " does not fit into a double", ""}
+                 : Error{Errc::bad_data, decoder_.bad_line_, "",
+                         "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
     return false;
   }
   Error take_error() {
@@ -391,6 +394,10 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (decoder_.fields_[i].key != path_ || decoder_.is_given(i)) continue;
     const Kind kind = decoder_.fields_[i].type;
     const bool is_textual = kind == Kind::text || kind == Kind::character;
+    // As our own JSON has them, since JSON has no such numbers.
+    if (form == Form::string && (kind == Kind::f32 || kind == Kind::f64) &&
+        (text == "NaN" || text == "Infinity" || text == "-Infinity"))
+      form = Form::number;
     if (decoder_.seen_[i]) {
       error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
     } else if (form == Form::null && decoder_.fields_[i].optional) {

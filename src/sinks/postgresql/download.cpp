@@ -16,6 +16,7 @@
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/postgresql/account_copy.hpp"
 #include "sinks/postgresql/connection.hpp"
+#include "sinks/postgresql/layout.hpp"
 #include "sinks/postgresql/postgresql_writer.hpp"
 #include "sinks/postgresql/server_table.hpp"
 #include "sinks/sqlite/account_sums.hpp"
@@ -176,6 +177,8 @@ struct Run {
 /// By run, a sentence each.
 using Sentences = std::vector<std::pair<std::int64_t, std::string>>;
 
+constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
+
 class Download {
  public:
   Download(Connection& connection, Database& database) : connection_(connection), database_(database) {}
@@ -183,8 +186,11 @@ class Download {
   Sentences problems, notes;
 
  private:
+  Result<void> read_layout();
   Result<void> read_topics();
   Result<std::vector<Run>> read_runs();
+  /// Rows of runs that rtdata_run does not have.
+  Result<void> look_for_other_runs();
   Result<void> copy_run(const Run& run);
   Result<void> copy_rows(const Run& run, const Topic& topic);
   Result<void> copy_account(const Run& run);
@@ -214,7 +220,7 @@ Result<void> Download::all() {
       "'rtdata\\_%'");
   if (!there) return std::move(there).error();
   for (int row = 0; row < there->rows(); ++row) tables_.emplace(there->text(row, 0), true);
-  for (const char* table : {"rtdata_run", "rtdata_topic", "rtdata_position"}) {
+  for (const char* table : {"rtdata_layout", "rtdata_run", "rtdata_topic", "rtdata_position"}) {
     if (!tables_.contains(table)) {
       return Error{
           Errc::not_a_recording, "cannot read the server", "database", std::string("it has no table ") + table,
@@ -227,11 +233,12 @@ Result<void> Download::all() {
       !done)
     return done;
   if (auto done = sums_.watch(database_); !done) return done;
-  constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
   sums_.begin(no_run);
+  if (auto done = read_layout(); !done) return done;
   if (auto done = read_topics(); !done) return done;
   auto runs = read_runs();
   if (!runs) return std::move(runs).error();
+  if (auto done = look_for_other_runs(); !done) return done;
   for (const Run& run : *runs) {
     if (auto done = copy_run(run); !done) return done;
   }
@@ -245,10 +252,26 @@ Result<void> Download::all() {
                            ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT");
 }
 
+Result<void> Download::read_layout() {
+  auto version = connection_.run("SELECT coalesce(max(version), 0) FROM rtdata_layout");
+  if (!version) return std::move(version).error();
+  if (version->integer(0, 0) == 0) problems.emplace_back(no_run, "rtdata_layout does not say of which version it is.");
+  return check_layout(version->integer(0, 0));
+}
+
 Result<void> Download::read_topics() {
-  auto topics = connection_.run("SELECT topic, table_name, description FROM rtdata_topic ORDER BY topic, version");
+  auto topics = connection_.run(
+      "SELECT topic, table_name, description, version FROM rtdata_topic ORDER BY topic, version");
   if (!topics) return std::move(topics).error();
+  std::int64_t version = 0;
   for (int row = 0; row < topics->rows(); ++row) {
+    if (row > 0 && topics->text(row, 0) != topics->text(row - 1, 0)) version = 0;
+    if (topics->integer(row, 3) != ++version) {
+      problems.emplace_back(no_run, "rtdata_topic: " + std::string(topics->text(row, 0)) + " has version " +
+                                        std::string(topics->text(row, 3)) + " where " + std::to_string(version) +
+                                        " follows.");
+      version = topics->integer(row, 3);
+    }
     Topic topic{std::string(topics->text(row, 0)), std::string(topics->text(row, 1)), nullptr, {}, {}};
     auto description = Description::from_json(topics->text(row, 2));
     if (!description) {
@@ -289,6 +312,23 @@ Result<std::vector<Run>> Download::read_runs() {
                    std::string(runs->text(row, 3))});
   }
   return all;
+}
+
+Result<void> Download::look_for_other_runs() {
+  std::vector<std::string> tables{"rtdata_position"};
+  for (const std::string_view table : account_tables)
+    if (tables_.contains(table)) tables.emplace_back(table);
+  for (const Topic& topic : topics_) tables.push_back(topic.table);
+  for (const std::string& table : tables) {
+    auto others = connection_.run("SELECT run, count(*) FROM " + quoted_name(table) +
+                                  " WHERE run NOT IN (SELECT run FROM rtdata_run) GROUP BY run ORDER BY run");
+    if (!others) return std::move(others).error();
+    for (int row = 0; row < others->rows(); ++row) {
+      problems.emplace_back(no_run, table + ": rows of run " + std::string(others->text(row, 0)) + " (" +
+                                        std::string(others->text(row, 1)) + "), which is not in rtdata_run.");
+    }
+  }
+  return {};
 }
 
 Result<void> Download::copy_run(const Run& run) {
@@ -336,7 +376,7 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
     if (slots.empty() || slots.back()->origin != origin) {
       slots.push_back(std::make_unique<SlotInfo>(SlotInfo{0, std::string(origin), topic.topic, topic.description, {}}));
       position = &positions_[{topic.table, std::string(origin)}];
-      position->topic = topic.topic;
+      if (!position->is_known) position->topic = topic.topic;
       position->origin = std::string(origin);
       position->table = topic.table;
     }
@@ -401,7 +441,13 @@ void Download::compare(const Run& run) {
     const auto tell = [&, &one = one](const std::string& text) {
       problems.emplace_back(run.run, key_text(one) + ": " + text);
     };
-    if (!one.is_known) {
+    const auto topic = std::find_if(topics_.begin(), topics_.end(),
+                                    [&one = one](const Topic& other) { return other.table == one.table; });
+    if (topic == topics_.end()) {
+      tell("rtdata_position has it in the table " + one.table + ", of which rtdata_topic knows nothing.");
+    } else if (topic->topic != one.topic) {
+      tell("rtdata_position has it in the table " + one.table + ", which is that of " + topic->topic + ".");
+    } else if (!one.is_known) {
       tell(std::to_string(one.found_rows) + " rows of which rtdata_position knows nothing.");
     } else if (one.found_rows != one.rows) {
       tell(std::to_string(one.found_rows) + " rows, rtdata_position says that " + std::to_string(one.rows) +
@@ -577,6 +623,8 @@ Result<VerifyReport> verify_server(const PostgresqlConfig& config) {
   auto report = verify(server->recording);
   if (!report) return report;
   report->path = shown_url(config.url);
+  for (const auto& [number, problem] : server->problems)
+    if (number == postgresql::no_run) report->problems.push_back(problem);
   for (RunReport& run : report->runs) {
     for (const auto& [number, note] : server->notes) {
       if (number == run.info.run) run.notes = {note};  // all others would speak of an account

@@ -33,6 +33,14 @@ COMMENT ON COLUMN rtdata_position.sum IS 'of the hashes of the rows as they were
 
 }  // namespace
 
+Result<void> check_layout(std::int64_t version) {
+  if (version <= layout_version) return {};
+  return Error{Errc::newer_version, "cannot use the tables of the server", "rtdata_layout",
+               "a newer version made them (" + std::to_string(version) + ", this one knows " +
+                   std::to_string(layout_version) + ")",
+               "update rt-data, or choose another `schema`"};
+}
+
 Result<void> make_layout(Connection& connection, const std::string& schema) {
   if (!schema.empty()) {
     auto there = connection.query("SELECT to_regnamespace($1) IS NULL", {{quoted_name(schema)}});
@@ -54,12 +62,7 @@ Result<void> make_layout(Connection& connection, const std::string& schema) {
   };
   auto now = version();
   if (!now) return std::move(now).error();
-  if (*now > layout_version) {
-    return Error{Errc::newer_version, "cannot use the tables of the server", "rtdata_layout",
-                 "a newer version made them (" + std::to_string(*now) + ", this one knows " +
-                     std::to_string(layout_version) + ")",
-                 "update rt-data, or choose another `schema`"};
-  }
+  if (auto known = check_layout(*now); !known) return known;
   if (*now == layout_version) return {};
   return in_transaction(connection, [&]() -> Result<void> {
     auto meanwhile = version();

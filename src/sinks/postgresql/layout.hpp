@@ -18,6 +18,8 @@ namespace rtdata::postgresql {
 
 inline constexpr int layout_version = 1;
 
+/// Whether this version knows the tables as rtdata_layout says that they are. Errors: newer-version.
+Result<void> check_layout(std::int64_t version);
 /// Makes the schema and the tables where they are not there. Errors: newer-version, those of the connection.
 Result<void> make_layout(Connection& connection, const std::string& schema);
 

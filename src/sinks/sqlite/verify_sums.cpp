@@ -290,7 +290,9 @@ void check_checksums(const Findings& found, const OriginMap& rows, const Checksu
   }
   if (open != 0)
     found.note("Values of the last " + plural(open, "row") + " are not checked: their checksums come later.");
-  if (unknown != 0) {
+  if (unknown != 0 && info.state == RunState::closed) {
+    found.problem("The checksums of " + plural(unknown, "row") + " are gone: a run that was closed has all of them.");
+  } else if (unknown != 0) {
     found.note("Values of " + plural(unknown, "row") +
                " are not checked: their checksums were not written before it ended.");
   }
