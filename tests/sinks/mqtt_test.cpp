@@ -158,6 +158,26 @@ TEST_SUITE("sinks") {
     CHECK(log.find("20 events were confirmed by the broker while nobody was subscribed") != std::string::npos);
   }
 
+  TEST_CASE("US-32 an event that nobody is subscribed to waits for a subscriber, when that is asked for") {
+    NEEDS_BROKER();
+    Broker broker;
+    Bench bench;
+    MqttSink sink(bench.loop,
+                  bench.to(broker.port(), {.topic = "plant/{topic}", .qos = 1, .wait_for_subscriber = true}));
+    bench.publish(20);
+    CHECK(bench.wait_for([&] { return bench.has_error("nobody is subscribed"); }));
+    CHECK(sink.counts().stored == 0);
+    Listener listener(broker.port());
+    CHECK(bench.wait_for([&] { return sink.counts().stored == 20; }));
+    CHECK(bench.wait_for([&] {
+      listener.hear();
+      return listener.messages.size() >= 20;
+    }));
+    CHECK(bench.loop.close(2s) == 0);
+    CHECK_THROWS_AS(MqttSink(bench.loop, {.qos = 0, .wait_for_subscriber = true}), SetupError);
+    CHECK_THROWS_AS(MqttSink(bench.loop, {.wait_for_subscriber = true, .version = MqttVersion::v311}), SetupError);
+  }
+
   TEST_CASE("US-32 a broker gets the final account as the last message, when it is asked for") {
     NEEDS_BROKER();
     Broker broker;

@@ -57,7 +57,8 @@ struct MqttConfig {
   std::string topic = "{topic}";
   std::string format = "json";
   std::uint8_t qos = 1;
-  bool retain = false;  ///< the broker keeps the last message of each topic for who comes later
+  bool retain = false;               ///< the broker keeps the last message of each topic for who comes later
+  bool wait_for_subscriber = false;  ///< an event that nobody is subscribed to is sent again until somebody is
   MqttVersion version = MqttVersion::newest;
   std::string client_id = {};  ///< empty: the broker chooses
   std::string user = {};
@@ -80,6 +81,8 @@ struct MqttConfig {
         parameter("qos", &MqttConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
         parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for who comes later"),
+        parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
+                  "an event that nobody is subscribed to waits until somebody is; version 5, qos 1 or 2"),
         parameter("version", &MqttConfig::version, "of MQTT"),
         parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
         parameter("user", &MqttConfig::user, "name at the broker"),

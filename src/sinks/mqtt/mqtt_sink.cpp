@@ -187,7 +187,7 @@ class Publishing final : public detail::MqttConnection {
   /// What the library has told, once it has returned.
   void take() override {
     const auto client = client_;
-    bool is_short_of_room = false;
+    bool is_short_of_room = false, is_unheard = false;
     int why = 0;
     for (const auto& [number, given] : client->published) {
       const int reason = given;  // for a lambda
@@ -211,6 +211,8 @@ class Publishing final : public detail::MqttConnection {
       } else if (reason >= 0x80) {
         is_short_of_room = true;
         why = reason;
+      } else if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && config_.wait_for_subscriber) {
+        is_unheard = true;
       } else {
         of->progress.is_done[ended.row] = true;
         losses_ = 0;
@@ -222,8 +224,9 @@ class Publishing final : public detail::MqttConnection {
       tell(LogLevel::warning,
            "the broker has confirmed an event that nobody was subscribed to: it is gone. Subscribe with a session that "
            "lasts, or "
-           "set `retain`; how many there are is told at the end");
+           "set `wait_for_subscriber` or `retain`; how many there are is told at the end");
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", ::mosquitto_reason_string(why));
+    if (is_unheard) return fail(Errc::busy, "nobody is subscribed", "events wait until somebody is");
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
                                      [](const UnderWay& one) { return one.is_done(); });
@@ -358,6 +361,13 @@ MqttConfig named(MqttConfig config) {
   return config;
 }
 
+/// Whether it can know that nobody is subscribed; empty: it can.
+std::string obstacle_of_waiting(const MqttConfig& config) {
+  if (!config.wait_for_subscriber) return {};
+  if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
+  return config.version == MqttVersion::v311 ? "only version 5 of MQTT tells that nobody is subscribed" : "";
+}
+
 std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry& formats) {
   detail::require_host(what, config.host, detail::port_of(broker_of(config)));
   const auto require = [](const std::string& where, const std::string& why) {
@@ -365,6 +375,7 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
   };
   require(config.topic, detail::obstacle_of_topic(config.topic));
   if (config.will) require(config.will->topic, detail::obstacle_of_topic(config.will->topic));
+  require("wait_for_subscriber", obstacle_of_waiting(config));
   if (config.qos > 2 || (config.will && config.will->qos > 2)) require("qos", "it is 0, 1 or 2");
   if (config.tls) {
     for (const TlsMistake& mistake : mistakes_of(*config.tls)) require("tls." + mistake.key, mistake.message);
@@ -379,6 +390,7 @@ void check_config(const MqttConfig& config, const ConfigItem& item, Problems& pr
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
   detail::add_obstacle(detail::obstacle_of_topic(config.topic), "topic", item, problems);
   if (config.will) detail::add_obstacle(detail::obstacle_of_topic(config.will->topic), "will", item, problems);
+  detail::add_obstacle(obstacle_of_waiting(config), "wait_for_subscriber", item, problems);
   if (!config.tls) return;
   for (const TlsMistake& mistake : mistakes_of(*config.tls))
     detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
