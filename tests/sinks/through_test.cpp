@@ -416,6 +416,60 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("a new sink that begins at the beginning has lost nothing that was deleted before it came") {
+    Folder folder;
+    auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, none, {.name = "other"}, {.path = "", .max_age = 2s});
+      Ticker ticker(run.loop, {.period = 10ms}, [&](const Tick&) { run.publish(1); });
+      run.loop.advance(10s);
+      ticker.close();
+      run.loop.close(1s);
+    }
+    const auto there = static_cast<std::uint64_t>(number(path, "SELECT count(*) FROM a"));
+    REQUIRE(there < 500);
+    Run run(path, peer, {.name = "peer", .from = From::beginning});
+    run.loop.advance(3s);
+    run.loop.close(1s);
+    CHECK(run.sink.counts().offered == there);
+    CHECK(run.sink.counts().all_dropped() == 0);
+    CHECK(peer->events.size() == there);
+  }
+
+  TEST_CASE(
+      "US-26 the age of a row is by UTC: a clock that was wrong at first deletes nothing, and keeps nothing for ever") {
+    constexpr std::int64_t day = 86'400'000'000'000;
+    for (const std::int64_t wrong_by : {-116 * day, 0 * day, 31 * 365 * day}) {
+      CAPTURE(wrong_by);
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      const std::string path = folder / "run.db";
+      {
+        Run run(path, peer);
+        run.publish(500);
+        run.loop.advance(5s);
+        run.loop.close(1s);
+      }
+      // As if the clock had been wrong when the run began; and, ahead, as if nobody had set it right.
+      const std::string by = std::to_string(wrong_by);
+      sql(path, "UPDATE a SET time = time + " + by + "; UPDATE rtdata_run SET clock_offset = clock_offset + " + by +
+                    ", started = started + " + by + ", ended = ended + " + by +
+                    ", boot_id = 'before'; "
+                    "UPDATE rtdata_utc SET boot_id = 'before'");
+      if (wrong_by > 0) sql(path, "UPDATE rtdata_utc SET \"offset\" = \"offset\" + " + by);
+      for (const Duration age : {Duration{30 * 24h}, Duration{10s}}) {
+        Run run(path, peer, {.name = "peer"}, {.path = "", .max_age = age});
+        Ticker ticker(run.loop, {.period = 100ms}, [&](const Tick&) { run.publish(1); });
+        run.loop.advance(20s);
+        ticker.close();
+        run.loop.close(1s);
+        CHECK(number(path, "SELECT count(*) FROM a WHERE run = 1") == (age > 1min ? 500 : 0));
+      }
+      CHECK(number(path, "SELECT count(*) FROM a") < 120);
+    }
+  }
+
   TEST_CASE("VACUUM of a recording that is recorded costs no event, whether the peer is there or not") {
     for (const bool is_there : {true, false}) {
       CAPTURE(is_there);
@@ -499,6 +553,35 @@ TEST_SUITE("sinks") {
       CHECK(run.loop.close(5s) == 0);
       CHECK(number(path, "SELECT count(*) FROM rtdata_refused") == 50'000);
     }
+  }
+
+  TEST_CASE("a peer that refuses everything costs a recording with a limit not its data: the newest keys are kept") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      for (std::size_t i = 0; i < parcel.rows().size(); ++i)
+        answer.refuse(i, {Errc::bad_data, "refused", "peer", "it takes none", ""});
+      answer.acknowledge();
+    };
+    const std::string path = folder / "run.db";
+    {
+      Run run(path, peer, {.name = "peer"}, {.path = "", .max_bytes = 4 << 20});
+      for (int i = 0; i < 40; ++i) {
+        run.publish(5000);
+        run.loop.advance(2s);
+      }
+      CHECK(run.sink.counts().balances());
+      CHECK(run.loop.close(5s) == 0);
+    }
+    CHECK(number(path, "SELECT count(*) FROM a") > 20'000);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_refused") > 500);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_refused") < 2000);
+    CHECK(number(path, "SELECT max(sequence) FROM rtdata_refused") == 200'000);
+    const Recording recording = Recording::open(path).or_throw();
+    const RecordedBacklog of = recording.backlogs().or_throw().at(0);
+    CHECK(of.refused == 200'000);
+    CHECK(of.refused_keys == static_cast<std::uint64_t>(number(path, "SELECT count(*) FROM rtdata_refused")));
+    CHECK(std::filesystem::file_size(path) <= 4 << 20);
   }
 
   TEST_CASE("rows that got other numbers are found by their key, and an older copy of a recording is told") {

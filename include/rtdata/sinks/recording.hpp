@@ -178,7 +178,8 @@ struct RecordedBacklog {
   std::uint64_t events = 0;         ///< that wait
   std::uint64_t bytes = 0;          ///< of those, their payloads
   std::optional<Time> oldest = {};  ///< of those, UTC; none: nothing waits
-  std::uint64_t refused = 0;        ///< events that its peer will never take: dropped, their keys are kept
+  std::uint64_t refused = 0;        ///< events that its peer will never take: dropped
+  std::uint64_t refused_keys = 0;   ///< of the newest of those the recording has the keys and the reasons
 };
 
 /// Which rows. Everything is taken that is not left out.

@@ -289,7 +289,11 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     const auto age = of.oldest ? std::optional(std::max(present() - *of.oldest, Duration{0})) : std::nullopt;
     return of.sink + " of " + of.host + ": " +
            (of.events == 0 ? std::string("nothing waits") : waiting_text({of.events, of.bytes, age})) +
-           (of.refused == 0 ? "" : "; refused: " + std::to_string(of.refused) + ", see rtdata_refused");
+           (of.refused == 0
+                ? ""
+                : "; refused: " + std::to_string(of.refused) + ", see rtdata_refused" +
+                      (of.refused_keys == of.refused ? ""
+                                                     : ", which has the newest " + std::to_string(of.refused_keys)));
   });
   out << "\nfields\n";
   print_fields(content.topics, out);

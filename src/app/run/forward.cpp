@@ -41,6 +41,9 @@ std::string forwarding_configuration(const ConfigItem& root, const std::string& 
       ConfigItem recording = sink.item;
       recording.set("name", name);
       recording.set("path", database);
+      // What it has is to be sent, however old it has become.
+      recording.set("max_age", "0 s");
+      recording.set("max_bytes", 0);
       kept.push_back(recording);
     } else if (!text(sink.item, "through").empty()) {
       senders.push_back(name.empty() ? text(sink.item, "type") : name);
@@ -120,9 +123,10 @@ class Forward {
       sent += sink.counts.stored;
       refused += sink.counts.all_dropped();
     }
-    std::cout << (left == 0 ? "all is sent: " : "not all is sent: ") << sent << " events, " << refused << " dropped, "
+    const bool is_all = left == 0 && refused == 0;
+    std::cout << (is_all ? "all is sent: " : "not all is sent: ") << sent << " events, " << refused << " dropped, "
               << left << " wait" << std::endl;
-    return left == 0 ? exit_good : exit_other;
+    return is_all ? exit_good : exit_other;
   }
 
   static std::uint64_t waiting(System& system, const std::vector<std::string>& senders) {

@@ -54,6 +54,16 @@ Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
   auto has_tables = number("SELECT count(*) FROM sqlite_schema WHERE name IN ('rtdata_position', 'rtdata_refused')");
   if (!has_tables) return std::move(has_tables).error();
   if (*has_tables != 2) return backlogs;
+  auto has_before = number("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_refused_before'");
+  if (!has_before) return std::move(has_before).error();
+  const auto count_of = [&](const std::string& sink, const char* sql) -> Result<std::uint64_t> {
+    auto query = file_->prepare(sql);
+    if (!query) return std::move(query).error();
+    query->bind(1, sink);
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    return static_cast<std::uint64_t>(query->integer(0));
+  };
   auto stored = positions_in(*file_);
   if (!stored) return std::move(stored).error();
   auto topics = this->topics();
@@ -63,12 +73,14 @@ Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
       RecordedBacklog& made = backlogs.emplace_back();
       made.sink = one.sink;
       made.host = one.host;
-      auto refused = file_->prepare("SELECT count(*) FROM rtdata_refused WHERE sink = ?");
-      if (!refused) return std::move(refused).error();
-      refused->bind(1, one.sink);
-      auto row = refused->step();
-      if (!row) return std::move(row).error();
-      made.refused = static_cast<std::uint64_t>(refused->integer(0));
+      auto kept = count_of(one.sink, "SELECT count(*) FROM rtdata_refused WHERE sink = ?");
+      if (!kept) return std::move(kept).error();
+      made.refused = made.refused_keys = *kept;
+      if (*has_before != 0) {
+        auto before = count_of(one.sink, "SELECT coalesce(sum(count), 0) FROM rtdata_refused_before WHERE sink = ?");
+        if (!before) return std::move(before).error();
+        made.refused += *before;
+      }
     }
     RecordedBacklog& backlog = backlogs.back();
     for (const RecordedTopic& topic : *topics) {

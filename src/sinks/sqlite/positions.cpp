@@ -5,7 +5,8 @@
 namespace rtdata::sqlite {
 namespace {
 
-constexpr std::size_t most_refusals = 10'000;  // that wait to be written, and those of one more batch
+constexpr std::int64_t bytes_of_refusal = 150;  // in the file, beside its reason
+constexpr std::size_t most_refusals = 10'000;   // that wait to be written, and those of one more batch
 constexpr auto longest_wait = std::chrono::milliseconds{500};
 
 }  // namespace
@@ -99,8 +100,39 @@ Result<void> Positions::write(Database& database) {
     refused->bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);
     refused->bind(6, reason);
     if (auto done = refused->run(); !done) return done;
+    if (refused_bytes_ >= 0) refused_bytes_ += bytes_of_refusal + static_cast<std::int64_t>(reason.size());
   }
-  return {};
+  return refusals_in_transaction_.empty() || most_refused_bytes_ == 0 ? Result<void>{} : forget_refusals(database);
+}
+
+/// A peer that takes nothing for a night must not cost the recording its data. More than is
+/// needed, so that not each transaction has to look for the oldest.
+Result<void> Positions::forget_refusals(Database& database) {
+  const auto measure = [&]() -> Result<void> {
+    auto bytes = database.integer("SELECT count(*) * " + std::to_string(bytes_of_refusal) +
+                                  " + coalesce(sum(length(reason)), 0) FROM rtdata_refused");
+    if (!bytes) return std::move(bytes).error();
+    refused_bytes_ = *bytes;
+    return {};
+  };
+  if (refused_bytes_ < 0) {
+    if (auto done = measure(); !done) return done;
+  }
+  if (refused_bytes_ <= most_refused_bytes_) return {};
+  const std::string oldest =
+      " FROM rtdata_refused ORDER BY (SELECT run FROM rtdata_run WHERE uuid = rtdata_refused.run), sequence, sink, "
+      "topic, origin LIMIT (SELECT count(*) FROM rtdata_refused) * " +
+      std::to_string(refused_bytes_ - most_refused_bytes_ / 4 * 3) + " / " + std::to_string(refused_bytes_) + " + 1";
+  if (auto done = database.execute("INSERT INTO rtdata_refused_before SELECT sink, count(*) FROM (SELECT sink" +
+                                   oldest +
+                                   ") WHERE true GROUP BY sink ON CONFLICT(sink) DO UPDATE SET count = "
+                                   "rtdata_refused_before.count + excluded.count;"
+                                   "DELETE FROM rtdata_refused WHERE (sink, topic, run, origin, sequence) IN "
+                                   "(SELECT sink, topic, run, origin, sequence" +
+                                   oldest + ")");
+      !done)
+    return done;
+  return measure();
 }
 
 void Positions::committed() noexcept {
@@ -115,6 +147,7 @@ void Positions::committed() noexcept {
 
 void Positions::rolled_back() noexcept {
   const std::lock_guard lock(mutex_);
+  refused_bytes_ = -1;
   in_transaction_.clear();
   refusals_.merge(refusals_in_transaction_);  // what is left has been said again
   refusals_in_transaction_.clear();

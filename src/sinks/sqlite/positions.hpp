@@ -52,6 +52,8 @@ CREATE TABLE IF NOT EXISTS rtdata_refused(
   sink TEXT NOT NULL, topic TEXT NOT NULL, run TEXT NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL,
   reason TEXT NOT NULL,
   PRIMARY KEY(sink, topic, run, origin, sequence)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_refused_before(  -- how many more a sink was refused, whose keys are not kept
+  sink TEXT NOT NULL PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
 )sql";
 
 /// Thread: any, but for the calls of the recording's writer.
@@ -77,6 +79,8 @@ class Positions {
   void at_end(std::function<std::string()> call);
 
   // ---- the recording's writer
+  /// The keys of refused rows take about so much at most: older ones are counted only. 0: no limit.
+  void limit_refusals(std::uint64_t bytes) noexcept { most_refused_bytes_ = static_cast<std::int64_t>(bytes); }
   void begin_run(std::int64_t run);
   void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
   void set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row);
@@ -113,6 +117,8 @@ class Positions {
   };
 
  private:
+  Result<void> forget_refusals(Database& database);
+
   using Key = std::pair<std::string, std::string>;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
@@ -122,6 +128,8 @@ class Positions {
   std::map<Refusal, std::string> refusals_in_transaction_;
   std::map<std::string, Committed> last_rows_;
   std::int64_t run_ = 0;
+  std::int64_t most_refused_bytes_ = 0;
+  std::int64_t refused_bytes_ = -1;  // about, of those that are stored; -1: not known
   std::vector<std::function<std::string()>> at_end_;
   int readers_ = 0;
   bool is_held_off_ = false;

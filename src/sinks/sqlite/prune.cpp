@@ -1,6 +1,7 @@
 #include "sinks/sqlite/prune.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -18,7 +19,45 @@ constexpr std::int64_t least_pages = 16;  // freed in one transaction, if there 
 Pruner::Pruner(std::uint64_t max_bytes, Duration max_age)
     : max_bytes_(max_bytes), max_age_(max_age), share_(max_bytes) {}
 
-Result<void> Pruner::find_tables(Database& database) {
+/// Each run has a clock of its own, which may have been wrong when it began: what its times are on the line of the
+/// present run is told by the last that is known of the UTC of both.
+Result<void> Pruner::find_lines(Database& database, std::int64_t now) {
+  lines_.clear();
+  auto query = database.prepare(
+      "SELECT r.run, r.clock_offset, coalesce((SELECT u.\"offset\" FROM rtdata_utc u WHERE u.boot_id = r.boot_id ORDER "
+      "BY u.since DESC LIMIT 1), r.clock_offset), r.started, max(coalesce(r.ended, r.started) - r.started, 0) "
+      "FROM rtdata_run r ORDER BY r.run DESC");
+  if (!query) return std::move(query).error();
+  std::int64_t present = 0, run_since = run_for_;
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) break;
+    const std::int64_t run = query->integer(0), to_utc = query->integer(2) - query->integer(1);
+    if (run == run_) {
+      present = to_utc;
+      run_for_ = std::max<std::int64_t>(now - query->integer(3), 0);
+      run_since = run_for_;
+      continue;
+    }
+    lines_[run] = {to_utc, run_since};
+    run_since += query->integer(4);
+  }
+  for (auto& [run, line] : lines_) line.shift -= present;
+  return {};
+}
+
+Pruner::Line Pruner::line_of(std::int64_t run) const {
+  const auto found = lines_.find(run);
+  return found != lines_.end() ? found->second : Line{};
+}
+
+bool Pruner::is_beyond(const Table& table, const Limit& limit) const {
+  return table.has_rows() && (table.first_time < limit.time || line_of(table.first_run).run_since > limit.age);
+}
+
+Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
+  if (auto found = find_lines(database, now); !found) return found;
   auto count = database.integer("SELECT count(*) FROM rtdata_topic");
   if (!count) return std::move(count).error();
   if (!count_pruned_) {
@@ -40,12 +79,13 @@ Result<void> Pruner::find_tables(Database& database) {
       table.name = query->text(1);
       const std::string name = rtdata::sqlite::quoted(table.name);
       const std::pair<Statement*, std::string> all[] = {
-          {&table.first, "SELECT rowid, time FROM " + name + " ORDER BY rowid LIMIT 1"},
+          {&table.first, "SELECT rowid, time, run FROM " + name + " ORDER BY rowid LIMIT 1"},
           {&table.last, "SELECT max(rowid) FROM " + name},
           // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
           {&table.up_to,
-           "SELECT min(CASE WHEN time >= ?2 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time FROM " + name +
-               " ORDER BY rowid LIMIT ?1)"},
+           "SELECT min(CASE WHEN time >= ?2 OR run <> ?3 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time, run "
+           "FROM " +
+               name + " ORDER BY rowid LIMIT ?1)"},
           {&table.remove, "DELETE FROM " + name + " WHERE rowid <= ?"},
       };
       for (const auto& [statement, sql] : all) {
@@ -66,7 +106,8 @@ Result<void> Pruner::look_at(Table& table) {
   auto first = table.first.step();
   if (!first) return std::move(first).error();
   table.first_rowid = *first ? table.first.integer(0) : 0;
-  table.first_time = *first ? table.first.integer(1) : 0;
+  table.first_run = *first ? table.first.integer(2) : 0;
+  table.first_time = *first ? table.first.integer(1) + line_of(table.first_run).shift : 0;
   table.first.reset();
   auto last = table.last.step();
   if (!last) return std::move(last).error();
@@ -114,18 +155,25 @@ Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_before(Database& database, ValueRanges& ranges, std::int64_t time) {
+Result<std::int64_t> Pruner::delete_beyond(Database& database, ValueRanges& ranges, const Limit& limit) {
+  const std::int64_t most = std::max(least_rows, most_rows / std::max<std::int64_t>(std::ssize(tables_), 1));
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
-    if (!table.has_rows() || table.first_time >= time) continue;
-    table.up_to.bind(1, std::max(least_rows, most_rows / static_cast<std::int64_t>(tables_.size()))).bind(2, time);
-    auto row = table.up_to.step();
-    if (!row) return std::move(row).error();
-    const std::int64_t up_to = std::min(table.up_to.integer(table.up_to.is_null(0) ? 1 : 0), table.last_rowid - 1);
-    table.up_to.reset();
-    auto count = delete_rows(database, ranges, table, up_to);
-    if (!count) return count;
-    deleted += *count;
+    for (std::int64_t left = most; left > 0 && is_beyond(table, limit);) {  // run by run
+      const bool is_whole_run = table.first_time >= limit.time;
+      const std::int64_t shift = line_of(table.first_run).shift;
+      table.up_to.bind(1, left)
+          .bind(2, is_whole_run ? std::numeric_limits<std::int64_t>::max() : limit.time - shift)
+          .bind(3, table.first_run);
+      auto row = table.up_to.step();
+      if (!row) return std::move(row).error();
+      const std::int64_t up_to = std::min(table.up_to.integer(table.up_to.is_null(0) ? 1 : 0), table.last_rowid - 1);
+      table.up_to.reset();
+      auto count = delete_rows(database, ranges, table, up_to);
+      if (!count) return count;
+      deleted += *count;
+      left -= std::max<std::int64_t>(*count, 1);
+    }
   }
   return deleted;
 }
@@ -160,16 +208,16 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
   const bool is_too_large = left.used() > most;
   const bool is_time = max_age_.count() > 0 && at >= next_look_;
   if (is_too_large || is_time) {
-    if (auto found = find_tables(database); !found) return found;
+    if (auto found = find_tables(database, at); !found) return found;
   }
   // About as much as came since, so that one transaction's log stays small: what is left follows.
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
-    const std::int64_t oldest = at - max_age_.count();
-    auto deleted = delete_before(database, ranges, oldest);
+    const Limit limit{at - max_age_.count(), max_age_.count()};
+    auto deleted = delete_beyond(database, ranges, limit);
     if (!deleted) return std::move(deleted).error();
     has_more_ = std::any_of(tables_.begin(), tables_.end(),
-                            [&](const Table& table) { return table.has_rows() && table.first_time < oldest; });
+                            [&](const Table& table) { return is_beyond(table, limit); });
     // Not for each row: that would write its page each time.
     if (!has_more_) next_look_ = at + max_age_.count() / 100;
   }
@@ -186,7 +234,7 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
       std::int64_t deleted = 0;
       if (first < at) {
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
-        auto old = delete_before(database, ranges, first + step * (std::int64_t{1} << shift));
+        auto old = delete_beyond(database, ranges, {first + step * (std::int64_t{1} << shift)});
         if (!old) return std::move(old).error();
         deleted += *old;
       }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <string>
 #include <utility>
@@ -22,6 +23,8 @@ class Pruner {
   /// `max_bytes`, `max_age`: 0 is no limit.
   Pruner(std::uint64_t max_bytes, Duration max_age);
 
+  /// What is deleted from now on, the run with this number does.
+  void begin(std::int64_t run) noexcept { run_ = run; }
   bool has_limits() const noexcept { return max_bytes_ > 0 || max_age_.count() > 0; }
   /// What the log may take before it is brought into the database; 0: no limit.
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
@@ -53,24 +56,38 @@ class Pruner {
   struct Table {
     std::string topic;
     std::string name;
-    Statement first;   // row number and time of its first row
+    Statement first;   // row number, time and run of its first row
     Statement last;    // row number of its last row
-    Statement up_to;   // row number of the last of its first rows that are all before a time
+    Statement up_to;   // row number of the last of its first rows that are all of a run and before a time
     Statement remove;  // up to a row number
     std::int64_t first_rowid = 0;
-    std::int64_t first_time = 0;
+    std::int64_t first_time = 0;  // on the line of the present run
+    std::int64_t first_run = 0;
     std::int64_t last_rowid = 0;
     bool has_rows() const noexcept { return last_rowid > first_rowid; }
+  };
+  /// A run as the present one sees it.
+  struct Line {
+    std::int64_t shift = 0;      // added to its times, they are on the line of the present run
+    std::int64_t run_since = 0;  // ns that later runs took: its rows are at least so old, whatever its clock said
   };
   struct Pages {
     std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
     std::int64_t used() const noexcept { return all - free; }
   };
-  Result<void> find_tables(Database& database);
+  Result<void> find_lines(Database& database, std::int64_t now);
+  Line line_of(std::int64_t run) const;
+  /// What is to go: rows from before `time`, and all of an earlier run that are `age` old at least.
+  struct Limit {
+    std::int64_t time;
+    std::int64_t age = std::numeric_limits<std::int64_t>::max();
+  };
+  bool is_beyond(const Table& table, const Limit& limit) const;
+  Result<void> find_tables(Database& database, std::int64_t now);
   Result<void> look_at(Table& table);
   Result<Pages> pages(Database& database);
-  /// Deletes what is before the instant, some thousand rows at most. The number of rows.
-  Result<std::int64_t> delete_before(Database& database, ValueRanges& ranges, std::int64_t time);
+  /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
+  Result<std::int64_t> delete_beyond(Database& database, ValueRanges& ranges, const Limit& limit);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
   /// them as of the time that the others span.
   Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
@@ -83,6 +100,9 @@ class Pruner {
   AccountShare share_;
   std::vector<Table> tables_;
   std::vector<Deleted> deleted_;
+  std::map<std::int64_t, Line> lines_;  // by run
+  std::int64_t run_ = 0;
+  std::int64_t run_for_ = 0;  // ns that it has taken until now
   Statement count_pruned_;
   Statement page_count_;
   Statement free_pages_;

@@ -43,6 +43,7 @@ Result<void> SqliteFeed::open() {
     if (*row && known->text(0) != host_name()) {
       remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
                          " has got to in this recording; if that machine still sends it, events arrive twice");
+      positions_->set(config_.sink, no_table, {});  // from now on it is this machine's
     }
   }
   if (is_new_) positions_->set(config_.sink, no_table, {});
@@ -214,6 +215,10 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
       return position;
     }
     return position_now(table, std::move(position));
+  } else if (is_new_) {
+    auto beginning = beginning_of(table);
+    if (!beginning) return beginning;
+    position = *std::move(beginning);
   }
   positions_->set(config_.sink, table.topic.table, position);
   return position;
@@ -246,7 +251,13 @@ Result<Position> SqliteFeed::position_now(const Table& table, Position position)
   remarks_.push_back(of + last +
                      "the rows of the recording have other numbers than before, or it is an older copy: all of it "
                      "is sent");
-  return Position{};
+  return beginning_of(table);
+}
+
+Result<Position> SqliteFeed::beginning_of(const Table& table) {
+  auto first = number("SELECT coalesce(min(rowid), 1) FROM " + quoted(table.topic.table), {});
+  if (!first) return std::move(first).error();
+  return Position{*first - 1, 0, {}, 0};
 }
 
 // ---- rows

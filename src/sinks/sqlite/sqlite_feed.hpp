@@ -88,6 +88,8 @@ class SqliteFeed final : public detail::RowFeed {
   bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
   Result<Position> position_in(const Table& table);
+  /// Before the first row that is there.
+  Result<Position> beginning_of(const Table& table);
   /// Where a position of before is now.
   Result<Position> position_now(const Table& table, Position position);
   Result<std::int64_t> number(const std::string& sql, const Position& position);

@@ -185,6 +185,7 @@ Result<void> SqliteWriter::begin_run(const std::string& uuid) {
   run_ = database_.last_rowid();
   sums_.begin(run_);
   positions_->begin_run(run_);
+  pruner_.begin(run_);
   ranges_.begin(run_, run.started);
   return {};
 }

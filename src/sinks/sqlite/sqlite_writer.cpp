@@ -21,6 +21,8 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, RunInfo run)
       info_(std::move(run)),
       permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
       pruner_(config.max_bytes, config.max_age) {
+  constexpr std::uint64_t share_of_refusals = 16;
+  positions_->limit_refusals(config.max_bytes / share_of_refusals);
   if (config_.path.empty()) {
     throw SetupError(
         {Errc::bad_argument, "cannot record", "sqlite sink", "it has no path", "set `path`, such as \"run.db\""});
