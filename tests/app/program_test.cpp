@@ -13,6 +13,7 @@
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using rtdata::app::ControlClient;
 using rtdata::app::running_instances;
@@ -394,6 +395,30 @@ TEST_SUITE("app") {
     CHECK(timed.end() == 1);
     CHECK(has(timed.err, "storing what is queued: "));
     CHECK(has(timed.err, " events, for at most 2 s"));
+  }
+
+  TEST_CASE("what somebody else's recording says does not command the terminal") {
+    const Folder folder;
+    const std::string program = rtdata::test::built("rtdata");
+    folder.write("rig.json", R"({"notes": "a note\u001b[31m\nof two lines", "sensors": [
+      {"name": "l", "type": "host", "quantity": "load", "rate": "20 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "rig.json", "--for", "200ms"});
+    CHECK(run.end() == 0);
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("UPDATE rtdata_run SET name = name || char(27) || '[2J' || char(155)").or_throw();
+    }
+    for (const char* command : {"info", "verify"}) {
+      CAPTURE(command);
+      Process told(folder, program, {command, "run.db"}, Process::Output::one_terminal);
+      (void)told.end();
+      INFO(told.out);
+      CHECK(told.out.find('\x1b') == std::string::npos);
+      CHECK(told.out.find("\xc2\x9b") == std::string::npos);
+      if (std::string(command) == "info") CHECK(has(told.out, "\\x1b[2J\\xc2\\x9b"));
+    }
   }
 
   TEST_CASE("NFR-7 errors are in the log file after SIGTERM, and with --quiet on the terminal too") {

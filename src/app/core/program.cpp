@@ -184,7 +184,7 @@ Action prepare_ctl(CLI::App& command) {
                  "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"
                  "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
   return [words](const Registry&) {
-    const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
+    const ForPeople wrapped;
     return app::ctl(*words);
   };
 }
