@@ -9,6 +9,9 @@
 #include <numeric>
 #include <sstream>
 
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -431,6 +434,23 @@ TEST_SUITE("sinks") {
     CHECK_THROWS_AS(TcpSink(loop, {.host = "a", .port = 1, .format = "xml"}), SetupError);
     CHECK_THROWS_AS(UdpSink(loop, {.host = "a b"}), SetupError);
     CHECK_THROWS_AS(UdpSink(loop, {.format = "csv"}), SetupError);
+  }
+
+  TEST_CASE("US-17 two senders of one topic to one server are a warning") {
+    const auto warnings = [](const std::string& first, const std::string& second) {
+      return plan_system(standard_registry(), parse_config(R"({"sensors": [
+  {"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+  {"name": "used", "type": "host", "quantity": "memory", "rate": "10 Hz"}], "sinks": [{"name": "a", )" +
+                                                               first + R"(}, {"name": "b", )" + second + "}]}",
+                                                           "f.json"))
+          .warnings.text();
+    };
+    const std::string tcp = R"("type": "tcp", "host": "10.0.0.1", "port": 7000)";
+    CHECK(warnings(tcp, tcp + R"(, "topics": ["used"])")
+              .find("sends to the same server: it has each event of topic \"used\" twice") != std::string::npos);
+    CHECK(warnings(tcp + R"(, "topics": ["load"])", tcp + R"(, "topics": ["used"])").empty());
+    CHECK(warnings(tcp, R"("type": "tcp", "host": "10.0.0.1", "port": 7001)").empty());
+    CHECK(warnings(tcp, R"("type": "udp", "host": "10.0.0.1", "port": 7000)").empty());
   }
 
   TEST_CASE("US-32 a datagram an event: an object with the time in seconds and the fields by their topic") {

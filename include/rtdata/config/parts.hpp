@@ -133,6 +133,7 @@ struct PartPlan {
     std::string advice = {};           ///< to who wants it, too; empty: to take another
     std::string bus_type = {};         ///< of a bus that has such a place; empty: of any that the part may be on
     std::string advice_on_other = {};  ///< for one of another type
+    std::string more = {};             ///< that tells it from others, and is shown nowhere, such as a path of a URL
   } place = {};
   std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known

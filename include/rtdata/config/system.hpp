@@ -20,7 +20,7 @@
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
 /// description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor, unknown-sink,
 /// unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings, loses-data,
-/// matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
+/// matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret, sent-twice,
 /// unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.

@@ -4,6 +4,7 @@
 
 #include "app/core/machines.hpp"
 #include "app/core/standard_drivers.hpp"
+#include "io/http_url.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
@@ -387,12 +388,20 @@ Registry standard_registry() {
       [](const MqttActuatorConfig& config) { return std::make_unique<MqttActuator>(config); },
       [](PartPlan& plan, const MqttActuatorConfig& config) {
         plan.place = {"MQTT topic", config.to + " of " + config.broker.host + ", message " + config.text, ""};
+        plan.place.more = std::to_string(config.broker.port);
       });
 #endif
 #ifdef RTDATA_WITH_HTTP
   registry.add_output<HttpActuatorConfig>(
       "http", "a device that is set by a request to a URL",
-      [](const HttpActuatorConfig& config) { return std::make_unique<HttpActuator>(config); });
+      [](const HttpActuatorConfig& config) { return std::make_unique<HttpActuator>(config); },
+      [](PartPlan& plan, const HttpActuatorConfig& config) {
+        const auto url = detail::parse_http_url(config.server.url);
+        if (!url) return;
+        plan.place = {"server", url->origin, "two outputs that send the same requests set one device"};
+        plan.place.more = config.server.url.substr(config.server.url.find("//") + 2) + " " + config.text;
+        if (config.method == HttpSetMethod::get) plan.place.more.resize(plan.place.more.size() - config.text.size());
+      });
 #endif
 #ifndef RTDATA_WITH_GPIO
   for (const char* type : {"counter", "edge", "gpio"})

@@ -88,7 +88,8 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   const bool is_on_bus = !taken.bus.empty();
   std::error_code ignored;  // a device that is not there is what its path says
   const std::string place = is_on_bus ? taken.text : std::filesystem::weakly_canonical(taken.text, ignored).string();
-  const auto [known, is_new] = places_.try_emplace({taken.bus, place.empty() ? taken.text : place}, &part);
+  const auto [known, is_new] = places_.try_emplace({taken.bus, (place.empty() ? taken.text : place) + taken.more},
+                                                   &part);
   if (is_new) return;
   if (!is_on_bus) {
     problems.add(child_or_self(part.item, "device")
