@@ -125,6 +125,7 @@ struct PartPlan {
   std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
   std::optional<PublishedTopic> publishes = {};
   std::optional<StoredTopics> stores = {};
+  std::string passes_on = {};  ///< the topic whose events it publishes again, on a topic of its own; empty: none
   std::string stored_by = {};  ///< the sink by which it wants its events to be stored; empty: by any
   /// The place that it takes for itself: on a bus, or a device of the machine.
   struct Place {

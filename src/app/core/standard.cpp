@@ -282,6 +282,7 @@ Registry standard_registry() {
           return TriggerSensor(loop, common, config);
         },
         [](PartPlan& plan, const TriggerConfig& config) {
+          plan.passes_on = config.on;
           plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
                                        Problems& problems) {
             check_trigger_names(config, payload_of, part.item, problems);

@@ -311,10 +311,16 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   if (part.check_topics) {
     const auto payload_of = [this](std::string_view topic) -> const Description* {
-      const auto known = topics_.find(topic);
-      if (known == topics_.end()) return nullptr;
-      const PublishedTopic& published = *known->second->publishes;
-      return published.in_expressions.value_or(published.description).get();
+      // Along what passes it on, which may go in a circle.
+      for (std::size_t i = 0; i <= topics_.size(); ++i) {
+        const auto known = topics_.find(topic);
+        if (known == topics_.end()) return nullptr;
+        const PublishedTopic& published = *known->second->publishes;
+        if (published.in_expressions || published.description != nullptr || known->second->passes_on.empty())
+          return published.in_expressions.value_or(published.description).get();
+        topic = known->second->passes_on;
+      }
+      return nullptr;
     };
     part.check_topics(part, payload_of, problems);
   }
