@@ -395,7 +395,7 @@ Action prepare_replay(CLI::App& command) {
       ->type_name("TIME");
   command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
   command.add_flag_callback(
-      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Print warnings and errors only");
+      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Of messages print warnings and errors only");
   command.footer(
       "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
       "  rtdata replay bench.db again.json --speed max\nexit status:\n"
