@@ -177,9 +177,10 @@ TEST_SUITE("app") {
     folder.write("good.json", bench);
     Process good(folder, program, {"check", "good.json"});
     CHECK(good.end() == 0);
-    CHECK(
-        good.out.starts_with("how long readings may hold each loop, at worst, of its shortest period:\n"
-                             "  main: 1 sensor, worst not known of 10 ms (0 of 1 declared)\nbench.jsonl: about "));
+    CHECK(good.out.starts_with(
+        "how long readings may hold each loop, at worst, of its shortest period:\n"
+        "  main: 1 sensor, whose types do not say how long a reading takes; the shortest period is 10 ms\n"
+        "bench.jsonl: about "));
     CHECK(good.out.ends_with("\nok: 1 sensor, 2 sinks\n"));
     CHECK_FALSE(folder.has("bench.jsonl"));
   }
@@ -610,7 +611,10 @@ TEST_SUITE("app") {
         {"pt100", "pt100: type max31865\n"},
         {"ds18b20", "ds18b20: type w1\n"},
         {"scpi", "scpi: type query\n"},
-        {"gyro", "gyro: type imu\n"}};
+        {"gyro", "gyro: type imu\n"},
+        {"gy-521", "gy-521: type imu\n"},
+        {"dht22", "dht22: type iio\n"},
+        {"HX711", "HX711: type analog\n"}};
     for (const auto& [word, says] : one_type) {
       Process found(folder, shipped, {"types", word});
       CHECK(found.end() == 0);
@@ -625,6 +629,12 @@ TEST_SUITE("app") {
     CHECK(csv.end() == 0);
     CHECK(has(csv.out, "\n  serial "));
     CHECK(has(csv.out, "\n  file "));
+    Process relay(folder, shipped, {"types", "relay"});
+    CHECK(relay.end() == 0);
+    CHECK_MESSAGE(has(relay.out, "gpio"), relay.out);
+    Process absent(folder, shipped, {"scan", "--root", "/nonexistent"});
+    CHECK(absent.end() == 1);
+    CHECK_MESSAGE(has(absent.err, "/nonexistent: No such file or directory"), absent.err);
     Process none(folder, shipped, {"types", "warp-drive"});
     CHECK(none.end() == 1);
     folder.write("words.json", R"({"buses": {"i": {"type": "i2c", "device": "/dev/i2c-1"}},

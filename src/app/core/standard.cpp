@@ -195,7 +195,10 @@ Registry standard_registry() {
       [](const AnalogConfig& config) { return analog_description(config.unit); },
       [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
         return AnalogSensor(loop, common, config);
-      });
+      },
+      [](PartPlan&, const AnalogConfig&) {},
+      {.notes = "An HX711 is such a converter, too: by the kernel's driver hx711.",
+       .aliases = "adc potentiometer thermistor ntc photoresistor ldr hx711"});
 #ifdef RTDATA_WITH_GPIO
   registry.add_sensor<CounterConfig>(
       "counter", "pulses on a GPIO line: their number, frequency, and what they stand for",
@@ -241,7 +244,13 @@ Registry standard_registry() {
   registry.add_sensor<IioConfig>(
       "iio", "any IIO device of the kernel, asked channel by channel",
       [](const IioConfig& config) { return iio_description(config.channels); },
-      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); });
+      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); },
+      [](PartPlan&, const IioConfig&) {},
+      {.notes = "A DHT11, DHT22 or AM2302 has a driver of the kernel, dht11, and an HC-SR04 has srf04: a device tree "
+                "overlay\n"
+                "names the line (on a Raspberry Pi `dtoverlay=dht11,gpiopin=4`), and then they are IIO devices, which\n"
+                "`rtdata scan` finds.",
+       .aliases = "dht11 dht22 am2302 hc-sr04 ultrasonic humidity"});
   registry.add_sensor<IioBufferConfig>(
       "iio_buffer", "any IIO device of the kernel, at the rate of its trigger, from its buffer",
       [](const IioBufferConfig& config) { return iio_description(config.channels); },
@@ -366,7 +375,8 @@ Registry standard_registry() {
 #ifdef RTDATA_WITH_GPIO
   registry.add_output<GpioActuatorConfig>(
       "gpio", "a GPIO line", [](const GpioActuatorConfig& config) { return std::make_unique<GpioActuator>(config); },
-      [](PartPlan& plan, const GpioActuatorConfig& config) { plan.place = place_of(config.line.text, config.chip); });
+      [](PartPlan& plan, const GpioActuatorConfig& config) { plan.place = place_of(config.line.text, config.chip); },
+      {.aliases = "relay led valve lamp pump heater buzzer"});
 #endif
   registry.add_output<PwmConfig>(
       "pwm", "the duty cycle of a channel of a PWM chip of the kernel",
