@@ -119,6 +119,44 @@ TEST_SUITE("app") {
     CHECK(has(run.out, "ledger balances"));
   }
 
+  TEST_CASE(
+      "US-5 a recording that is stuck is given up by a command: the run goes on elsewhere, and says what is lost") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string program = built("rtdata");
+    const auto text = [](const char* file) {
+      return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
+        {"type": "sqlite", "name": "db", "path": ")" +
+             std::string(file) + R"(", "close_deadline": "500 ms"}]})";
+    };
+    folder.write("rig.json", text("first.db"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const auto reload = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), {"ctl", "reload"});
+      Process ctl(folder, program, words);
+      CHECK_MESSAGE(ctl.end() == status, ctl.err);
+      return ctl.out + ctl.err;
+    };
+    CHECK(has(reload({"give-up", "db"}, 1), "sink db cannot be given up: the change does not close it"));
+    CHECK(has(reload({"give-up"}, 1), "it is written `reload [give-up SINK ...]`"));
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("BEGIN IMMEDIATE").or_throw();
+      folder.write("rig.json", text("second.db"));
+      CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
+      CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path)"));
+      REQUIRE(run.wait_for("sink db: lost "));
+    }
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);  // not all is stored
+    CHECK_FALSE(has(run.out, "not_balanced"));
+    Process second(folder, program, {"verify", "second.db"});
+    CHECK(second.end() == 0);
+    CHECK(has(second.out, "balanced"));
+  }
+
   TEST_CASE("US-32 what a sender has queued goes out after a reload has restarted it, each event once") {
     const rtdata::test::RuntimeFolder runtime;
     const Folder folder;

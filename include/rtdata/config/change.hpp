@@ -23,6 +23,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <set>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -75,8 +76,10 @@ PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
 /// what it has done so far stays.
 class StepwiseChange {
  public:
-  /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes.
-  StepwiseChange(System& system, const SystemPlan& next);
+  /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes. `given_up`: names of sinks of which
+  /// none goes through another, and which the change closes; it does not wait for what they have queued, which they may
+  /// store while the loop turns, for their `close_deadline`. What is left then is lost, and counted.
+  StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up = {});
   ~StepwiseChange();
   StepwiseChange(const StepwiseChange&) = delete;
   StepwiseChange& operator=(const StepwiseChange&) = delete;

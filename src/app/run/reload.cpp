@@ -76,12 +76,33 @@ bool Reload::may_be_applied(Change& change) {
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty())
     return refused("the guard of outputs is started with the program: start it again");
-  change.steps = std::make_unique<StepwiseChange>(system_, next);
+  change.steps = std::make_unique<StepwiseChange>(system_, next, change.given_up);
   const PlanChange& parts = change.steps->changes();
-  if (parts.refused() == 0) return true;
+  if (parts.refused() == 0) {
+    const std::string obstacle = obstacle_to_give_up(change);
+    return obstacle.empty() || refused(obstacle);
+  }
   for (const PartChange& part : parts.all)
     if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
   return refused("what is refused can be done by starting the program again");
+}
+
+std::string Reload::obstacle_to_give_up(const Change& change) const {
+  const std::set<std::string> closing = closing_sinks(change, false);
+  for (const std::string& name : change.given_up) {
+    if (!closing.contains(name)) return "sink " + name + " cannot be given up: the change does not close it";
+    std::string path;
+    for (const PartPlan* plan : system_.parts().plans()) {
+      if (!plan->stores) continue;
+      if (plan->stores->through == name)
+        return "sink " + name + " cannot be given up: " + plan->object() + " goes through it";
+      if (plan->name == name) path = plan->stores->path;
+    }
+    for (const PartPlan& plan : change.read->plan.parts)
+      if (plan.stores && !path.empty() && plan.stores->path == path)
+        return "sink " + name + " cannot be given up: " + plan.object() + " would write the same file; give it another";
+  }
+  return "";
 }
 
 std::set<std::string> Reload::closing_sinks(const Change& change, bool recordings_alone) const {
@@ -102,16 +123,18 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
   });
 }
 
-void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told) {
-  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told)});
+void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
+                   std::set<std::string> given_up) {
+  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->waits_for = closing_sinks(*change, false);
+  for (const std::string& name : change->given_up) change->waits_for.erase(name);
   const Weak weak = change;
   if (change->waits_for.empty()) return then(weak, &Reload::go_on);
   change->is_waiting = true;
   change->patience = Timer(loop_, storing_patience, [this, weak] { then(weak, &Reload::stop_waiting); });
-  for (const std::string& name : closing_sinks(*change, false)) {
+  for (const std::string& name : std::set<std::string>(change->waits_for)) {
     system_.sink(name).sync([this, name, weak] {
       const auto still = weak.lock();
       if (still == nullptr || still->waits_for.erase(name) == 0) return;
@@ -125,11 +148,12 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   change->patience = {};
   std::string stuck;
   for (const std::string& name : closing_sinks(*change, true))
-    if (change->waits_for.contains(name)) stuck += (stuck.empty() ? "" : ", ") + name;
+    if (change->waits_for.contains(name)) stuck += (stuck.empty() ? "" : " ") + name;
   if (stuck.empty()) return go_on(change);
   refuse(*change, "it would close " + stuck +
-                      ", which cannot store what it has now, and would lose it; mend what keeps it from that, or start "
-                      "the program again");
+                      ", which cannot store what it has now, and would lose it; mend what keeps it from that, or give "
+                      "it up: `rtdata ctl reload give-up " +
+                      stuck + "` counts and reports what is lost");
 }
 
 void Reload::go_on(const std::shared_ptr<Change>& change) {

@@ -40,7 +40,9 @@ class Reload {
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
   /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed. The loop
   /// turns, too, while many parts are added or removed.
-  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
+  /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
+             std::set<std::string> given_up = {});
   /// Events of sinks that were closed before they could store them.
   std::uint64_t not_stored() const noexcept { return not_stored_ + system_.lost_in_changes(); }
 
@@ -50,6 +52,7 @@ class Reload {
     std::shared_ptr<const NextPlan> read;
     std::string why;
     Told told;
+    std::set<std::string> given_up = {};
     std::unique_ptr<StepwiseChange> steps = {};
     bool is_waiting = false;
     std::set<std::string> waits_for = {};  // sinks that store what they have
@@ -63,6 +66,8 @@ class Reload {
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   /// False: it is refused, and concluded.
   bool may_be_applied(Change& change);
+  /// Why these sinks cannot be given up; empty: they can.
+  std::string obstacle_to_give_up(const Change& change) const;
   /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
   std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
   /// What comes next, in a turn of its own. Not when this change is concluded.

@@ -53,9 +53,10 @@ class Taken {
 
 }  // namespace
 
-PlanApplication::PlanApplication(System& system, const SystemPlan& next)
+PlanApplication::PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up)
     : system_(system),
       next_(next),
+      given_up_(std::move(given_up)),
       compared_(next.good() ? system.compared_to(next) : throw ConfigError(next.problems)),
       all_(compared_.all()) {}
 
@@ -252,7 +253,8 @@ void PlanApplication::close() {
   keep_what_is_taken_over();
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
     std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
-    if (sends_beside_another(**plan)) finish(std::move(part));
+    const bool is_given_up = (*plan)->stores && given_up_.contains((*plan)->name);
+    if (is_given_up || sends_beside_another(**plan)) finish(std::move(part));
     part = nullptr;
     closed_at_[(*plan)->object()] = system_.loop_.now();
   }

@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -20,7 +21,7 @@ namespace rtdata::config_detail {
 class PlanApplication {
  public:
   /// Compares. `next` must outlive it.
-  PlanApplication(System& system, const SystemPlan& next);
+  PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up);
 
   const PlanChange& changes() const noexcept { return all_; }
   /// Goes on for so long, or with one part; returns whether there is more to do. SetupError: what is refused, and
@@ -46,7 +47,7 @@ class PlanApplication {
   void close();
   /// While there are those before: they say what those that follow take over.
   void keep_what_is_taken_over();
-  /// Of a sink that sends over a network, which needs a loop that turns.
+  /// Of a sink that needs a loop that turns to get rid of what it has queued, or that is not waited for.
   void finish(std::unique_ptr<Parts::Part> part);
   void make();
   /// By `make` if it is not empty.
@@ -63,6 +64,7 @@ class PlanApplication {
 
   System& system_;
   const SystemPlan& next_;
+  const std::set<std::string> given_up_;  // sinks
   ComparedPlans compared_;
   const PlanChange all_;
   Stage stage_ = Stage::beginning;

@@ -1,6 +1,7 @@
 #include "rtdata/config/system.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "config/plan/change.hpp"
 #include "config/plan/neighbours.hpp"
@@ -146,8 +147,8 @@ PlanChange System::apply(const SystemPlan& next) {
   return change.changes();
 }
 
-StepwiseChange::StepwiseChange(System& system, const SystemPlan& next)
-    : application_(std::make_unique<config_detail::PlanApplication>(system, next)) {}
+StepwiseChange::StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up)
+    : application_(std::make_unique<config_detail::PlanApplication>(system, next, std::move(given_up))) {}
 StepwiseChange::~StepwiseChange() = default;
 
 const PlanChange& StepwiseChange::changes() const noexcept { return application_->changes(); }
