@@ -59,6 +59,31 @@ TEST_SUITE("app") {
     CHECK(has(folder.read("rig.log"), "sensor new: added"));
   }
 
+  TEST_CASE("US-5 a reload that comes while another is applied waits for it, and the last one holds") {
+    const Folder folder;
+    const auto many = [](int count) {
+      std::string more;
+      for (int i = 0; i < count; ++i)
+        more += R"(, {"name": "s)" + std::to_string(i) + R"(", "type": "tallied", "rate": "1 Hz"})";
+      return rig("100 Hz", more);
+    };
+    folder.write("rig.json", many(0));
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig: 2 sensors, 1 sink"));
+    for (int round = 0; round < 5; ++round) {
+      folder.write("rig.json", many(800));
+      run.signal(SIGHUP);
+      std::this_thread::sleep_for(std::chrono::milliseconds{5 + 15 * round});
+      folder.write("rig.json", many(3 + round));
+      run.signal(SIGHUP);
+      REQUIRE(run.wait_for("rig.json is applied: " + std::to_string(5 + round) + " sensors, 1 sink"));
+    }
+    CHECK_FALSE(has(run.err, "nothing was changed: another"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+  }
+
   TEST_CASE("US-5 a recording goes on over SIGHUP, has both texts, and balances") {
     const Folder folder;
     const auto text = [](const std::string& rate, const std::string& file) {

@@ -43,7 +43,10 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
 void Reload::conclude(Change& change, LogLevel level, const std::string& text, std::string_view id) {
   console_.say(level, "program", change.why + ": " + text, id);
   change.told({level == LogLevel::info, console_.without_secrets(text) + change.details});
-  if (under_way_.get() == &change) under_way_ = nullptr;
+  if (under_way_.get() == &change) {
+    under_way_ = nullptr;
+    begin_next();
+  }
   loop_.post([read = std::move(change.read)] {});  // to destroy many parts takes a turn of its own
 }
 
@@ -62,7 +65,6 @@ bool Reload::may_be_applied(Change& change) {
     return false;
   };
   if (run_.is_ending()) return refused("it ends already");
-  if (under_way_ != nullptr) return refused("another change is being applied");
   if (!change.read->failed.empty()) return refused(change.read->failed);
   const SystemPlan& next = change.read->plan;
   console_.add_secrets(next.secrets);
@@ -126,6 +128,22 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
 void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
                    std::set<std::string> given_up) {
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
+  if (under_way_ == nullptr && next_ == nullptr) return begin(change);
+  if (next_ != nullptr) refuse(*next_, "a later one takes its place");
+  next_ = change;
+  if (under_way_ == nullptr) begin_next();
+}
+
+void Reload::begin_next() {
+  loop_.post([this, weak = Weak(next_)] {
+    const auto next = weak.lock();
+    if (next == nullptr || next != next_ || under_way_ != nullptr) return;
+    next_ = nullptr;
+    begin(next);
+  });
+}
+
+void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->waits_for = closing_sinks(*change, false);

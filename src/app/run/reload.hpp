@@ -40,6 +40,7 @@ class Reload {
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
   /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed. The loop
   /// turns, too, while many parts are added or removed.
+  /// One that comes while another is applied waits for it; of several that wait, the last one is applied.
   /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
   void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
              std::set<std::string> given_up = {});
@@ -70,6 +71,9 @@ class Reload {
   std::string obstacle_to_give_up(const Change& change) const;
   /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
   std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
+  void begin(const std::shared_ptr<Change>& change);
+  /// What waits, in a turn of its own.
+  void begin_next();
   /// What comes next, in a turn of its own. Not when this change is concluded.
   void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
   void stop_waiting(const std::shared_ptr<Change>& change);
@@ -84,6 +88,7 @@ class Reload {
   RunConsole& console_;
   const Run run_;
   std::shared_ptr<Change> under_way_;  // null: none
+  std::shared_ptr<Change> next_;       // that waits for it
   std::uint64_t not_stored_ = 0;
 };
 
